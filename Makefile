@@ -1,0 +1,57 @@
+# Each target sets up what it needs by itself: a fresh clone needs Python 3.11 or newer, and make.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+
+PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \
+  $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: help demo test check bench fuzz format clean
+
+help:
+	@echo "make demo    start the daemon with a simulated robot"
+	@echo "make test    run every test"
+	@echo "make check   format, lint, types, import rules"
+	@echo "make bench   measure, write the figures to build/bench.json"
+	@echo "make fuzz    the property tests with 50 times the examples"
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer: install python3.11, or run make PYTHON=/path/to/python3"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); echo "no venv module: on Debian and Ubuntu run  sudo apt-get install python3-venv"; exit 1; }
+
+$(VENV)/.hostlink: pyproject.toml | $(BIN)/python
+	@echo "installing hostlink into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(BIN)/python
+	@echo "installing hostlink and its test tools into $(VENV) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@ $(VENV)/.hostlink
+
+demo: $(VENV)/.hostlink
+	@exec $(BIN)/hostlink demo
+
+test: $(VENV)/.dev
+	@tools/require.sh tmux
+	$(BIN)/python -m pytest
+
+check: $(VENV)/.dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.dev
+	$(BIN)/python tools/bench_link.py
+
+fuzz: $(VENV)/.dev
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,1 @@
+"""hostlink: the host for rosserial robots."""

@@ -1,0 +1,1 @@
+"""Translates between the hub and the programs that drive robots; decides nothing."""

@@ -1,0 +1,1 @@
+"""The hostlink command; serve is the composition root."""

@@ -1,0 +1,118 @@
+"""Every setting of the daemon: one frozen dataclass a part, read once from a TOML file and the command line."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from hostlink.errors import ConfigError
+
+ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TcpConfig:
+    """Where devices connect."""
+
+    host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
+    port: int = 11411  # the port of every rosserial TCP client
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerialConfig:
+    """One serial port with a device on it."""
+
+    path: str
+    baud: int = 57600  # rosserial's default
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkConfig:
+    """How one live connection is watched and paced."""
+
+    idle_timeout_s: float = 11.0  # PROTOCOL.md: a device without time answers falls silent after 11 s
+    uart_bytes_s: int | None = None  # None: as fast as the socket; 3840 for the paper's robot (38400 baud)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiConfig:
+    """Where programs connect."""
+
+    host: str = "127.0.0.1"
+    port: int = 9090  # rosbridge's
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotConfig:
+    """One robot: how its device is known, what it may do. Limits hold for every command source."""
+
+    address: str | None = None  # the peer address or serial port of its device
+    uart_bytes_s: int | None = None
+    wheel_separation_m: float | None = None
+    max_wheel_m_s: float | None = None
+    max_linear_m_s: float = 1.0  # a small robot's; higher ones are asked for by name
+    max_angular_rad_s: float = 4.0
+    max_linear_acceleration_m_s2: float | None = None
+    max_angular_acceleration_rad_s2: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config:
+    """The whole of hostlink.toml."""
+
+    tcp: TcpConfig = field(default_factory=TcpConfig)
+    serial: tuple[SerialConfig, ...] = ()
+    link: LinkConfig = field(default_factory=LinkConfig)
+    api: ApiConfig = field(default_factory=ApiConfig)
+    robots: dict[str, RobotConfig] = field(default_factory=dict)
+    parameters: dict[str, ParameterValue] = field(default_factory=dict)
+    message_folders: tuple[Path, ...] = ()
+
+
+def load(path: Path) -> Config:
+    """Read and validate a TOML file; a ConfigError names the file, the key and the nearest known one."""
+    try:
+        raw = msgspec.toml.decode(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(str(path), error.strerror or str(error)) from error
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(str(path), f"is not TOML: {error}") from error
+    _refuse_unknown_keys(raw, Config, str(path), "")
+    try:
+        config = msgspec.convert(raw, Config, dec_hook=_decode)
+    except msgspec.ValidationError as error:
+        raise ConfigError(str(path), str(error)) from error
+    folders = tuple(path.parent / folder for folder in config.message_folders)
+    return dataclasses.replace(config, message_folders=folders)
+
+
+def _decode(wanted: type, value: object) -> object:
+    if wanted is Path and isinstance(value, str):
+        return Path(value).expanduser()
+    raise NotImplementedError(f"no way to read {wanted}")
+
+
+def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
+    """Walk the tables that the dataclasses describe; a key that none has is an error."""
+    if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):
+        hints = typing.get_type_hints(wanted)
+        for key, value in raw.items():
+            if key not in hints:
+                near = difflib.get_close_matches(key, hints, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(sorted(hints))}"
+                raise ConfigError(file, f"unknown key {prefix}{key}; {hint}")
+            _refuse_unknown_keys(value, hints[key], file, f"{prefix}{key}.")
+        return
+    inner = typing.get_args(wanted)
+    if typing.get_origin(wanted) is dict and isinstance(raw, dict):
+        for key, value in raw.items():
+            _refuse_unknown_keys(value, inner[1], file, f"{prefix}{key}.")
+    elif typing.get_origin(wanted) is tuple and isinstance(raw, list):
+        for number, value in enumerate(raw):
+            _refuse_unknown_keys(value, inner[0], file, f"{prefix}{number}.")

@@ -1,0 +1,86 @@
+"""Every error that hostlink raises on purpose: what is wrong, with its numbers as attributes."""
+
+
+class HostlinkError(Exception):
+    """Base of all: a caller asked for something that cannot be done, and the text says what to do next."""
+
+
+class ConfigError(HostlinkError):
+    """A setting is wrong; raised once, at the start."""
+
+    def __init__(self, where: str, problem: str) -> None:
+        super().__init__(f"{where}: {problem}")
+        self.where, self.problem = where, problem
+
+
+class UnknownTopic(HostlinkError):
+    """No topic, service or robot of that name."""
+
+    def __init__(self, kind: str, name: str, known: tuple[str, ...] = ()) -> None:
+        hint = f"; known: {', '.join(sorted(known)[:8])}" if known else ""
+        super().__init__(f"no {kind} named {name}{hint}")
+        self.kind, self.name, self.known = kind, name, known
+
+
+class WrongType(HostlinkError):
+    """Two sides mean different things by one name."""
+
+    def __init__(self, name: str, wanted: str, got: str) -> None:
+        super().__init__(f"{name}: wanted {wanted}, got {got}")
+        self.name, self.wanted, self.got = name, wanted, got
+
+
+class BadPayload(HostlinkError):
+    """Bytes that are no message of the type that was announced for them."""
+
+    def __init__(self, type_name: str, problem: str) -> None:
+        super().__init__(f"{type_name}: {problem}")
+        self.type_name, self.problem = type_name, problem
+
+
+class FrameTooLarge(HostlinkError):
+    """A frame over the buffer that the device announced; sent, it would corrupt the device."""
+
+    def __init__(self, topic: str, frame_bytes: int, limit_bytes: int) -> None:
+        super().__init__(f"{topic}: frame of {frame_bytes} bytes, the device takes {limit_bytes}")
+        self.topic, self.frame_bytes, self.limit_bytes = topic, frame_bytes, limit_bytes
+
+
+class DeviceGone(HostlinkError):
+    """The device left before it answered, or is not connected."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name}: its device is not connected")
+        self.name = name
+
+
+class DeviceBusy(HostlinkError):
+    """A bounded queue towards a device is full."""
+
+    def __init__(self, name: str, waiting: int) -> None:
+        super().__init__(f"{name}: {waiting} requests wait already; try again later")
+        self.name, self.waiting = name, waiting
+
+
+class ServiceTimeout(HostlinkError):
+    """A service did not answer within its deadline."""
+
+    def __init__(self, service: str, timeout_s: float) -> None:
+        super().__init__(f"{service}: no answer within {timeout_s:g} s")
+        self.service, self.timeout_s = service, timeout_s
+
+
+class BadRequest(HostlinkError):
+    """A client's request that makes no sense as it is."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(problem)
+        self.problem = problem
+
+
+class RobotHeld(HostlinkError):
+    """Somebody with a higher priority drives the robot."""
+
+    def __init__(self, robot: str, holder: str) -> None:
+        super().__init__(f"{robot}: {holder} drives it with a higher priority")
+        self.robot, self.holder = robot, holder

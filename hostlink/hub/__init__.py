@@ -1,0 +1,1 @@
+"""All devices together: topics, services, parameters, robots."""

@@ -1,0 +1,1 @@
+"""One Session on one Transport, from connect to a named end."""

@@ -1,0 +1,1 @@
+"""What a payload means: types, md5 sums and the codec; pure."""

@@ -1,0 +1,1 @@
+"""rosserial on the wire: pure, no I/O, no clock."""

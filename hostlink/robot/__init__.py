@@ -1,0 +1,1 @@
+"""What makes a device a robot: kinematics, velocity gate, odometry; pure."""

@@ -1,0 +1,1 @@
+"""A rosserial robot without hardware."""
