@@ -13,7 +13,8 @@ import msgspec
 
 from hostlink.errors import ConfigError
 
-ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+ParameterScalar = bool | int | float | str
+ParameterValue = ParameterScalar | list[ParameterScalar]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
