@@ -1,4 +1,4 @@
-"""Every setting of the daemon: one frozen dataclass a part, read once from a TOML file and the command line."""
+"""Every setting of the daemon: a frozen dataclass a part, read once from a TOML file and the flags."""
 
 from __future__ import annotations
 
