@@ -1,0 +1,186 @@
+"""The payloads of rosserial's own frames: TopicInfo, Parameter, Log, Time.
+
+`decode_*` returns None for a payload that is malformed: damage is data, not an exception.
+"""
+
+from collections.abc import Callable
+from struct import Struct
+from struct import error as StructError
+from typing import NamedTuple, TypeVar
+
+from hostlink.protocol.frame import Id
+
+_U32 = Struct("<I")
+_I32 = Struct("<i")
+_TIME = Struct("<II")
+_TOPIC_ID = Struct("<H")
+_NS_PER_S = 1_000_000_000
+_MAX_NAME_BYTES = 255
+LOG_LEVELS = ("debug", "info", "warn", "error", "fatal")
+IS_TO_DEVICE = frozenset({Id.SUBSCRIBER, Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_SUBSCRIBER})
+
+Item = TypeVar("Item")
+
+
+class TopicInfo(NamedTuple):
+    """What a device says of one of its endpoints; `kind` is one of the ids 0 to 5."""
+
+    kind: Id
+    topic_id: int
+    name: str
+    type: str
+    md5: str
+    buffer_bytes: int  # the device's whole buffer for this direction: frame and overhead must fit
+
+    @property
+    def is_to_device(self) -> bool:
+        """Whether frames with this id go from the host to the device."""
+        return self.kind in IS_TO_DEVICE
+
+
+class Parameter(NamedTuple):
+    """The answer to a parameter request: one of the three is filled, none when there is no such parameter."""
+
+    ints: tuple[int, ...] = ()
+    floats: tuple[float, ...] = ()
+    strings: tuple[str, ...] = ()
+
+
+class Log(NamedTuple):
+    """A line that the device's program logged; `level` indexes LOG_LEVELS."""
+
+    level: int
+    text: str
+
+
+def encode_topic_info(info: TopicInfo) -> bytes:
+    """The payload of a TopicInfo frame."""
+    strings = b"".join(_encode_string(text) for text in (info.name, info.type, info.md5))
+    return _TOPIC_ID.pack(info.topic_id) + strings + _I32.pack(info.buffer_bytes)
+
+
+def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
+    """None: malformed, or a name, type or md5 that no device means (empty, too long, unprintable)."""
+
+    def read(reader: _Reader) -> TopicInfo:
+        (topic_id,) = reader.unpack(_TOPIC_ID)
+        name, type_name, md5 = (_word(reader.string()) for _ in range(3))
+        (buffer_bytes,) = reader.unpack(_I32)
+        return TopicInfo(kind, topic_id, name, type_name, md5, buffer_bytes)
+
+    return _decode(payload, read)
+
+
+def encode_parameter_request(name: str) -> bytes:
+    """The payload of a device's question for a parameter."""
+    return _encode_string(name)
+
+
+def decode_parameter_request(payload: bytes) -> str | None:
+    """The name of the parameter that the device asks for."""
+    return _decode(payload, lambda reader: reader.string().decode(errors="replace"))
+
+
+def encode_parameter(parameter: Parameter) -> bytes:
+    """The payload of the answer."""
+    ints = Struct(f"<I{len(parameter.ints)}i").pack(len(parameter.ints), *parameter.ints)
+    floats = Struct(f"<I{len(parameter.floats)}f").pack(len(parameter.floats), *parameter.floats)
+    strings = b"".join(_encode_string(text) for text in parameter.strings)
+    return ints + floats + _U32.pack(len(parameter.strings)) + strings
+
+
+def decode_parameter(payload: bytes) -> Parameter | None:
+    """The answer, as a device reads it."""
+
+    def read(reader: _Reader) -> Parameter:
+        ints = reader.unpack(Struct(f"<{reader.count(4)}i"))
+        floats = reader.unpack(Struct(f"<{reader.count(4)}f"))
+        strings = tuple(reader.string().decode(errors="replace") for _ in range(reader.count(4)))
+        return Parameter(ints, floats, strings)
+
+    return _decode(payload, read)
+
+
+def encode_log(log: Log) -> bytes:
+    """The payload of a log line."""
+    return bytes([log.level]) + _encode_string(log.text)
+
+
+def decode_log(payload: bytes) -> Log | None:
+    """A level above fatal is read as fatal: the line matters more than its level."""
+
+    def read(reader: _Reader) -> Log:
+        level = reader.take(1)[0]
+        return Log(min(level, len(LOG_LEVELS) - 1), reader.string().decode(errors="replace"))
+
+    return _decode(payload, read)
+
+
+def encode_time(wall_ns: int) -> bytes:
+    """The payload of a time answer: seconds and nanoseconds since 1970."""
+    seconds, nanoseconds = divmod(wall_ns, _NS_PER_S)
+    return _TIME.pack(seconds & 0xFFFFFFFF, nanoseconds)
+
+
+def decode_time(payload: bytes) -> int | None:
+    """Nanoseconds since 1970."""
+
+    def read(reader: _Reader) -> int:
+        seconds, nanoseconds = reader.unpack(_TIME)
+        return int(seconds) * _NS_PER_S + int(nanoseconds)
+
+    return _decode(payload, read)
+
+
+class _Reader:
+    """Walks over a payload; ValueError when it asks for more than is there."""
+
+    def __init__(self, payload: bytes) -> None:
+        self._payload, self._at = payload, 0
+
+    def take(self, size: int) -> bytes:
+        data = self._payload[self._at : self._at + size]
+        if len(data) != size:
+            raise ValueError("the payload ends early")
+        self._at += size
+        return data
+
+    def unpack(self, layout: Struct) -> tuple[int, ...]:
+        return layout.unpack(self.take(layout.size))
+
+    def count(self, item_bytes: int) -> int:
+        """A length from the wire, never larger than what can follow it."""
+        (count,) = self.unpack(_U32)
+        if count * item_bytes > len(self._payload) - self._at:
+            raise ValueError("a length that the payload does not hold")
+        return count
+
+    def string(self) -> bytes:
+        return self.take(self.count(1))
+
+    def expect_end(self) -> None:
+        if self._at != len(self._payload):
+            raise ValueError("bytes after the end")
+
+
+def _decode(payload: bytes, read: Callable[[_Reader], Item]) -> Item | None:
+    reader = _Reader(payload)
+    try:
+        item = read(reader)
+        reader.expect_end()
+    except (ValueError, StructError):
+        return None
+    return item
+
+
+def _encode_string(text: str) -> bytes:
+    data = text.encode()
+    return _U32.pack(len(data)) + data
+
+
+def _word(data: bytes) -> str:
+    """A name as rosserial devices write them: printable ASCII without spaces."""
+    text = data.decode("ascii")
+    if not text or len(text) > _MAX_NAME_BYTES or not text.isprintable() or " " in text:
+        raise ValueError("no name")
+    return text

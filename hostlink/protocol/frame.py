@@ -1,0 +1,76 @@
+"""One frame of rosserial protocol version 2: its bytes, its two checksums and the ids with a meaning of their own.
+
+Source of every number: the rosserial protocol, as PROTOCOL.md in the docs tells it.
+"""
+
+from enum import IntEnum
+from struct import Struct
+from typing import NamedTuple
+
+import numpy as np
+
+SYNC = b"\xff\xfe"
+SYNC_WORD = 0xFEFF  # SYNC as a little-endian integer
+HEADER = Struct("<HHBH")  # sync, payload length, its checksum, topic id
+OVERHEAD_BYTES = 8  # seven of header, one of checksum
+MAX_PAYLOAD_BYTES = 0xFFFF
+FIRST_TOPIC_ID = 100  # a device numbers its topics from here
+_NUMPY_PAYS_FROM_BYTES = 256
+
+
+class Id(IntEnum):
+    """Topic ids below FIRST_TOPIC_ID; 0 to 5 are also the kinds of endpoint, named from the device's side."""
+
+    PUBLISHER = 0
+    SUBSCRIBER = 1
+    SERVICE_SERVER_PUBLISHER = 2
+    SERVICE_SERVER_SUBSCRIBER = 3
+    SERVICE_CLIENT_PUBLISHER = 4
+    SERVICE_CLIENT_SUBSCRIBER = 5
+    PARAMETER = 6
+    LOG = 7
+    TIME = 10
+    STOP = 11
+
+
+class Frame(NamedTuple):
+    """A frame whose two checksums were right."""
+
+    topic_id: int
+    payload: bytes
+
+
+def byte_sum(data: bytes | bytearray | memoryview) -> int:
+    """The sum of the bytes; only its lowest 8 bits mean anything."""
+    if len(data) < _NUMPY_PAYS_FROM_BYTES:
+        return sum(data)
+    return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint8))
+
+
+def encode(topic_id: int, payload: bytes) -> bytes:
+    """The bytes of one frame; ValueError for a payload that no length field can tell."""
+    size = len(payload)
+    if size > MAX_PAYLOAD_BYTES:
+        raise ValueError(f"payload of {size} bytes, a frame takes {MAX_PAYLOAD_BYTES}")
+    length_check = ~(size + (size >> 8)) & 0xFF
+    body_check = ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF
+    return b"%b%b%c" % (HEADER.pack(SYNC_WORD, size, length_check, topic_id), payload, body_check)
+
+
+TOPICS_REQUEST = encode(Id.PUBLISHER, b"")
+STOP_REQUEST = encode(Id.STOP, b"")
+
+
+def holds_protocol_1(data: bytes) -> bool:
+    """Whether a whole frame of protocol version 1 (before 2013) stands in bytes that are no frame of version 2.
+
+    FF FF, id (2), length (2), payload, checksum = 255 - sum of all after the FFs.
+    """
+    at = data.find(b"\xff\xff")
+    while at >= 0:
+        size = int.from_bytes(data[at + 4 : at + 6], "little")
+        body = data[at + 2 : at + 7 + size]
+        if len(body) == size + 5 and byte_sum(body) & 0xFF == 0xFF:  # noqa: PLR2004 - sum and checksum give 255
+            return True
+        at = data.find(b"\xff\xff", at + 1)
+    return False

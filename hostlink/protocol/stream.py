@@ -1,0 +1,172 @@
+"""FrameStream: bytes in, however they were cut; frames and skipped bytes out. It knows no topic and no time."""
+
+from bisect import insort
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from typing import NamedTuple
+
+from hostlink.protocol.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
+
+DEFAULT_LIMIT_BYTES = 1024  # twice rosserial's usual buffer: what a header may claim before topics are known
+_SUM_IS_RIGHT = 0xFF  # bytes and their checksum add up to 255 modulo 256
+
+
+class Skipped(NamedTuple):
+    """Bytes that belong to no frame."""
+
+    data: bytes
+
+
+class Rejection(Enum):
+    """Why a sync was no start of a frame."""
+
+    LENGTH_CHECKSUM = "length_checksum"
+    TOO_LONG = "too_long"
+    CHECKSUM = "checksum"
+    WRONG_SIZE = "wrong_size"
+    INCOMPLETE = "incomplete"
+
+
+class FrameStream:
+    """Reads frames from a stream in which bytes may be damaged, missing or foreign.
+
+    Every sync with a good length checksum and a claim within the limit is a *candidate*. The candidate that is
+    first complete and right wins, whatever began before it: so a damaged header that claims a kilobyte costs
+    neither the frames inside it nor the time until that kilobyte has come, and how the bytes were cut changes
+    nothing. The bytes before the winner are skipped; no byte is ever lost: frames + skipped + pending = input.
+
+    | head of the buffer              | what happens                                       |
+    |---------------------------------|----------------------------------------------------|
+    | no sync                         | skipped up to the next possible one                |
+    | candidate, right, none inside   | frame                                              |
+    | candidate, incomplete           | waits; each candidate inside it is followed too    |
+    | candidate, complete and wrong   | no candidate any more: its bytes are read again    |
+    """
+
+    def __init__(
+        self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None
+    ) -> None:
+        """`limit_bytes`: the largest payload that a header may claim; `fixed_bytes`: id -> its only right size."""
+        self.limit_bytes = limit_bytes
+        self.rejected: Counter[Rejection] = Counter()
+        self._fixed_bytes: Mapping[int, int] = {} if fixed_bytes is None else fixed_bytes
+        self._buffer = bytearray()
+        self._base = 0  # where the buffer begins, counted from the first byte of the stream
+        self._candidates: list[tuple[int, int]] = []  # (end, start) of frames that are not decided yet
+        self._searched = 0  # up to here every sync was looked at
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes that are neither frame nor skipped yet."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> Iterator[Frame | Skipped]:
+        """Take bytes; what one frame changes (limit, sizes) holds for the next, so the iterator is lazy."""
+        buffer = self._buffer
+        buffer += data
+        while True:
+            end = self._clean_frame()
+            if end:
+                frame = Frame(buffer[5] | buffer[6] << 8, bytes(buffer[7 : end - 1]))
+                self._drop(end)
+                yield frame
+            elif (event := self._contested()) is not None:
+                yield event
+            else:
+                return
+
+    def give_up(self) -> Iterator[Frame | Skipped]:
+        """Stop waiting for what stands at the head: read again from the byte after it."""
+        if self._buffer:
+            self.rejected[Rejection.INCOMPLETE] += 1
+            self._candidates = [item for item in self._candidates if item[1] != self._base]
+            self._searched = max(self._searched, self._base + 1)
+        return self.feed(b"")
+
+    def _clean_frame(self) -> int:
+        """The size of the frame at the head if it is whole, right and uncontested; else 0. The fast way."""
+        buffer = self._buffer
+        if len(buffer) < OVERHEAD_BYTES:
+            return 0
+        sync, size, check, topic_id = HEADER.unpack_from(buffer)
+        end: int = size + OVERHEAD_BYTES
+        if (
+            sync != SYNC_WORD
+            or end > len(buffer)
+            or size > self.limit_bytes
+            or (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT
+            or buffer.find(SYNC, 2, end) >= 0
+            or byte_sum(buffer[5:end]) & 0xFF != _SUM_IS_RIGHT
+            or self._fixed_bytes.get(topic_id, size) != size
+        ):
+            return 0
+        return end
+
+    def _contested(self) -> Frame | Skipped | None:
+        """The next event where the head is noise, incomplete or has a sync inside; None: more bytes are needed."""
+        candidates = self._candidates
+        while True:
+            self._search()
+            if not candidates or candidates[0][0] > self._base + len(self._buffer):
+                break
+            end, start = candidates.pop(0)
+            if not self._is_right(start - self._base, end - self._base):
+                continue
+            if start > self._base:
+                candidates[:] = [(end, start)]
+                return self._skip(start)
+            payload = bytes(self._buffer[7 : end - self._base - 1])
+            frame = Frame(self._buffer[5] | self._buffer[6] << 8, payload)
+            self._drop(end - self._base)
+            return frame
+        first = min((start for _, start in candidates), default=self._searched)
+        return self._skip(first) if first > self._base else None
+
+    def _search(self) -> None:
+        """Find candidates as far as one could still end before those that are known."""
+        buffer, base = self._buffer, self._base
+        while True:
+            if self._candidates and self._searched + OVERHEAD_BYTES > self._candidates[0][0]:
+                return
+            at = buffer.find(SYNC, self._searched - base)
+            if at < 0:
+                self._searched = base + len(buffer) - buffer.endswith(SYNC[:1])
+                return
+            if at + HEADER.size > len(buffer):
+                self._searched = base + at
+                return
+            self._searched = base + at + 1
+            _, size, check, _ = HEADER.unpack_from(buffer, at)
+            if (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT:
+                self.rejected[Rejection.LENGTH_CHECKSUM] += 1
+            elif size > self.limit_bytes:
+                self.rejected[Rejection.TOO_LONG] += 1
+            else:
+                insort(self._candidates, (base + at + size + OVERHEAD_BYTES, base + at))
+
+    def _is_right(self, start: int, end: int) -> bool:
+        """Judge a complete candidate, counted if it is wrong."""
+        topic_id = self._buffer[start + 5] | self._buffer[start + 6] << 8
+        size = end - start - OVERHEAD_BYTES
+        if byte_sum(self._buffer[start + 5 : end]) & 0xFF != _SUM_IS_RIGHT:
+            self.rejected[Rejection.CHECKSUM] += 1
+        elif self._fixed_bytes.get(topic_id, size) != size:
+            self.rejected[Rejection.WRONG_SIZE] += 1
+        else:
+            return True
+        return False
+
+    def _skip(self, until: int) -> Skipped:
+        size = until - self._base
+        skipped = Skipped(bytes(self._buffer[:size]))
+        del self._buffer[:size]
+        self._base = until
+        return skipped
+
+    def _drop(self, size: int) -> None:
+        """Take a frame off the head; candidates that overlap it are no longer any."""
+        del self._buffer[:size]
+        self._base += size
+        self._searched = self._base
+        self._candidates.clear()
