@@ -5,8 +5,7 @@
 
 from collections.abc import Callable
 from struct import Struct
-from struct import error as StructError
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from hostlink.protocol.frame import Id
 
@@ -127,7 +126,7 @@ def decode_time(payload: bytes) -> int | None:
 
     def read(reader: _Reader) -> int:
         seconds, nanoseconds = reader.unpack(_TIME)
-        return int(seconds) * _NS_PER_S + int(nanoseconds)
+        return int(seconds * _NS_PER_S + nanoseconds)
 
     return _decode(payload, read)
 
@@ -145,7 +144,7 @@ class _Reader:
         self._at += size
         return data
 
-    def unpack(self, layout: Struct) -> tuple[int, ...]:
+    def unpack(self, layout: Struct) -> tuple[Any, ...]:
         return layout.unpack(self.take(layout.size))
 
     def count(self, item_bytes: int) -> int:
@@ -168,7 +167,7 @@ def _decode(payload: bytes, read: Callable[[_Reader], Item]) -> Item | None:
     try:
         item = read(reader)
         reader.expect_end()
-    except (ValueError, StructError):
+    except ValueError:
         return None
     return item
 

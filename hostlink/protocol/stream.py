@@ -44,9 +44,7 @@ class FrameStream:
     | candidate, complete and wrong   | no candidate any more: its bytes are read again    |
     """
 
-    def __init__(
-        self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None
-    ) -> None:
+    def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
         """`limit_bytes`: the largest payload that a header may claim; `fixed_bytes`: id -> its only right size."""
         self.limit_bytes = limit_bytes
         self.rejected: Counter[Rejection] = Counter()

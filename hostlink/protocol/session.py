@@ -1,0 +1,364 @@
+"""Session: the host's side of one device, from the first byte on; decides what bytes and time mean.
+
+It owns the stream, the topics and the outbox. The Link moves the bytes and tells the time.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from hostlink.errors import FrameTooLarge, HostlinkError, UnknownTopic, WrongType
+from hostlink.protocol import events
+from hostlink.protocol.control import (
+    Parameter,
+    TopicInfo,
+    decode_log,
+    decode_parameter_request,
+    decode_topic_info,
+    encode_parameter,
+)
+from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode, holds_protocol_1
+from hostlink.protocol.outbox import Outbox
+from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
+from hostlink.protocol.topic_table import TopicTable
+
+ASK_INTERVAL_S = 1.0  # PROTOCOL.md: at most one request for topics a second
+ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
+NEGOTIATION_QUIET_S = 0.5  # a device tells its topics without a pause; WiFi may put one in
+STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
+SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
+MAX_SAME_ASKS = 3  # for one gap or one unknown id; a device that does not mend it never will
+DEFAULT_BUFFER_BYTES = 512  # rosserial's
+_WATCHED_BYTES = 256  # of what was skipped, for a frame of protocol 1
+
+_KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_CLIENT_PUBLISHER)
+
+
+@dataclass(slots=True)
+class SessionCounts:
+    """What came and what was wrong with it, since the link opened."""
+
+    frames_from_device: int = 0
+    frames_to_device: int = 0
+    bytes_from_device: int = 0
+    bytes_to_device: int = 0
+    skipped_bytes: int = 0
+    unknown_ids: int = 0
+    refused_frames: int = 0  # to the host with an id that only the host may use, or of a refused topic
+    malformed: int = 0  # control frames whose payload makes no sense
+    negotiations: int = 0
+    asks: int = 0
+
+
+class Session:
+    """The state machine of one device, host side. All times are of one monotonic clock, in seconds.
+
+    | state       | entered by               | asks for topics                           | left by                     |
+    |-------------|--------------------------|-------------------------------------------|-----------------------------|
+    | asking      | `open`, a wish to ask    | at once, then every 2 s without an answer | a TopicInfo                 |
+    | negotiating | the first TopicInfo      | no                                        | 0.5 s quiet, another frame |
+    | ready       | the end of a negotiation | unknown id, gap or damage (3 times each); | a TopicInfo                 |
+    |             |                          | no time request for 5 s                   |                             |
+
+    A wish waits until the last request is 1 s old. Messages of known topics are delivered in every state.
+    """
+
+    def __init__(
+        self,
+        *,
+        check: Callable[[TopicInfo], int | None],
+        uart_bytes_s: int | None = None,
+        silence_s: float = SILENCE_S,
+    ) -> None:
+        """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
+        self.counts = SessionCounts()
+        self._check = check
+        self._silence_s = silence_s
+        self._topics = TopicTable()
+        self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
+        self._outbox = Outbox(uart_bytes_s=uart_bytes_s)
+        self._refused: dict[int, HostlinkError] = {}
+        self._clock = _AskClock()
+        self._known: tuple[TopicInfo, ...] = ()
+        self._skipped_tail = b""
+        self._is_protocol_1 = False
+
+    # -- what the link tells ------------------------------------------------------------------------------------------
+
+    def open(self, *, now_s: float) -> list[events.Event]:
+        """The connection stands: ask for topics at once."""
+        self._clock.open(now_s)
+        return list(self._ask_if_due(now_s))
+
+    def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
+        """Take what came from the device."""
+        self.counts.bytes_from_device += len(data)
+        self._clock.heard_at_s = now_s
+        found = list(self._read(self._stream.feed(data), now_s))
+        found += self._ask_if_due(now_s)
+        return found
+
+    def tick(self, *, now_s: float) -> list[events.Event]:
+        """Do what is due by now; call it when `deadline_s` has come."""
+        found: list[events.Event] = []
+        if self._stream.pending_bytes and now_s >= self._clock.heard_at_s + STALLED_FRAME_S:
+            self._clock.heard_at_s = now_s
+            found += self._read(self._stream.give_up(), now_s)
+        if self._topics.is_negotiating and now_s >= self._clock.told_at_s + NEGOTIATION_QUIET_S:
+            found.append(self._finish_negotiation())
+        self._clock.tick(now_s, self._silence_s)
+        found += self._ask_if_due(now_s)
+        return found
+
+    def deadline_s(self) -> float:
+        """When `tick` must be called next if nothing comes before."""
+        times = [self._clock.deadline_s(self._silence_s)]
+        if self._stream.pending_bytes:
+            times.append(self._clock.heard_at_s + STALLED_FRAME_S)
+        if self._topics.is_negotiating:
+            times.append(self._clock.told_at_s + NEGOTIATION_QUIET_S)
+        return min(times)
+
+    def take(self, *, now_s: float, wall_ns: int) -> bytes | None:
+        """The next frame to write; None when nothing waits or the device's UART is busy."""
+        frame = self._outbox.take(now_s=now_s, wall_ns=wall_ns)
+        if frame is not None:
+            self.counts.frames_to_device += 1
+            self.counts.bytes_to_device += len(frame)
+        return frame
+
+    def wait_s(self, now_s: float) -> float | None:
+        """Seconds until `take` gives a frame; None when nothing waits."""
+        return self._outbox.wait_s(now_s)
+
+    # -- what the hub asks for ----------------------------------------------------------------------------------------
+
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """The usable endpoints of the last negotiation."""
+        return self._known
+
+    @property
+    def replaced(self) -> int:
+        """Commands that never left, because a newer one took their place."""
+        return self._outbox.replaced
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Starts of frames that were none, by cause."""
+        return Counter({cause.value: count for cause, count in self._stream.rejected.items()})
+
+    def publish(self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False) -> None:
+        """Queue a message to the device; raises UnknownTopic, WrongType or FrameTooLarge before anything is queued."""
+        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
+        frame = self._encode(info, payload)
+        if is_urgent:
+            self._outbox.put_urgent(info.topic_id, frame)
+        else:
+            self._outbox.put_command(info.topic_id, frame, depth=depth)
+
+    def call(self, service: str, payload: bytes) -> None:
+        """Queue a request to a service of the device's."""
+        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
+        self._outbox.put_reply(service, self._encode(info, payload))
+
+    def answer(self, service: str, payload: bytes) -> None:
+        """Queue the response to a request of the device's."""
+        info = self._endpoint("service", service, Id.SERVICE_CLIENT_SUBSCRIBER)
+        self._outbox.put_reply(service, self._encode(info, payload))
+
+    def answer_parameter(self, name: str, parameter: Parameter) -> None:
+        """Queue the answer to a parameter request; an empty one says that there is none."""
+        frame = encode(Id.PARAMETER, encode_parameter(parameter))
+        limit_bytes = min(
+            (_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES
+        )
+        if len(frame) > limit_bytes:
+            raise FrameTooLarge(f"parameter {name}", len(frame), limit_bytes)
+        self._outbox.put_reply(name, frame)
+
+    def stop(self) -> None:
+        """Queue the request to fall silent, after the urgent commands; the last frame of the session."""
+        self._outbox.put_stop()
+
+    # -- frames -------------------------------------------------------------------------------------------------------
+
+    def _read(self, items: Iterator[Frame | Skipped], now_s: float) -> Iterator[events.Event]:
+        for item in items:
+            if isinstance(item, Skipped):
+                yield from self._skip(item.data)
+                continue
+            self.counts.frames_from_device += 1
+            topic_id = item.topic_id
+            if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
+                yield from self._take_topic_info(Id(topic_id), item.payload, now_s)
+                continue
+            if self._topics.is_negotiating:
+                yield self._finish_negotiation()
+            if topic_id >= FIRST_TOPIC_ID:
+                yield from self._take_message(item)
+            else:
+                yield from self._take_control(item, now_s)
+
+    def _take_message(self, frame: Frame) -> Iterator[events.Event]:
+        info = self._topics.get(frame.topic_id)
+        if info is None:
+            self.counts.unknown_ids += 1
+            self._clock.wish("unknown_id", about=frame.topic_id)
+            yield events.UnknownTopicUsed(frame.topic_id)
+        elif info.topic_id in self._refused or info.kind not in _KINDS_FROM_DEVICE:
+            self.counts.refused_frames += 1
+        elif info.kind is Id.PUBLISHER:
+            yield events.MessageReceived(info, frame.payload)
+        elif info.kind is Id.SERVICE_SERVER_PUBLISHER:
+            yield events.ServiceResponded(info, frame.payload)
+        else:
+            yield events.ServiceRequested(info, frame.payload)
+
+    def _take_control(self, frame: Frame, now_s: float) -> Iterator[events.Event]:
+        if frame.topic_id == Id.TIME:
+            self._clock.time_requested_at_s = now_s
+            self._outbox.put_time()
+            yield events.TimeRequested()
+        elif frame.topic_id == Id.LOG and (log := decode_log(frame.payload)) is not None:
+            yield events.DeviceLogged(log.level, log.text)
+        elif frame.topic_id == Id.PARAMETER and (name := decode_parameter_request(frame.payload)) is not None:
+            yield events.ParameterRequested(name)
+        else:
+            self.counts.malformed += 1
+
+    def _skip(self, data: bytes) -> Iterator[events.Event]:
+        self.counts.skipped_bytes += len(data)
+        if self._topics.is_negotiating:
+            self._clock.is_negotiation_damaged = True
+        if not self._is_protocol_1:
+            self._skipped_tail = (self._skipped_tail + data)[-_WATCHED_BYTES:]
+            if holds_protocol_1(self._skipped_tail):
+                self._is_protocol_1 = True
+                yield events.Protocol1Recognised()
+
+    # -- negotiation --------------------------------------------------------------------------------------------------
+
+    def _take_topic_info(self, kind: Id, payload: bytes, now_s: float) -> Iterator[events.Event]:
+        info = decode_topic_info(kind, payload)
+        if info is None or info.topic_id < FIRST_TOPIC_ID:
+            self.counts.malformed += 1
+            return
+        if not self._topics.is_negotiating:
+            self._refused.clear()
+        self._clock.told_at_s = now_s
+        self._clock.is_answered = True
+        fixed_bytes = None
+        try:
+            fixed_bytes = self._check(info)
+        except HostlinkError as reason:
+            self._refused[info.topic_id] = reason
+            yield events.TopicRefused(info, reason)
+        self._topics.add(info, fixed_bytes)
+        self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
+
+    def _finish_negotiation(self) -> events.TopicsNegotiated:
+        self._topics.finish()
+        self.counts.negotiations += 1
+        known = tuple(info for info in self._topics.all() if info.topic_id not in self._refused)
+        is_changed = known != self._known
+        if is_changed:
+            self._outbox.drop_commands()
+            self._clock.forget_same_asks()
+        self._known = known
+        gap_at = self._topics.gap()
+        self._clock.finish(gap_at)
+        return events.TopicsNegotiated(known, is_changed, gap_at)
+
+    def _ask_if_due(self, now_s: float) -> Iterator[events.Event]:
+        reason = self._clock.take_wish(now_s)
+        if reason is not None:
+            self.counts.asks += 1
+            self._outbox.put_topics_request()
+            yield events.TopicsAsked(reason)
+
+    # -- towards the device -------------------------------------------------------------------------------------------
+
+    def _endpoint(self, what: str, name: str, kind: Id) -> TopicInfo:
+        info = self._topics.find(name, kind)
+        if info is None:
+            raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
+        if info.topic_id in self._refused:
+            raise self._refused[info.topic_id]
+        return info
+
+    def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
+        fixed_bytes = self._topics.fixed_bytes.get(info.topic_id)
+        if fixed_bytes is not None and len(payload) != fixed_bytes:
+            raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
+        limit_bytes = _buffer_bytes(info)
+        if len(payload) + OVERHEAD_BYTES > limit_bytes:
+            raise FrameTooLarge(info.name, len(payload) + OVERHEAD_BYTES, limit_bytes)
+        return encode(info.topic_id, payload)
+
+
+class _AskClock:
+    """When the session asks for topics: the wish, its limits and the times that it depends on."""
+
+    def __init__(self) -> None:
+        self.heard_at_s = 0.0
+        self.told_at_s = 0.0
+        self.time_requested_at_s = 0.0
+        self.is_answered = True
+        self.is_negotiation_damaged = False
+        self._asked_at_s = float("-inf")
+        self._wish: str | None = None
+        self._same_asks: Counter[object] = Counter()
+
+    def open(self, now_s: float) -> None:
+        self.heard_at_s = self.time_requested_at_s = now_s
+        self._wish = "connected"
+
+    def wish(self, reason: str, *, about: object) -> None:
+        """Want to ask, unless it was asked for the same cause too often already."""
+        if self._wish is None and self._same_asks[about] < MAX_SAME_ASKS:
+            self._same_asks[about] += 1
+            self._wish = reason
+
+    def forget_same_asks(self) -> None:
+        self._same_asks.clear()
+
+    def finish(self, gap_at: int | None) -> None:
+        """A negotiation ended: earlier wishes are granted, what was lost in it is a new one."""
+        self._wish = None
+        if gap_at is not None:
+            self.wish("gap", about="loss")
+        elif self.is_negotiation_damaged:
+            self.wish("damaged", about="loss")
+        else:
+            self._same_asks.pop("loss", None)
+        self.is_negotiation_damaged = False
+
+    def tick(self, now_s: float, silence_s: float) -> None:
+        if not self.is_answered:
+            if now_s >= self._asked_at_s + ANSWER_TIMEOUT_S:
+                self._wish = self._wish or "no_answer"
+        elif now_s >= self.time_requested_at_s + silence_s:
+            self.time_requested_at_s = now_s
+            self._wish = self._wish or "no_time_requests"
+
+    def take_wish(self, now_s: float) -> str | None:
+        """The reason to ask now; None: nothing to ask, or asked less than a second ago."""
+        if self._wish is None or now_s < self._asked_at_s + ASK_INTERVAL_S:
+            return None
+        reason, self._wish = self._wish, None
+        self._asked_at_s = now_s
+        self.is_answered = False
+        return reason
+
+    def deadline_s(self, silence_s: float) -> float:
+        if self._wish is not None:
+            return self._asked_at_s + ASK_INTERVAL_S
+        if not self.is_answered:
+            return self._asked_at_s + ANSWER_TIMEOUT_S
+        return self.time_requested_at_s + silence_s
+
+
+def _buffer_bytes(info: TopicInfo) -> int:
+    """What the device takes; old clients announce nothing."""
+    return info.buffer_bytes if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES

@@ -1,0 +1,67 @@
+"""TopicTable: what one device announced, by id; one negotiation replaces the one before it."""
+
+from hostlink.protocol.control import IS_TO_DEVICE, TopicInfo
+from hostlink.protocol.frame import FIRST_TOPIC_ID
+
+
+class TopicTable:
+    """The topics of the last complete negotiation, and those that the present one has told so far.
+
+    `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have.
+    """
+
+    def __init__(self) -> None:
+        self.fixed_bytes: dict[int, int] = {}
+        self.is_negotiating = False
+        self._told: dict[int, TopicInfo] = {}  # by the present negotiation
+        self._topics: dict[int, TopicInfo] = {}  # told so far, then those of the negotiation before
+
+    def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
+        """Take one TopicInfo; the first one after a `finish` begins a new negotiation."""
+        if not self.is_negotiating:
+            self.is_negotiating = True
+            self._told = {}
+        self._told[info.topic_id] = self._topics[info.topic_id] = info
+        if fixed_bytes is None:
+            self.fixed_bytes.pop(info.topic_id, None)
+        else:
+            self.fixed_bytes[info.topic_id] = fixed_bytes
+
+    def finish(self) -> None:
+        """The device has told all: what it did not name again is gone."""
+        self.is_negotiating = False
+        for gone in self._topics.keys() - self._told.keys():
+            self.fixed_bytes.pop(gone, None)
+        self._topics = dict(self._told)
+
+    def get(self, topic_id: int) -> TopicInfo | None:
+        """What the device announced under this id."""
+        return self._topics.get(topic_id)
+
+    def find(self, name: str, kind: int) -> TopicInfo | None:
+        """The endpoint of that name and kind."""
+        return next((info for info in self._topics.values() if info.name == name and info.kind == kind), None)
+
+    def all(self) -> tuple[TopicInfo, ...]:
+        """Every endpoint, in the order of the ids."""
+        return tuple(self._topics[topic_id] for topic_id in sorted(self._topics))
+
+    def gap(self) -> int | None:
+        """The lowest id that is missing, which means that a TopicInfo was lost.
+
+        A device numbers what it takes from 100 and what it sends from a higher number that depends on its build, both
+        without gaps; so the first of what it sends cannot be missed here.
+        """
+        to_device = [info.topic_id for info in self._told.values() if info.kind in IS_TO_DEVICE]
+        from_device = [info.topic_id for info in self._told.values() if info.kind not in IS_TO_DEVICE]
+        missing = _missing(to_device, FIRST_TOPIC_ID)
+        return missing if missing is not None else _missing(from_device, min(from_device, default=0))
+
+    def largest_from_device_bytes(self) -> int:
+        """The largest buffer from which the device sends; 0 when none is known."""
+        return max((info.buffer_bytes for info in self._topics.values() if info.kind not in IS_TO_DEVICE), default=0)
+
+
+def _missing(ids: list[int], first: int) -> int | None:
+    known = set(ids)
+    return next((topic_id for topic_id in range(first, max(known, default=first)) if topic_id not in known), None)
