@@ -149,7 +149,7 @@ class _Reader:
 
     def count(self, item_bytes: int) -> int:
         """A length from the wire, never larger than what can follow it."""
-        (count,) = self.unpack(_U32)
+        count: int = self.unpack(_U32)[0]
         if count * item_bytes > len(self._payload) - self._at:
             raise ValueError("a length that the payload does not hold")
         return count
