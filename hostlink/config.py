@@ -37,7 +37,8 @@ class SerialConfig:
 class LinkConfig:
     """How one live connection is watched and paced."""
 
-    idle_timeout_s: float = 11.0  # PROTOCOL.md: a device without time answers falls silent after 11 s
+    idle_timeout_s: float | None = 11.0  # a device without time answers falls silent after 11 s; None: wait forever
+    write_timeout_s: float = 5.0  # a socket that takes nothing for two of the device's time requests is dead
     uart_bytes_s: int | None = None  # None: as fast as the socket; 3840 for the paper's robot (38400 baud)
 
 

@@ -1,8 +1,9 @@
 """The log: structlog events on stderr, JSON when that is no terminal. This list of events is the log's contract.
 
-Life of a link   link.opened, link.closed, link.trouble, link.refused, link.crashed, link.serial_waiting
-What it said     topics.asked, topics.negotiated, topic.refused, device.logged, parameter.unknown, protocol.version_1
-Robots           robot.appeared, robot.gone, robot.stopped, robot.held
+Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, serial.waiting
+What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
+                 parameter.refused, protocol.version_1
+Robots           robot.appeared, robot.gone, robot.stopped, robot.unreachable, odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.refused, client.unknown_op
 The daemon       daemon.started, daemon.stopping, daemon.stopped

@@ -1,0 +1,84 @@
+"""ClientQueue: what waits for one client of the API; bounded, so that a slow client costs nobody else anything."""
+
+import asyncio
+from collections import deque
+
+MAX_MESSAGES = 1024
+MAX_BYTES = 8 * 1024 * 1024
+MAX_RESULTS = 256
+
+
+class ClientQueue:
+    """Telemetry by topic, where the oldest of a full queue goes and is counted; results, which may not be lost.
+
+    Everything leaves in the order in which it came. A client that lets its results pile up is `is_too_slow`.
+    """
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self.is_too_slow = False
+        self._order = 0
+        self._messages = 0
+        self._bytes = 0
+        self._topics: dict[str, deque[tuple[int, bytes]]] = {}
+        self._results: deque[tuple[int, bytes]] = deque()
+        self._news = asyncio.Event()
+
+    def put_message(self, topic: str, data: bytes) -> None:
+        """Queue telemetry; over a bound the oldest of this topic goes, else the oldest of the longest."""
+        waiting = self._topics.setdefault(topic, deque())
+        waiting.append((self._next_order(), data))
+        self._messages += 1
+        self._bytes += len(data)
+        while self._messages > MAX_MESSAGES or self._bytes > MAX_BYTES:
+            self._drop(topic if len(waiting) > 1 else max(self._topics, key=lambda name: len(self._topics[name])))
+        self._news.set()
+
+    def put_result(self, data: bytes) -> None:
+        """Queue an answer or an event."""
+        if len(self._results) >= MAX_RESULTS:
+            self.is_too_slow = True
+        else:
+            self._results.append((self._next_order(), data))
+        self._news.set()
+
+    def forget(self, topic: str) -> None:
+        """The client is not interested in this topic any more."""
+        for _, data in self._topics.pop(topic, ()):
+            self._messages -= 1
+            self._bytes -= len(data)
+
+    def take(self) -> bytes | None:
+        """The oldest of all, or None."""
+        topic = min(self._topics, key=lambda name: self._topics[name][0][0], default=None)
+        if self._results and (topic is None or self._results[0][0] < self._topics[topic][0][0]):
+            return self._results.popleft()[1]
+        if topic is None:
+            self._news.clear()
+            return None
+        return self._pop(topic)
+
+    def nudge(self) -> None:
+        """Let `wait` return: a time limit has changed."""
+        self._news.set()
+
+    async def wait(self) -> None:
+        """Wait until something was put."""
+        await self._news.wait()
+
+    def _next_order(self) -> int:
+        self._order += 1
+        return self._order
+
+    def _drop(self, topic: str) -> None:
+        self._pop(topic)
+        self.dropped += 1
+
+    def _pop(self, topic: str) -> bytes:
+        waiting = self._topics[topic]
+        _, data = waiting.popleft()
+        if not waiting:
+            del self._topics[topic]
+        self._messages -= 1
+        self._bytes -= len(data)
+        return data

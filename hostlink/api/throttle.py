@@ -1,0 +1,35 @@
+"""Throttle: `throttle_rate` and `queue_length` of one rosbridge subscription, as its clients expect them."""
+
+from collections import deque
+
+from hostlink.hub.message import Message
+
+
+class Throttle:
+    """At most one message in `interval_s`. In between, messages are dropped, or the newest `queue_length` kept."""
+
+    def __init__(self, *, interval_s: float, queue_length: int) -> None:
+        self.interval_s = interval_s
+        self._waiting: deque[Message] = deque(maxlen=queue_length)
+        self._free_at_s = float("-inf")
+
+    def offer(self, message: Message, now_s: float) -> Message | None:
+        """The message to send now, if any: this one, or an older one that waits."""
+        if self.interval_s <= 0:
+            return message
+        self._waiting.append(message)
+        if now_s < self._free_at_s:
+            return None
+        self._free_at_s = now_s + self.interval_s
+        return self._waiting.popleft() if self._waiting else message
+
+    def take(self, now_s: float) -> Message | None:
+        """A message that waited long enough."""
+        if not self._waiting or now_s < self._free_at_s:
+            return None
+        self._free_at_s = now_s + self.interval_s
+        return self._waiting.popleft()
+
+    def due_s(self) -> float | None:
+        """When `take` has something; None: nothing waits."""
+        return self._free_at_s if self._waiting else None

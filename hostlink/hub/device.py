@@ -1,0 +1,76 @@
+"""Device: what one link means to the graph: its topics, its services, and the routes of its frames."""
+
+import structlog
+
+from hostlink.errors import WrongType
+from hostlink.hub.services import DeviceService, Services
+from hostlink.hub.subscriptions import SendToDevice, Topic, TopicGraph, resolve
+from hostlink.link.link import Link
+from hostlink.logs import printable
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
+
+log = structlog.get_logger()
+
+COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
+
+
+def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
+    """The fixed size of an endpoint's payloads, None if it varies or the type is unknown; WrongType for a wrong md5."""
+    checks = {
+        Id.PUBLISHER: catalog.check_message,
+        Id.SUBSCRIBER: catalog.check_message,
+        Id.SERVICE_SERVER_PUBLISHER: catalog.check_response,
+        Id.SERVICE_SERVER_SUBSCRIBER: catalog.check_request,
+        Id.SERVICE_CLIENT_PUBLISHER: catalog.check_request,
+        Id.SERVICE_CLIENT_SUBSCRIBER: catalog.check_response,
+    }
+    found = checks[info.kind](info.name, info.type, info.md5)
+    return None if found is None else found.fixed_bytes
+
+
+class Device:
+    """A link in the graph, from its first negotiation to its end."""
+
+    def __init__(self, link: Link, topics: TopicGraph, services: Services, catalog: Catalog) -> None:
+        self.link = link
+        self.routes: dict[int, Topic] = {}  # where the messages of an id go
+        self._topics, self._services, self._catalog = topics, services, catalog
+
+    def announce(self, infos: tuple[TopicInfo, ...]) -> None:
+        """Put the device's endpoints into the graph in place of those that it had."""
+        self.leave()
+        for info in infos:
+            try:
+                self._add(info)
+            except WrongType as error:
+                log.warning("topic.refused", topic=printable(info.name), reason=str(error))
+
+    def leave(self) -> None:
+        """Take everything of this device out of the graph."""
+        self.routes.clear()
+        self._topics.leave(self.link)
+        self._services.leave(self.link)
+
+    def _add(self, info: TopicInfo) -> None:
+        if info.kind is Id.PUBLISHER:
+            self.routes[info.topic_id] = self._topics.advertise(info.name, self.link, type_name=info.type)
+        elif info.kind is Id.SUBSCRIBER:
+            self._topics.take(info.name, self.link, self._sender(info.name), type_name=info.type)
+        elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
+            name, type_ = resolve(info.name), self._catalog.service(info.type)
+            self._services.add_device_service(
+                DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
+            )
+
+    def _sender(self, name: str) -> SendToDevice:
+        def send(payload: bytes) -> None:
+            self.link.session.publish(name, payload, depth=COMMAND_DEPTH)
+            self.link.wake()
+
+        return send
+
+    def _call(self, name: str, payload: bytes) -> None:
+        self.link.session.call(name, payload)
+        self.link.wake()

@@ -1,0 +1,282 @@
+"""Hub: all devices together. It owns the live links, and turns what they say into topics, services and robots."""
+
+import asyncio
+import contextlib
+import itertools
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import structlog
+from structlog.contextvars import bound_contextvars
+
+from hostlink.config import Config, LinkConfig
+from hostlink.errors import HostlinkError, UnknownTopic, WrongType
+from hostlink.hub.device import Device, check_type
+from hostlink.hub.parameters import find_parameter
+from hostlink.hub.robots import PROGRAM_PRIORITY, Robots
+from hostlink.hub.services import Services
+from hostlink.hub.subscriptions import Topic, TopicGraph
+from hostlink.link.link import Link, LinkEnd
+from hostlink.logs import printable
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol import events
+from hostlink.protocol.control import LOG_LEVELS, Parameter
+from hostlink.protocol.session import Session
+from hostlink.robot.directory import Directory, Refused
+from hostlink.robot.velocity import Velocity
+from hostlink.transport.base import Transport
+
+log = structlog.get_logger()
+
+STOP_REPEATS = 3  # a single stop can be lost on a radio
+STOP_INTERVAL_S = 0.05
+FAREWELL_TIMEOUT_S = 0.5
+_DEVICE_LOG = (log.debug, log.info, log.warning, log.error, log.error)  # by rosserial's level
+
+
+class Hub:
+    """Everything that is connected. Its methods are synchronous, so each is atomic; only services wait.
+
+    `reraises`: a crash of one link brings the hub down, as tests want it, instead of being logged and counted.
+    """
+
+    def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False) -> None:
+        self.catalog = catalog
+        self.topics = TopicGraph(catalog)
+        self.services = Services(catalog)
+        self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
+        self.crashes = 0
+        self._config = config
+        self._reraises = reraises
+        self._directory = Directory({name: robot.address for name, robot in config.robots.items()})
+        self._devices: dict[int, Device] = {}
+        self._numbers = itertools.count(1)
+        self._asked_in_vain: set[str] = set()
+        self._tasks: asyncio.TaskGroup | None = None
+        self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
+            events.MessageReceived: self._deliver,
+            events.TimeRequested: _ignore,
+            events.TopicsNegotiated: self._announce,
+            events.TopicRefused: self._refuse_topic,
+            events.TopicsAsked: _log_ask,
+            events.ServiceRequested: self._serve_device,
+            events.ServiceResponded: self._pass_answer,
+            events.ParameterRequested: self._answer_parameter,
+            events.DeviceLogged: _log_for_device,
+            events.UnknownTopicUsed: _ignore,
+            events.Protocol1Recognised: _log_protocol_1,
+        }
+
+    # -- links --------------------------------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Serve until cancelled; the parent of every link that `connect` begins."""
+        async with asyncio.TaskGroup() as self._tasks:
+            await self.robots.run()
+
+    def connect(self, transport: Transport) -> None:
+        """A device came: serve it in a task of its own."""
+        if self._tasks is None:
+            raise RuntimeError("the hub does not run yet")
+        self._tasks.create_task(self.serve(transport), name=f"link to {transport.peer}")
+
+    async def serve(self, transport: Transport, link_config: LinkConfig | None = None) -> LinkEnd:
+        """Serve one connection from open to its end."""
+        config = self._config.link if link_config is None else link_config
+        session = Session(
+            check=lambda info: check_type(self.catalog, info),
+            uart_bytes_s=self._uart_bytes_s(transport.address, config),
+        )
+        link = Link(transport, session, config, number=next(self._numbers), on_event=self._react)
+        self._devices[link.number] = Device(link, self.topics, self.services, self.catalog)
+        end = LinkEnd.STOPPED
+        with bound_contextvars(link=link.number, peer=printable(link.peer)):
+            log.info("link.opened")
+            try:
+                end = await link.run()
+            except Exception:  # a bug in one link must not stop another robot
+                end = LinkEnd.CRASHED
+                self.crashes += 1
+                log.exception("link.crashed")
+                if self._reraises:
+                    raise
+            finally:
+                self._forget(link)
+                log.info("link.closed", reason=end.value, **link.facts())
+        return end
+
+    def links(self) -> list[Link]:
+        """The live links, oldest first."""
+        return [device.link for device in self._devices.values()]
+
+    async def farewell(self) -> None:
+        """Stop every robot, tell every device to fall silent, end every link; bounded by FAREWELL_TIMEOUT_S."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(FAREWELL_TIMEOUT_S):
+                for _ in range(STOP_REPEATS):
+                    for robot in self.robots.all():
+                        self.robots.stop(robot)
+                    await asyncio.sleep(STOP_INTERVAL_S)
+                for link in self.links():
+                    link.session.stop()
+                    link.wake()
+                for link in self.links():
+                    await link.drained()
+        for link in self.links():
+            link.end(LinkEnd.STOPPED)
+
+    def _uart_bytes_s(self, address: str, config: LinkConfig) -> int | None:
+        mine = (robot.uart_bytes_s for robot in self._config.robots.values() if robot.address == address)
+        return next((rate for rate in mine if rate is not None), config.uart_bytes_s)
+
+    def _forget(self, link: Link) -> None:
+        device = self._devices.pop(link.number, None)
+        if device is not None:
+            device.leave()
+            self.robots.vanish(link)
+            self._directory.leave(link.number)
+
+    # -- what devices say ---------------------------------------------------------------------------------------------
+
+    def _react(self, link: Link, event: events.Event) -> None:
+        if link.number in self._devices:  # one that was replaced has nothing to say any more
+            self._reactions[type(event)](link, event)
+
+    def _deliver(self, link: Link, event: events.MessageReceived) -> None:
+        topic = self._devices[link.number].routes.get(event.topic.topic_id)
+        if topic is None:
+            return
+        try:
+            self._spread(topic, event.payload, source=link)
+        except HostlinkError as error:
+            log.debug("message.refused", topic=topic.name, reason=str(error))
+
+    def _announce(self, link: Link, event: events.TopicsNegotiated) -> None:
+        log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
+        if not event.is_changed:
+            return
+        claim = self._directory.claim(
+            link.number, link.address, [(info.name, info.type, info.is_to_device) for info in event.topics]
+        )
+        if isinstance(claim, Refused):
+            log.warning("link.refused", reason=claim.reason)
+            link.end(LinkEnd.REFUSED)
+            return
+        if claim.replaces is not None:
+            self._replace(claim.replaces)
+        self._devices[link.number].announce(event.topics)
+        if claim.robot is not None:
+            self.robots.appear(claim.robot.name, claim.robot, link)
+        else:
+            self.robots.vanish(link)
+
+    def _replace(self, number: int) -> None:
+        old = self._devices.get(number)
+        if old is not None:
+            self._forget(old.link)
+            old.link.end(LinkEnd.REPLACED)
+
+    def _refuse_topic(self, link: Link, event: events.TopicRefused) -> None:  # noqa: ARG002 - the shape of a reaction
+        log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
+
+    def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
+        """Always answer: a device spins until it hears something."""
+        parameter = None
+        try:
+            parameter = find_parameter(self._config.parameters, event.name)
+            link.session.answer_parameter(event.name, parameter or Parameter())
+        except HostlinkError as error:
+            log.warning("parameter.refused", name=printable(event.name), reason=str(error))
+            with contextlib.suppress(HostlinkError):  # the queue is full of answers: the device hears one of those
+                link.session.answer_parameter(event.name, Parameter())
+        if parameter is None and event.name not in self._asked_in_vain:
+            self._asked_in_vain.add(event.name)
+            log.warning("parameter.unknown", name=printable(event.name))
+
+    def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
+        service = self.services.of_device(event.service.name)
+        if service is None or service.key is not link or not service.answered(event.payload):
+            log.warning("service.late", service=printable(event.service.name))
+
+    def _serve_device(self, link: Link, event: events.ServiceRequested) -> None:
+        assert self._tasks is not None  # noqa: S101 - links are its children
+        self._tasks.create_task(self._answer_device(link, event), name=f"service call of link {link.number}")
+
+    async def _answer_device(self, link: Link, event: events.ServiceRequested) -> None:
+        try:
+            answer = await self.services.answer_device(event.service.name, event.service.type, event.payload)
+            link.session.answer(event.service.name, answer)
+            link.wake()
+        except HostlinkError as error:
+            log.warning("service.failed", service=printable(event.service.name), reason=str(error))
+
+    # -- what clients say ---------------------------------------------------------------------------------------------
+
+    def publish(
+        self,
+        topic: str,
+        message: Mapping[str, object] | bytes,
+        *,
+        source: str,
+        type_name: str = "",
+        priority: int = PROGRAM_PRIORITY,
+    ) -> None:
+        """Send a message to everybody who takes the topic; a robot's velocity goes through its gate.
+
+        Raises UnknownTopic when neither the topic nor its type is known, BadRequest for a message that does not fit,
+        FrameTooLarge, RobotHeld, DeviceGone.
+        """
+        known = self.topics.find_or_none(topic)
+        named = self.catalog.message(type_name) if type_name else None
+        type_ = named if known is None or not known.type_name else known.type
+        if known is not None and named is not None and known.type_name != named.name:
+            raise WrongType(known.name, known.type_name, named.name)
+        if known is None and named is None:
+            raise UnknownTopic("topic", topic, tuple(other.name for other in self.topics.all()))
+        if isinstance(message, bytes):
+            payload = message
+        elif type_ is not None:
+            payload = type_.encode(message)
+        else:
+            raise WrongType(topic, "a type with a definition", type_name or "none")
+        if known is not None:
+            self._spread(known, payload, source=source, priority=priority)
+
+    def leave(self, source: str) -> None:
+        """A client is gone: what it drove stops, what it offered is no more."""
+        self.robots.leave(source)
+        self.topics.leave(source)
+        self.services.leave(source)
+
+    def _spread(self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY) -> None:
+        robot = self.robots.of_velocity_topic(topic.name)
+        if robot is not None:
+            velocity = Velocity.from_twist(self.robots.twist.decode(payload))
+            self.robots.command(robot, velocity, owner=str(source), priority=priority)
+        else:
+            topic.spread(payload, time.time_ns(), source=source)
+
+    def _show(self, name: str, payload: bytes) -> None:
+        """Let subscribers of a velocity topic see what the gate sent."""
+        topic = self.topics.find_or_none(name)
+        if topic is not None:
+            topic.deliver(payload, time.time_ns())
+
+
+def _ignore(link: Link, event: events.Event) -> None:
+    """The session has done all that there is to do."""
+
+
+def _log_ask(link: Link, event: events.TopicsAsked) -> None:  # noqa: ARG001 - the shape of a reaction
+    log.debug("topics.asked", reason=event.reason)
+
+
+def _log_for_device(link: Link, event: events.DeviceLogged) -> None:  # noqa: ARG001
+    _DEVICE_LOG[event.level]("device.logged", level_name=LOG_LEVELS[event.level], text=printable(event.text))
+
+
+def _log_protocol_1(link: Link, event: events.Protocol1Recognised) -> None:  # noqa: ARG001
+    log.error(
+        "protocol.version_1", advice="the device speaks rosserial of before 2013: rebuild it with a newer library"
+    )

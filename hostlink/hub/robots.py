@@ -1,0 +1,185 @@
+"""Robots: which devices are robots, and the one way by which velocity reaches them: each robot's gate."""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import structlog
+
+from hostlink.config import RobotConfig
+from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
+from hostlink.hub.message import Message
+from hostlink.hub.subscriptions import Deliver, Unsubscribe, resolve
+from hostlink.link.link import Link
+from hostlink.messages.catalog import Catalog
+from hostlink.robot.directory import RobotTopics
+from hostlink.robot.odometry import OdometryView
+from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity_gate import Limits, VelocityGate
+
+log = structlog.get_logger()
+
+TICK_S = 0.05  # how late the end of a lease may be noticed
+FEED_INTERVAL_S = 0.1  # ROBOT.md: 10 Hz while driven; a fifth of the device's own watchdog
+PROGRAM_PRIORITY = 50  # a client of the API that does not say
+DEMO_PRIORITY = 0  # whoever comes is more important
+
+
+@dataclass(slots=True)
+class Robot:
+    """A differential-drive robot (or any other that takes a Twist and tells its pose), as long as it is known.
+
+    It outlives its link: a robot that comes back goes on with the same gate, at zero.
+    """
+
+    name: str
+    gate: VelocityGate
+    topics: RobotTopics
+    link: Link | None
+    odometry: OdometryView = field(default_factory=OdometryView)
+    sent: Velocity = ZERO
+    sent_at_s: float = 0.0
+    unsubscribe: Unsubscribe | None = None
+
+    def see(self, message: Message) -> None:
+        """Take a message of the robot's odometry topic."""
+        try:
+            self.odometry.see(message.decoded, now_s=_now_s(), wall_ns=message.stamp_ns)
+        except BadPayload as error:
+            log.debug("odometry.unreadable", robot=self.name, reason=str(error))
+
+
+class Robots:
+    """All robots by name. Methods are synchronous; `run` is the one clock of all gates."""
+
+    def __init__(
+        self,
+        configs: Mapping[str, RobotConfig],
+        catalog: Catalog,
+        *,
+        subscribe: Callable[[str, Deliver], Unsubscribe],
+        show: Callable[[str, bytes], None],
+    ) -> None:
+        """`subscribe` gives the odometry; `show` lets the subscribers of a velocity topic see what was sent."""
+        twist = catalog.message("geometry_msgs/Twist")
+        assert twist is not None  # noqa: S101 - of the store that the project is built on
+        self.twist = twist
+        self._configs = configs
+        self._subscribe, self._show = subscribe, show
+        self._robots: dict[str, Robot] = {}
+        self._by_velocity_topic: dict[str, Robot] = {}
+        self._wake = asyncio.Event()
+
+    def all(self) -> list[Robot]:
+        """Every robot that was seen since the daemon started, by name."""
+        return [self._robots[name] for name in sorted(self._robots)]
+
+    def find(self, name: str) -> Robot:
+        """The robot of that name, connected or not."""
+        robot = self._robots.get(name.strip("/"))
+        if robot is None:
+            raise UnknownTopic("robot", name, tuple(self._robots))
+        return robot
+
+    def of_velocity_topic(self, topic: str) -> Robot | None:
+        """The robot that is driven by the topic of this full name."""
+        return self._by_velocity_topic.get(topic)
+
+    def appear(self, name: str, topics: RobotTopics, link: Link) -> None:
+        """A robot's device is ready: whatever was commanded before means nothing now, its first velocity is zero."""
+        robot = self._robots.get(name)
+        if robot is None:
+            robot = self._robots[name] = Robot(name, VelocityGate(name, self._limits(name)), topics, link)
+        else:
+            self._by_velocity_topic.pop(resolve(robot.topics.velocity), None)
+            robot.topics, robot.link = topics, link
+        self._by_velocity_topic[resolve(topics.velocity)] = robot
+        if robot.unsubscribe is not None:
+            robot.unsubscribe()
+        robot.unsubscribe = self._subscribe(topics.odometry, robot.see)
+        robot.gate.restart()
+        log.info("robot.appeared", robot=name, velocity=topics.velocity, odometry=topics.odometry)
+        self._wake.set()
+
+    def vanish(self, link: Link) -> None:
+        """A link ended: its robots stand without a device."""
+        for robot in self._robots.values():
+            if robot.link is link:
+                robot.link = None
+                robot.gate.restart()
+                if robot.unsubscribe is not None:
+                    robot.unsubscribe()
+                    robot.unsubscribe = None
+                self._by_velocity_topic.pop(resolve(robot.topics.velocity), None)
+                log.warning("robot.gone", robot=robot.name)
+
+    def command(self, robot: Robot, velocity: Velocity, *, owner: str, priority: int = PROGRAM_PRIORITY) -> Velocity:
+        """Drive for the length of a lease; returns the velocity after the limits. DeviceGone, RobotHeld, BadRequest."""
+        if robot.link is None:
+            raise DeviceGone(robot.name)
+        limited = robot.gate.command(owner, velocity, priority=priority, now_s=_now_s())
+        self._step(robot, is_news=True)
+        self._wake.set()
+        return limited
+
+    def stop(self, robot: Robot) -> None:
+        """Stop at once, whoever drives."""
+        robot.gate.stop(now_s=_now_s())
+        self._step(robot, is_news=True)
+        self._wake.set()
+
+    def leave(self, owner: str) -> None:
+        """A source of commands is gone: what it drives stops."""
+        for robot in self._robots.values():
+            if robot.gate.holder == owner:
+                log.info("robot.stopped", robot=robot.name, reason="owner left", owner=owner)
+            robot.gate.release(owner, now_s=_now_s())
+            self._step(robot, is_news=True)
+        self._wake.set()
+
+    async def run(self) -> None:
+        """Step every gate that is active; sleep while none is."""
+        while True:
+            if any(robot.gate.is_active for robot in self._robots.values()):
+                for robot in self._robots.values():
+                    self._step(robot)
+                await asyncio.sleep(TICK_S)
+            else:
+                self._wake.clear()
+                await self._wake.wait()
+
+    def _step(self, robot: Robot, *, is_news: bool = False) -> None:
+        was_held_by = robot.gate.holder
+        velocity = robot.gate.step(_now_s())
+        if was_held_by is not None and robot.gate.holder is None:
+            log.info("robot.stopped", robot=robot.name, reason="no command came", owner=was_held_by)
+        if velocity is None or robot.link is None:
+            return
+        now_s = _now_s()
+        is_repeat = velocity == robot.sent and not velocity.is_zero and not is_news
+        if is_repeat and now_s < robot.sent_at_s + FEED_INTERVAL_S - TICK_S / 2:
+            return
+        payload = self.twist.encode(velocity.to_twist())
+        try:
+            robot.link.session.publish(robot.topics.velocity, payload, is_urgent=True)
+        except HostlinkError as error:
+            log.warning("robot.unreachable", robot=robot.name, cause=str(error))
+            return
+        robot.sent, robot.sent_at_s = velocity, now_s
+        robot.link.wake()
+        self._show(robot.topics.velocity, payload)
+
+    def _limits(self, name: str) -> Limits:
+        config = self._configs.get(name, RobotConfig())
+        return Limits(
+            max_linear_m_s=config.max_linear_m_s,
+            max_angular_rad_s=config.max_angular_rad_s,
+            max_wheel_m_s=config.max_wheel_m_s,
+            wheel_separation_m=config.wheel_separation_m,
+            max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
+            max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
+        )
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,178 @@
+"""Link: one Session on one Transport, from connect to a named end. It moves bytes and tells the time, nothing else."""
+
+import asyncio
+import contextlib
+import dataclasses
+import time
+from collections.abc import Callable
+from enum import Enum
+
+import structlog
+
+from hostlink.config import LinkConfig
+from hostlink.protocol.events import Event
+from hostlink.protocol.session import Session
+from hostlink.transport.base import Transport
+
+log = structlog.get_logger()
+
+TROUBLE_INTERVAL_S = 10.0  # dirt on the wire is counted, and told this often
+SOON_S = 0.001  # a timer's grain: what is due within it is due
+
+
+class LinkEnd(Enum):
+    """Why a link is no more."""
+
+    PEER_CLOSED = "peer_closed"
+    IDLE = "idle"
+    REPLACED = "replaced"
+    REFUSED = "refused"
+    STOPPED = "stopped"
+    BROKEN = "broken"
+    CRASHED = "crashed"
+
+
+class Link:
+    """The owner of one connection's transport and session."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        session: Session,
+        config: LinkConfig,
+        *,
+        number: int,
+        on_event: Callable[["Link", Event], None],
+    ) -> None:
+        self.number = number
+        self.peer = transport.peer
+        self.address = transport.address
+        self.session = session
+        self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
+        self._transport = transport
+        self._config = config
+        self._on_event = on_event
+        self._wake = asyncio.Event()
+        self._is_drained = asyncio.Event()
+        self._sleeps_until_s = 0.0
+        self._deadline: asyncio.Timeout | None = None
+        self._end: LinkEnd | None = None
+        self._trouble = _Trouble(self.opened_at_s)
+
+    def __repr__(self) -> str:
+        return f"link {self.number} ({self.peer})"
+
+    async def run(self) -> LinkEnd:
+        """Serve the connection until it ends; returns why."""
+        end = LinkEnd.BROKEN
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                writer = tasks.create_task(self._write(), name=f"link {self.number} writer")
+                try:
+                    end = await self._read()
+                finally:
+                    writer.cancel()
+        except* OSError as broken:
+            log.debug("link.broken", cause=str(broken.exceptions[0]))
+        finally:
+            await self._transport.aclose()
+        return self._end or end
+
+    def end(self, reason: LinkEnd) -> None:
+        """Ask the link to end; `run` returns the reason."""
+        if self._end is None:
+            self._end = reason
+            if self._deadline is not None:
+                self._deadline.reschedule(asyncio.get_running_loop().time())
+
+    def wake(self) -> None:
+        """Something was put into the session's outbox."""
+        self._is_drained.clear()
+        self._wake.set()
+
+    async def drained(self) -> None:
+        """Wait until everything that was queued has left."""
+        await self._is_drained.wait()
+
+    def facts(self) -> dict[str, object]:
+        """What the link has seen so far: for its last log line and for the API."""
+        seconds = asyncio.get_running_loop().time() - self.opened_at_s
+        counts = dataclasses.asdict(self.session.counts)
+        return {
+            "seconds": round(seconds, 3),
+            **counts,
+            "replaced": self.session.replaced,
+            "rejected": self.session.rejected,
+        }
+
+    async def _read(self) -> LinkEnd:
+        loop = asyncio.get_running_loop()
+        idle_timeout_s = self._config.idle_timeout_s
+        try:
+            async with asyncio.timeout(idle_timeout_s) as self._deadline:
+                if self._end is not None:
+                    return self._end
+                self._tell(self.session.open(now_s=loop.time()))
+                while data := await self._transport.receive():
+                    now_s = self.heard_at_s = loop.time()
+                    self._tell(self.session.receive(data, now_s=now_s))
+                    self._trouble.look(self.session, now_s)
+                    if self._end is not None:
+                        return self._end
+                    if idle_timeout_s is not None:
+                        self._deadline.reschedule(now_s + idle_timeout_s)
+        except TimeoutError:
+            return LinkEnd.IDLE
+        return LinkEnd.PEER_CLOSED
+
+    def _tell(self, found: list[Event]) -> None:
+        for event in found:
+            self._on_event(self, event)
+        now_s = asyncio.get_running_loop().time()
+        if self.session.wait_s(now_s) is not None or self.session.deadline_s() < self._sleeps_until_s:
+            self._wake.set()
+
+    async def _write(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            self._wake.clear()
+            while frame := self.session.take(now_s=loop.time(), wall_ns=time.time_ns()):
+                async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
+                    await self._transport.send(frame)
+            now_s = loop.time()
+            deadline_s = self.session.deadline_s()
+            if deadline_s <= now_s + SOON_S:
+                self._tell(self.session.tick(now_s=now_s + SOON_S))
+                continue
+            wait_s = self.session.wait_s(now_s)
+            if wait_s is None:
+                self._is_drained.set()
+            self._sleeps_until_s = deadline_s if wait_s is None else min(deadline_s, now_s + wait_s)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(self._sleeps_until_s):
+                    await self._wake.wait()
+
+
+class _Trouble:
+    """Tells of dirt on the wire: at most one line in TROUBLE_INTERVAL_S, with what came since the last one."""
+
+    def __init__(self, now_s: float) -> None:
+        self._told_at_s = now_s
+        self._told: dict[str, int] = {}
+
+    def look(self, session: Session, now_s: float) -> None:
+        if now_s < self._told_at_s + TROUBLE_INTERVAL_S:
+            return
+        self._told_at_s = now_s
+        counts = session.counts
+        seen = {
+            "skipped_bytes": counts.skipped_bytes,
+            "unknown_ids": counts.unknown_ids,
+            "refused_frames": counts.refused_frames,
+            "malformed": counts.malformed,
+            **session.rejected,
+        }
+        new = {name: count - self._told.get(name, 0) for name, count in seen.items() if count > self._told.get(name, 0)}
+        self._told = seen
+        if new:
+            log.warning("link.trouble", **new)
