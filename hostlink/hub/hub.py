@@ -47,7 +47,7 @@ class Hub:
         self.services = Services(catalog)
         self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
         self.crashes = 0
-        self._config = config
+        self.config = config
         self._reraises = reraises
         self._directory = Directory({name: robot.address for name, robot in config.robots.items()})
         self._devices: dict[int, Device] = {}
@@ -83,7 +83,7 @@ class Hub:
 
     async def serve(self, transport: Transport, link_config: LinkConfig | None = None) -> LinkEnd:
         """Serve one connection from open to its end."""
-        config = self._config.link if link_config is None else link_config
+        config = self.config.link if link_config is None else link_config
         session = Session(
             check=lambda info: check_type(self.catalog, info),
             uart_bytes_s=self._uart_bytes_s(transport.address, config),
@@ -127,7 +127,7 @@ class Hub:
             link.end(LinkEnd.STOPPED)
 
     def _uart_bytes_s(self, address: str, config: LinkConfig) -> int | None:
-        mine = (robot.uart_bytes_s for robot in self._config.robots.values() if robot.address == address)
+        mine = (robot.uart_bytes_s for robot in self.config.robots.values() if robot.address == address)
         return next((rate for rate in mine if rate is not None), config.uart_bytes_s)
 
     def _forget(self, link: Link) -> None:
@@ -184,7 +184,7 @@ class Hub:
         """Always answer: a device spins until it hears something."""
         parameter = None
         try:
-            parameter = find_parameter(self._config.parameters, event.name)
+            parameter = find_parameter(self.config.parameters, event.name)
             link.session.answer_parameter(event.name, parameter or Parameter())
         except HostlinkError as error:
             log.warning("parameter.refused", name=printable(event.name), reason=str(error))

@@ -5,7 +5,7 @@ from functools import cached_property
 import msgspec
 
 from hostlink.errors import BadPayload
-from hostlink.messages.catalog import MessageType
+from hostlink.messages.message_type import MessageType
 
 
 class Message:

@@ -12,7 +12,8 @@ import structlog
 from hostlink.errors import DeviceBusy, DeviceGone, HostlinkError, ServiceTimeout, UnknownTopic, WrongType
 from hostlink.hub.subscriptions import resolve
 from hostlink.logs import printable
-from hostlink.messages.catalog import Catalog, ServiceType
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import ServiceType
 
 log = structlog.get_logger()
 

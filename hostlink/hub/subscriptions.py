@@ -4,7 +4,8 @@ from collections.abc import Callable, Hashable
 
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.message import Message
-from hostlink.messages.catalog import Catalog, MessageType
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import MessageType
 
 Deliver = Callable[[Message], None]
 Unsubscribe = Callable[[], None]

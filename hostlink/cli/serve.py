@@ -1,0 +1,155 @@
+"""`hostlink serve`: the composition root. It puts the parts together, and stops them in order."""
+
+import asyncio
+import contextlib
+import dataclasses
+import signal
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Annotated
+
+import structlog
+import typer
+
+from hostlink import logs
+from hostlink.api.server import serve_api
+from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig, load
+from hostlink.errors import ConfigError
+from hostlink.hub.hub import Hub
+from hostlink.messages.catalog import Catalog
+from hostlink.transport.serial import open_serial
+from hostlink.transport.tcp import serve_tcp
+
+log = structlog.get_logger()
+
+SERIAL_RETRY_S = 1.0  # a port that vanished is looked for this often
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Addresses:
+    """Where a running daemon listens; port 0 in the configuration is a real one here."""
+
+    tcp: tuple[str, int]
+    api: str
+
+
+@contextlib.asynccontextmanager
+async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
+    """The whole daemon for the length of a block; leaving it stops every robot, then says goodbye to every device."""
+    hub = Hub(config, Catalog(config.message_folders))
+    async with asyncio.TaskGroup() as tasks:
+        heart = tasks.create_task(hub.run(), name="hub")
+        await asyncio.sleep(0)  # the hub's own group must stand before a device comes
+        try:
+            async with serve_api(config.api, hub) as api:
+                async with serve_tcp(config.tcp, hub.connect) as listener:
+                    ports = [tasks.create_task(_serve_serial(hub, port), name=port.path) for port in config.serial]
+                    log.info("daemon.started", tcp="{}:{}".format(*listener.address), api=api)
+                    try:
+                        yield hub, Addresses(listener.address, api)
+                    finally:
+                        for port in ports:
+                            port.cancel()
+                        log.info("daemon.stopping")
+                await hub.farewell()
+        finally:
+            heart.cancel()
+    log.info("daemon.stopped")
+
+
+async def _serve_serial(hub: Hub, config: SerialConfig) -> None:
+    """Serve one serial port as long as the daemon runs, also when it vanishes and comes back."""
+    said = ""
+    link_config = dataclasses.replace(hub.config.link, idle_timeout_s=None)  # opening a port again resets a Due
+    while True:
+        try:
+            transport = await open_serial(config)
+        except OSError as error:
+            if str(error) != said:
+                said = str(error)
+                log.warning("serial.waiting", port=config.path, reason=said)
+        else:
+            said = ""
+            await hub.serve(transport, link_config)
+        await asyncio.sleep(SERIAL_RETRY_S)
+
+
+async def until_stopped(on_signal: Callable[[], None] | None = None) -> None:
+    """Wait for a signal that asks the daemon to stop."""
+    stopped = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in STOP_SIGNALS:
+        loop.add_signal_handler(number, stopped.set)
+    try:
+        await stopped.wait()
+    finally:
+        for number in STOP_SIGNALS:
+            loop.remove_signal_handler(number)
+    if on_signal is not None:
+        on_signal()
+
+
+def command(
+    *,
+    config: Annotated[Path | None, typer.Option(help="hostlink.toml", show_default=False)] = None,
+    listen: Annotated[
+        str | None, typer.Option(help="Where devices connect: HOST:PORT.", show_default="0.0.0.0:11411")
+    ] = None,
+    serial: Annotated[
+        list[str] | None, typer.Option(help="A serial port with a device: /dev/ttyACM0@57600. May be repeated.")
+    ] = None,
+    api: Annotated[
+        str | None, typer.Option(help="Where programs connect: HOST:PORT.", show_default="127.0.0.1:9090")
+    ] = None,
+    messages: Annotated[
+        list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
+    ] = None,
+    log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
+) -> None:
+    """Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090."""
+    if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
+        raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
+    logs.configure(level=log_level)
+    settings = merge(load(config) if config else Config(), listen=listen, serial=serial, api=api, messages=messages)
+    asyncio.run(_serve(settings))
+
+
+async def _serve(config: Config) -> None:
+    async with running(config):
+        await until_stopped()
+
+
+def merge(
+    config: Config,
+    *,
+    listen: str | None = None,
+    serial: list[str] | None = None,
+    api: str | None = None,
+    messages: list[Path] | None = None,
+) -> Config:
+    """The configuration with the flags over it."""
+    if listen is not None:
+        host, port = parse_address("--listen", listen, config.tcp.host)
+        config = dataclasses.replace(config, tcp=TcpConfig(host=host, port=port))
+    if api is not None:
+        host, port = parse_address("--api", api, config.api.host)
+        config = dataclasses.replace(config, api=ApiConfig(host=host, port=port))
+    ports = config.serial + tuple(parse_serial(text) for text in serial or ())
+    return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
+
+
+def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
+    """`HOST:PORT`, `:PORT` or `[::1]:PORT`."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdecimal() or int(port) > 0xFFFF:  # noqa: PLR2004 - ports have 16 bits
+        raise ConfigError(option, f"{text!r} is not HOST:PORT")
+    return host.strip("[]") or default_host, int(port)
+
+
+def parse_serial(text: str) -> SerialConfig:
+    """`/dev/ttyACM0` or `/dev/ttyACM0@57600`."""
+    path, at, baud = text.partition("@")
+    if not path or (at and not (baud.isdecimal() and int(baud))):
+        raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
+    return SerialConfig(path=path, baud=int(baud)) if at else SerialConfig(path=path)

@@ -1,0 +1,60 @@
+"""Velocity: the six components of a geometry_msgs/Twist, in m/s and rad/s."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+
+class Velocity(NamedTuple):
+    """x forward, y left, z up; angular counter-clockwise (REP 103). A differential drive uses first and last."""
+
+    linear_x_m_s: float = 0.0
+    linear_y_m_s: float = 0.0
+    linear_z_m_s: float = 0.0
+    angular_x_rad_s: float = 0.0
+    angular_y_rad_s: float = 0.0
+    angular_z_rad_s: float = 0.0
+
+    @classmethod
+    def from_twist(cls, twist: Mapping[str, Any]) -> "Velocity":
+        """From a decoded Twist."""
+        linear, angular = twist["linear"], twist["angular"]
+        return cls(linear["x"], linear["y"], linear["z"], angular["x"], angular["y"], angular["z"])
+
+    def to_twist(self) -> dict[str, dict[str, float]]:
+        """As a Twist to encode."""
+        x, y, z, roll, pitch, yaw = self
+        return {"linear": {"x": x, "y": y, "z": z}, "angular": {"x": roll, "y": pitch, "z": yaw}}
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether nothing moves."""
+        return not any(self)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every component is a number."""
+        return all(math.isfinite(component) for component in self)
+
+    @property
+    def linear_m_s(self) -> float:
+        """How fast the robot's origin moves."""
+        return math.hypot(*self[:3])
+
+    @property
+    def angular_rad_s(self) -> float:
+        """How fast the robot turns."""
+        return math.hypot(*self[3:])
+
+    def scaled(self, factor: float) -> "Velocity":
+        """The same curve, slower or faster."""
+        return Velocity(*(component * factor for component in self))
+
+    def toward(self, target: "Velocity", fraction: float) -> "Velocity":
+        """The point of the straight line to `target`; a fraction of 1 is the target itself."""
+        if fraction >= 1:
+            return target
+        return Velocity(*(here + (there - here) * fraction for here, there in zip(self, target, strict=True)))
+
+
+ZERO = Velocity()

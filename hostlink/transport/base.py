@@ -1,0 +1,25 @@
+"""Transport: bytes to and from one device, whatever carries them."""
+
+from typing import Protocol
+
+READ_BYTES = 65536
+CLOSE_TIMEOUT_S = 1.0
+
+
+class Transport(Protocol):
+    """One open connection. Errors of the world are OSErrors."""
+
+    peer: str  # for people: "192.168.4.2:53122" or "/dev/ttyACM0"
+    address: str  # what stays when the peer comes back: "192.168.4.2" or "/dev/ttyACM0"
+
+    async def receive(self) -> bytes:
+        """What has come, READ_BYTES at most; b"" when the peer has closed."""
+        ...
+
+    async def send(self, data: bytes) -> None:
+        """Returns when the operating system has taken all of it."""
+        ...
+
+    async def aclose(self) -> None:
+        """Close within CLOSE_TIMEOUT_S, then abort; once is enough."""
+        ...

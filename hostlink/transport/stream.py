@@ -1,0 +1,34 @@
+"""StreamTransport: a pair of asyncio streams as a Transport; TCP and serial ports differ only in how they open."""
+
+import asyncio
+import contextlib
+
+from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES
+
+
+class StreamTransport:
+    """Owns the pair. Nothing waits in the process behind `send`: the write buffer's high-water mark is 0."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, peer: str, address: str) -> None:
+        self.peer, self.address = peer, address
+        self._reader, self._writer = reader, writer
+        writer.transport.set_write_buffer_limits(high=0)
+
+    async def receive(self) -> bytes:
+        """What has come; b"" at the end."""
+        return await self._reader.read(READ_BYTES)
+
+    async def send(self, data: bytes) -> None:
+        """One write, so one segment where it fits."""
+        self._writer.write(data)
+        await self._writer.drain()
+
+    async def aclose(self) -> None:
+        """Let what was sent leave, but do not wait for a dead peer."""
+        self._writer.close()
+        try:
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                with contextlib.suppress(OSError):  # a broken connection is closed
+                    await self._writer.wait_closed()
+        except TimeoutError:
+            self._writer.transport.abort()

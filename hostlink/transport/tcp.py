@@ -1,0 +1,61 @@
+"""Devices over TCP: the listener, and the options that a robot's connection needs."""
+
+import asyncio
+import contextlib
+import errno
+import socket
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+
+from hostlink.config import TcpConfig
+from hostlink.errors import ConfigError
+from hostlink.transport.base import Transport
+from hostlink.transport.stream import StreamTransport
+
+SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where nothing can replace them
+USER_TIMEOUT_MS = 5000  # sent and not acknowledged for so long: the peer is gone
+KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # seconds, seconds, probes: found within 11 s
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """Where it really listens."""
+
+    address: tuple[str, int]
+
+
+@contextlib.asynccontextmanager
+async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None]) -> AsyncIterator[Listener]:
+    """Accept devices until the block is left. ConfigError when the port is taken."""
+
+    def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        set_options(writer.get_extra_info("socket"))
+        host, port = writer.get_extra_info("peername")[:2]
+        peer = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        on_connection(StreamTransport(reader, writer, peer=peer, address=host))
+
+    try:
+        server = await asyncio.start_server(accept, config.host, config.port)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            problem = (
+                "is in use: another host for rosserial runs; stop it, or choose another port with --listen HOST:PORT"
+            )
+        else:
+            problem = f"cannot be listened on: {error.strerror or error}"
+        raise ConfigError(f"TCP {config.host}:{config.port}", problem) from error
+    try:
+        yield Listener(server.sockets[0].getsockname()[:2])
+    finally:
+        server.close()  # wait_closed would wait for the links, which end after the listener
+
+
+def set_options(connection: socket.socket) -> None:
+    """Frames leave at once, dead peers are found, little waits in the kernel."""
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    for name, value in {**KEEPALIVE, "TCP_USER_TIMEOUT": USER_TIMEOUT_MS}.items():
+        option = getattr(socket, name, None)  # not every system has each of them
+        if option is not None:
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)

@@ -1,0 +1,94 @@
+"""What a slow client costs: bounded, counted, and nobody else's business."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.api.client_queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULTS, ClientQueue
+
+
+def drain(queue: ClientQueue) -> list[bytes]:
+    taken = []
+    while (data := queue.take()) is not None:
+        taken.append(data)
+    return taken
+
+
+def test_everything_leaves_in_the_order_in_which_it_came() -> None:
+    queue = ClientQueue()
+    queue.put_message("/a", b"1")
+    queue.put_result(b"2")
+    queue.put_message("/b", b"3")
+    queue.put_message("/a", b"4")
+    assert drain(queue) == [b"1", b"2", b"3", b"4"]
+
+
+def test_a_full_queue_drops_the_oldest_of_the_topic_that_fills_it() -> None:
+    queue = ClientQueue()
+    queue.put_message("/rare", b"kept")
+    for number in range(MAX_MESSAGES + 10):
+        queue.put_message("/often", b"%d" % number)
+    taken = drain(queue)
+    assert taken[0] == b"kept"
+    assert taken[-1] == b"%d" % (MAX_MESSAGES + 9)
+    assert len(taken) == MAX_MESSAGES
+    assert queue.dropped == 11
+
+
+def test_a_new_topic_makes_room_in_the_longest() -> None:
+    queue = ClientQueue()
+    for number in range(MAX_MESSAGES):
+        queue.put_message("/often", b"%d" % number)
+    queue.put_message("/rare", b"new")
+    taken = drain(queue)
+    assert taken[0] == b"1"
+    assert taken[-1] == b"new"
+
+
+def test_bytes_are_bounded_too() -> None:
+    queue = ClientQueue()
+    for _ in range(10):
+        queue.put_message("/image", bytes(MAX_BYTES // 4))
+    assert len(drain(queue)) == 4
+    assert queue.dropped == 6
+
+
+def test_a_client_that_lets_results_pile_up_is_too_slow() -> None:
+    queue = ClientQueue()
+    for _ in range(MAX_RESULTS):
+        queue.put_result(b"r")
+    assert not queue.is_too_slow
+    queue.put_result(b"r")
+    assert queue.is_too_slow
+
+
+def test_a_forgotten_topic_leaves_nothing_behind() -> None:
+    queue = ClientQueue()
+    queue.put_message("/a", b"1")
+    queue.put_message("/b", b"2")
+    queue.forget("/a")
+    queue.forget("/never")
+    assert drain(queue) == [b"2"]
+
+
+async def test_wait_returns_when_something_was_put() -> None:
+    queue = ClientQueue()
+    queue.put_message("/a", b"1")
+    await queue.wait()
+    assert drain(queue) == [b"1"]
+    queue.nudge()
+    await queue.wait()
+
+
+@given(st.lists(st.tuples(st.sampled_from(["/a", "/b", "/c", ""]), st.integers(1, MAX_BYTES // 3)), max_size=60))
+def test_bounds_hold_and_what_leaves_is_in_order(puts: list[tuple[str, int]]) -> None:
+    queue = ClientQueue()
+    for number, (topic, size) in enumerate(puts):
+        data = b"%06d" % number + bytes(size)
+        if topic:
+            queue.put_message(topic, data)
+        else:
+            queue.put_result(data[:6])
+    taken = drain(queue)
+    assert [data[:6] for data in taken] == sorted(data[:6] for data in taken)
+    assert sum(len(data) for data in taken if len(data) > 6) <= MAX_BYTES
+    assert len(taken) + queue.dropped == len(puts)

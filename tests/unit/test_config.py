@@ -1,0 +1,73 @@
+"""hostlink.toml: what it may say, and what it is told when it says something else."""
+
+from pathlib import Path
+
+import pytest
+
+from hostlink.config import Config, RobotConfig, SerialConfig, load
+from hostlink.errors import ConfigError
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "hostlink.toml"
+    path.write_text(text)
+    return path
+
+
+def test_an_empty_file_is_the_defaults(tmp_path: Path) -> None:
+    assert load(write(tmp_path, "")) == Config()
+
+
+def test_every_part_is_read(tmp_path: Path) -> None:
+    text = """
+        message_folders = ["msgs"]
+        [tcp]
+        port = 11511
+        [[serial]]
+        path = "/dev/ttyACM0"
+        baud = 38400
+        [link]
+        uart_bytes_s = 3840
+        [api]
+        port = 9191
+        [robots.robot_0]
+        address = "192.168.4.2"
+        max_wheel_m_s = 0.3436
+        wheel_separation_m = 0.21
+        [parameters]
+        "/robot_0/gain" = [23.0, 36.0, 0.1]
+        name = "first"
+    """
+    config = load(write(tmp_path, text))
+    assert config.tcp.port == 11511
+    assert config.serial == (SerialConfig(path="/dev/ttyACM0", baud=38400),)
+    assert config.link.uart_bytes_s == 3840
+    assert config.api.port == 9191
+    assert config.robots == {
+        "robot_0": RobotConfig(address="192.168.4.2", max_wheel_m_s=0.3436, wheel_separation_m=0.21)
+    }
+    assert config.parameters == {"/robot_0/gain": [23.0, 36.0, 0.1], "name": "first"}
+    assert config.message_folders == (tmp_path / "msgs",)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[tpc]\nport = 1", "unknown key tpc; did you mean tcp?"),
+        ("[robots.a]\nmax_whel_m_s = 1.0", "unknown key robots.a.max_whel_m_s; did you mean max_wheel_m_s?"),
+        ("[[serial]]\npath = 'x'\nspeed = 3", "unknown key serial.0.speed; known: baud, path"),
+        ("[tcp]\nport = 'x'", "Expected `int`, got `str` - at `$.tcp.port`"),
+        ("[[serial]]\nbaud = 3", "Object missing required field `path` - at `$.serial[0]`"),
+        ("x = [", "is not TOML: Invalid value (at end of document)"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, problem: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load(path)
+    assert str(caught.value) == f"{path}: {problem}"
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="No such file"):
+        load(tmp_path / "none.toml")
