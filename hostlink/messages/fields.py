@@ -1,0 +1,127 @@
+"""What a message consists of: fields, constants, and the layout that the codecs work on."""
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+SCALAR: Final = -1
+VARIABLE: Final = 0
+COUNT_BYTES: Final = 4  # a string and an array of variable length start with a uint32
+
+FORMATS: Final = {
+    "bool": "?",
+    "byte": "b",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+SIZES: Final = {name: struct.calcsize(f"<{code}") for name, code in FORMATS.items()}
+FLOATS: Final = frozenset({"float32", "float64"})
+OCTETS: Final = frozenset({"uint8", "char"})  # arrays of these are bytes
+BUILT_IN: Final = frozenset({*FORMATS, "string", "time", "duration"})
+
+# Messages without fields cost memory here and nothing on the wire, so the length of a list of them cannot be checked
+# against the payload; so many cost a payload byte about what the smallest other messages do.
+HOLLOW_ELEMENTS_MAX: Final = 16
+
+
+class Constant(NamedTuple):
+    """A named value in a definition; `text` is what stands behind the equals sign."""
+
+    name: str
+    type: str
+    text: str
+
+
+class Field(NamedTuple):
+    """One field; `array_length` is SCALAR (-1), VARIABLE (0) or the length."""
+
+    name: str
+    type: str
+    array_length: int = SCALAR
+
+    @property
+    def type_text(self) -> str:
+        """The type as a definition writes it: "float64[36]"."""
+        if self.array_length == SCALAR:
+            return self.type
+        return f"{self.type}[{self.array_length or ''}]"
+
+    @property
+    def is_octets(self) -> bool:
+        return self.array_length != SCALAR and self.type in OCTETS
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The fields of one type in wire order, with the layouts of the types in them."""
+
+    name: str
+    fields: tuple[Field, ...]
+    nested: Mapping[str, "Layout"]
+
+    @cached_property
+    def fixed_bytes(self) -> int | None:
+        """The serialised size where every value has the same, else None."""
+        sizes = [self._fixed_bytes(field) for field in self.fields]
+        return None if None in sizes else sum(size for size in sizes if size is not None)
+
+    @cached_property
+    def minimum_bytes(self) -> int:
+        """The size of the message whose fields are all zero; its bytes are zeros too."""
+        return sum(self.field_minimum_bytes(field) for field in self.fields)
+
+    @cached_property
+    def room(self) -> int:
+        """`minimum_bytes`, where a message without fields counts as one byte: what a value takes at least in memory."""
+        return max(1, sum(self._room(field) for field in self.fields))
+
+    def element_minimum_bytes(self, field: Field) -> int:
+        """The least that one element of the field takes on the wire."""
+        if field.type in SIZES:
+            return SIZES[field.type]
+        return COUNT_BYTES if field.type == "string" else self.nested[field.type].minimum_bytes
+
+    def field_minimum_bytes(self, field: Field) -> int:
+        if field.array_length == VARIABLE:
+            return COUNT_BYTES
+        return abs(field.array_length) * self.element_minimum_bytes(field)
+
+    def _fixed_bytes(self, field: Field) -> int | None:
+        if field.array_length == VARIABLE or field.type == "string":
+            return None
+        if field.type in self.nested and self.nested[field.type].fixed_bytes is None:
+            return None
+        return self.field_minimum_bytes(field)
+
+    def _room(self, field: Field) -> int:
+        if field.type in self.nested and field.array_length != VARIABLE:
+            return abs(field.array_length) * self.nested[field.type].room
+        return self.field_minimum_bytes(field)
+
+
+TIME: Final = Layout("time", (Field("secs", "uint32"), Field("nsecs", "uint32")), {})
+DURATION: Final = Layout("duration", (Field("secs", "int32"), Field("nsecs", "int32")), {})
+
+
+def integer_range(type_name: str) -> range:
+    """The values that a bool or an integer type can take."""
+    if type_name == "bool":
+        return range(2)
+    bits = 8 * SIZES[type_name]
+    return range(-(1 << bits - 1), 1 << bits - 1) if FORMATS[type_name].islower() else range(1 << bits)
+
+
+def range_text(type_name: str) -> str:
+    values = integer_range(type_name)
+    return f"{values.start}..{values.stop - 1}"

@@ -1,0 +1,150 @@
+"""The text of .msg and .srv files by the rules of ROS 1: text in, `Definition` out. Other types are but names here."""
+
+import re
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from hostlink.errors import ConfigError
+from hostlink.messages.fields import (
+    BUILT_IN,
+    FLOATS,
+    FORMATS,
+    SCALAR,
+    VARIABLE,
+    Constant,
+    Field,
+    integer_range,
+    range_text,
+)
+
+ARRAY_LENGTH_MAX: Final = 65535  # no rosserial payload holds more elements
+
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_TYPE: Final = re.compile(r"([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)?)(?:\[([0-9]*)\])?")
+
+
+class Definition(NamedTuple):
+    """One parsed message definition; `field_lines` are the line numbers of the fields."""
+
+    name: str
+    text: str
+    constants: tuple[Constant, ...]
+    fields: tuple[Field, ...]
+    where: str
+    field_lines: tuple[int, ...]
+
+    def error(self, field: Field, problem: str) -> ConfigError:
+        """The error that names the line of the field."""
+        line = self.field_lines[self.fields.index(field)]
+        return ConfigError(f"{self.where}:{line}", f"field {field.name}: {problem}")
+
+
+def parse_message(name: str, text: str, where: str, *, first_line: int = 1) -> Definition:
+    """Read one message definition; `where` and the line stand in every ConfigError."""
+    constants: dict[str, Constant] = {}
+    fields: dict[str, tuple[Field, int]] = {}
+    package = name.partition("/")[0]
+    for number, line, code in _lines(text, first_line):
+        try:
+            entry = _constant(line, code) if "=" in code else _field(code, package)
+            _check_name(entry.name, {*constants, *fields})
+        except ValueError as error:
+            raise ConfigError(f"{where}:{number}", str(error)) from None
+        if isinstance(entry, Constant):
+            constants[entry.name] = entry
+        else:
+            fields[entry.name] = (entry, number)
+    return Definition(
+        name,
+        f"{text.rstrip()}\n" if text.strip() else "",
+        tuple(constants.values()),
+        tuple(field for field, _ in fields.values()),
+        where,
+        tuple(number for _, number in fields.values()),
+    )
+
+
+def parse_service(name: str, text: str, where: str) -> tuple[Definition, Definition]:
+    """Read a service definition: its request and its response, named as ROS names them."""
+    lines = text.splitlines()
+    cuts = [index for index, line in enumerate(lines) if line.startswith("---")]
+    if len(cuts) != 1:
+        raise ConfigError(where, f"a service needs one line of ---, this has {len(cuts)}")
+    request, response = "\n".join(lines[: cuts[0]]), "\n".join(lines[cuts[0] + 1 :])
+    return (
+        parse_message(f"{name}Request", request, where),
+        parse_message(f"{name}Response", response, where, first_line=cuts[0] + 2),
+    )
+
+
+def _lines(text: str, first_line: int) -> Iterator[tuple[int, str, str]]:
+    """Number, line, and the line without its comment, of every line that says something."""
+    for number, line in enumerate(text.splitlines(), first_line):
+        if code := line.partition("#")[0].strip():
+            yield number, line, code
+
+
+def _constant(line: str, code: str) -> Constant:
+    declaration, _, text = code.partition("=")
+    type_name, name = _two_words(declaration, "TYPE NAME=VALUE", code)
+    if type_name == "string":
+        text = line.partition("=")[2]  # a # in a string is no comment
+    elif type_name not in FORMATS:
+        raise ValueError(f"a constant cannot be a {type_name}")
+    text = text.strip()
+    _check_value(type_name, name, text)
+    return Constant(name, type_name, text)
+
+
+def _two_words(declaration: str, wanted: str, code: str) -> tuple[str, str]:
+    match declaration.split():
+        case [first, second]:
+            return first, second
+    raise ValueError(f"wanted {wanted}, got {code!r}")
+
+
+def _check_name(name: str, taken: set[str]) -> None:
+    if name in taken:
+        raise ValueError(f"{name} is there twice")
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{name!r} is no name: letters, digits and _, a letter first")
+
+
+def _check_value(type_name: str, name: str, text: str) -> None:
+    """ValueError where the text is no value of the type."""
+    if type_name == "string":
+        return
+    if type_name == "bool" and text in {"True", "False", "true", "false"}:
+        return
+    kind, converted = ("number", float) if type_name in FLOATS else ("whole number", int)
+    try:
+        value = converted(text)
+    except ValueError:
+        raise ValueError(f"constant {name}: {text!r} is no {kind}") from None
+    if type_name not in FLOATS and int(value) not in integer_range(type_name):
+        raise ValueError(f"constant {name}: {text} is outside {range_text(type_name)}")
+
+
+def _field(code: str, package: str) -> Field:
+    written, name = _two_words(code, "TYPE NAME", code)
+    match = _TYPE.fullmatch(written)
+    if match is None:
+        raise ValueError(f"{written!r} is no type")
+    type_name, length = match.groups()
+    return Field(name, _full_type(type_name, package), _array_length(written, length))
+
+
+def _full_type(type_name: str, package: str) -> str:
+    if type_name == "Header":  # in every package
+        return "std_msgs/Header"
+    return type_name if "/" in type_name or type_name in BUILT_IN else f"{package}/{type_name}"
+
+
+def _array_length(written: str, length: str | None) -> int:
+    if length is None:
+        return SCALAR
+    if not length:
+        return VARIABLE
+    if not 0 < int(length) <= ARRAY_LENGTH_MAX:
+        raise ValueError(f"{written}: the length of an array is 1 to {ARRAY_LENGTH_MAX}, or left out")
+    return int(length)

@@ -1,0 +1,94 @@
+"""Definitions as text: what they say, and what is wrong with them, by line."""
+
+import pytest
+
+from hostlink.errors import ConfigError
+from hostlink.messages.fields import SCALAR, VARIABLE, Constant, Field
+from hostlink.messages.parsing import parse_message, parse_service
+
+EVERYTHING = """\
+# a comment, and an empty line
+
+int8 LOW = -128   # with a comment
+string TEXT= a # that is text = so
+bool ON=True
+bool OFF=0
+float32 PI = 3.14
+Header header
+Point[] points # of this package
+geometry_msgs/Pose  pose
+time\tstamp
+float64[36] covariance
+string[] names
+"""
+
+
+def test_every_kind_of_line() -> None:
+    definition = parse_message("pkg/Type", EVERYTHING, "Type.msg")
+    assert definition.constants == (
+        Constant("LOW", "int8", "-128"),
+        Constant("TEXT", "string", "a # that is text = so"),
+        Constant("ON", "bool", "True"),
+        Constant("OFF", "bool", "0"),
+        Constant("PI", "float32", "3.14"),
+    )
+    assert definition.fields == (
+        Field("header", "std_msgs/Header", SCALAR),
+        Field("points", "pkg/Point", VARIABLE),
+        Field("pose", "geometry_msgs/Pose", SCALAR),
+        Field("stamp", "time", SCALAR),
+        Field("covariance", "float64", 36),
+        Field("names", "string", VARIABLE),
+    )
+    assert definition.text == EVERYTHING
+
+
+def test_fields_write_their_type_as_a_definition_does() -> None:
+    fields = parse_message("pkg/Type", "int8 a\nint8[] b\nint8[3] c", "Type.msg").fields
+    assert [field.type_text for field in fields] == ["int8", "int8[]", "int8[3]"]
+
+
+def test_text_ends_with_one_newline_or_is_empty() -> None:
+    assert parse_message("pkg/Type", "int8 a\n\n\n", "Type.msg").text == "int8 a\n"
+    assert parse_message("pkg/Type", " \n\n", "Type.msg").text == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("float64", "wanted TYPE NAME, got 'float64'"),
+        ("float64 x 0.0", "wanted TYPE NAME, got 'float64 x 0.0'"),
+        ("X=1", "wanted TYPE NAME=VALUE, got 'X=1'"),
+        ("float64[ x", "'float64[' is no type"),
+        ("a/b/c x", "'a/b/c' is no type"),
+        ("float64 1x", "'1x' is no name: letters, digits and _, a letter first"),
+        ("float64 x'];import", '"x\'];import" is no name: letters, digits and _, a letter first'),
+        ("float64 first", "first is there twice"),
+        ("int8 first=1", "first is there twice"),
+        ("time X=1", "a constant cannot be a time"),
+        ("uint8 X=256", "constant X: 256 is outside 0..255"),
+        ("int16 X=-32769", "constant X: -32769 is outside -32768..32767"),
+        ("bool X=2", "constant X: 2 is outside 0..1"),
+        ("int8 X=1.5", "constant X: '1.5' is no whole number"),
+        ("float32 X=much", "constant X: 'much' is no number"),
+        ("int8[0] x", "int8[0]: the length of an array is 1 to 65535, or left out"),
+        ("int8[65536] x", "int8[65536]: the length of an array is 1 to 65535, or left out"),
+    ],
+)
+def test_a_bad_line_is_named(line: str, problem: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        parse_message("pkg/Type", f"int8 first\n\n{line}\n", "pkg/Type.msg")
+    assert str(error.value) == f"pkg/Type.msg:3: {problem}"
+
+
+def test_a_service_is_two_messages() -> None:
+    request, response = parse_service("pkg/Ask", "int8 a\n---\n\nint8 b", "Ask.srv")
+    assert (request.name, request.fields) == ("pkg/AskRequest", (Field("a", "int8"),))
+    assert (response.name, response.fields) == ("pkg/AskResponse", (Field("b", "int8"),))
+    assert response.field_lines == (4,)
+
+
+@pytest.mark.parametrize(("text", "cuts"), [("int8 a", 0), ("---\n---", 2)])
+def test_a_service_without_one_cut(text: str, cuts: int) -> None:
+    with pytest.raises(ConfigError, match=rf"^Ask.srv: a service needs one line of ---, this has {cuts}$"):
+        parse_service("pkg/Ask", text, "Ask.srv")
