@@ -1,0 +1,290 @@
+"""Payload <-> dict, compiled once a type: Python source with one struct for each run of fixed fields.
+
+What is compiled is fast and picky: it takes whole messages of plain values and intact payloads, and raises one of
+ODD for everything else. `careful` then does the same slowly, with all that is allowed, or says what is wrong.
+"""
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any, Final, cast
+
+from hostlink.messages.fields import FORMATS, HOLLOW_ELEMENTS_MAX, SCALAR, VARIABLE, Field, Layout
+
+Encoder = Callable[[Mapping[str, object]], bytes]
+Decoder = Callable[[bytes], dict[str, object]]
+
+ODD: Final = (ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error)
+
+
+def compile_encoder(layout: Layout) -> Encoder:
+    """The function that makes bytes of a complete message."""
+    module = _Module()
+    module.add_encoder(layout)
+    return cast("Encoder", module.load()["encode_0"])
+
+
+def compile_decoder(layout: Layout) -> Decoder:
+    """The function that makes a dict of a whole payload."""
+    module = _Module()
+    module.add_decoder(layout)
+    return cast("Decoder", module.load()["decode_0"])
+
+
+class _Module:
+    """The source of the functions for one type and for the types of the elements in its arrays."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, Any] = {"Odd": ValueError, "bools": frozenset({bool})}
+        self.names |= {"pack": struct.pack, "unpack": struct.unpack_from}
+        self._functions: dict[Layout, str] = {}
+        self._lines: list[str] = []
+
+    def add_encoder(self, layout: Layout) -> str:
+        """The name of the function that encodes the layout."""
+        if layout not in self._functions:
+            self._functions[layout] = f"encode_{len(self._functions)}"
+            body = _EncoderBody(self)
+            body.write_message(layout, "m")
+            self._lines += [f"def {self._functions[layout]}(m):", *body.finish()]
+        return self._functions[layout]
+
+    def add_decoder(self, layout: Layout) -> str:
+        """The name of the function that decodes a whole payload of the layout."""
+        name = self._functions[layout] = f"decode_{len(self._functions)}"
+        body = _DecoderBody(self)
+        value = body.read_message(layout)
+        self._lines += [f"def {name}(b):", " o = 0", " size = len(b)", *body.finish()]
+        self._lines += [" if o != size: raise Odd", f" return {value}"]
+        return name
+
+    def add_reader(self, layout: Layout) -> str:
+        """The name of the function that reads one element at an offset: (b, o, size) -> value, next offset."""
+        if layout not in self._functions:
+            name = self._functions[layout] = f"read_{len(self._functions)}"
+            body = _DecoderBody(self)
+            value = body.read_message(layout)
+            self._lines += [f"def {name}(b, o, size):", *body.finish(), f" return {value}, o"]
+        return self._functions[layout]
+
+    def add_struct(self, codes: list[str]) -> tuple[struct.Struct, int]:
+        """A struct and the number in its names: p<n> packs, u<n> unpacks at an offset, i<n> iterates."""
+        compiled, number = struct.Struct(f"<{''.join(codes)}"), len(self.names)
+        self.names[f"p{number}"] = compiled.pack
+        self.names[f"u{number}"] = compiled.unpack_from
+        self.names[f"i{number}"] = compiled.iter_unpack
+        return compiled, number
+
+    def load(self) -> dict[str, Any]:
+        # Nothing of a definition reaches the source but names that the parser has checked, each as a quoted literal.
+        exec("\n".join(self._lines), self.names)  # noqa: S102
+        return self.names
+
+
+class _DecoderBody:
+    """Statements that read in wire order, and the expression that makes a dict of what they read."""
+
+    def __init__(self, module: _Module) -> None:
+        self._module = module
+        self._lines: list[str] = []
+        self._codes: list[str] = []
+        self._values = 0  # in the tuple that the open run will give
+        self._tuples = 0
+        self._locals = 0
+
+    def finish(self) -> list[str]:
+        self._close_run()
+        return [f" {line}" for line in self._lines]
+
+    def read_message(self, layout: Layout) -> str:
+        items = [f"{field.name!r}: {self._read_field(layout, field)}" for field in layout.fields]
+        return f"{{{', '.join(items)}}}"
+
+    def _read_field(self, layout: Layout, field: Field) -> str:
+        if field.array_length != SCALAR:
+            return self._read_array(layout, field)
+        if field.type == "string":
+            return self._read_string()
+        if field.type in FORMATS:
+            return self._take(FORMATS[field.type])
+        return self.read_message(layout.nested[field.type])
+
+    def _read_array(self, layout: Layout, field: Field) -> str:
+        if field.array_length != VARIABLE and field.type in FORMATS:
+            return self._read_fixed_array(field)
+        count = self._take("I") if field.array_length == VARIABLE else str(field.array_length)
+        self._close_run()
+        if field.type in FORMATS:
+            return self._read_variable_array(field, count)
+        if field.type == "string":
+            return self._read_strings(count)
+        return self._read_messages(layout.nested[field.type], field, count)
+
+    def _read_fixed_array(self, field: Field) -> str:
+        if field.is_octets:
+            return self._take(f"{field.array_length}s")
+        first = self._values
+        self._take(f"{field.array_length}{FORMATS[field.type]}", field.array_length)
+        return f"list(t{self._tuples}[{first}:{self._values}])"
+
+    def _read_variable_array(self, field: Field, count: str) -> str:
+        code = FORMATS[field.type]
+        self._check_end(f"{count} * {struct.calcsize(f'<{code}')}")
+        value = self._local("b[o:e]" if field.is_octets else f"list(unpack(f'<{{{count}}}{code}', b, o))")
+        self._lines.append("o = e")
+        return value
+
+    def _read_string(self) -> str:
+        length = self._take("I")
+        self._close_run()
+        self._check_end(length)
+        value = self._local("b[o:e].decode('utf-8', 'replace')")
+        self._lines.append("o = e")
+        return value
+
+    def _read_strings(self, count: str) -> str:
+        value = self._local("[]")
+        self._lines += [f"if {count} * 4 > size - o: raise Odd", f"for _ in range({count}):"]
+        self._lines += [" e = o + 4 + unpack('<I', b, o)[0]", " if e > size: raise Odd"]
+        self._lines += [f" {value}.append(b[o + 4:e].decode('utf-8', 'replace'))", " o = e"]
+        return value
+
+    def _read_messages(self, layout: Layout, field: Field, count: str) -> str:
+        if layout.minimum_bytes == 0 and field.array_length == VARIABLE:
+            self._lines.append(f"if {count} > {HOLLOW_ELEMENTS_MAX}: raise Odd")
+        if layout.minimum_bytes and _is_flat(layout):
+            return self._read_flat_messages(layout, count)
+        value, reader = self._local("[]"), self._module.add_reader(layout)
+        self._lines += [f"if {count} * {layout.minimum_bytes} > size - o: raise Odd", f"for _ in range({count}):"]
+        self._lines += [f" x, o = {reader}(b, o, size)", f" {value}.append(x)"]
+        return value
+
+    def _read_flat_messages(self, layout: Layout, count: str) -> str:
+        element = _DecoderBody(self._module)
+        expression = element.read_message(layout)
+        _, number = self._module.add_struct(element._codes)
+        self._check_end(f"{count} * {layout.minimum_bytes}")
+        value = self._local(f"[{expression} for t0 in i{number}(b[o:e])]")
+        self._lines.append("o = e")
+        return value
+
+    def _take(self, code: str, values: int = 1) -> str:
+        """Add to the open run; the expression of its (first) value."""
+        self._codes.append(code)
+        self._values += values
+        return f"t{self._tuples}[{self._values - values}]"
+
+    def _close_run(self) -> None:
+        if self._codes:
+            compiled, number = self._module.add_struct(self._codes)
+            self._lines += [f"t{self._tuples} = u{number}(b, o)", f"o += {compiled.size}"]
+            self._codes, self._values = [], 0
+            self._tuples += 1
+
+    def _check_end(self, length: str) -> None:
+        self._lines += [f"e = o + {length}", "if e > size: raise Odd"]
+
+    def _local(self, expression: str) -> str:
+        self._locals += 1
+        self._lines.append(f"v{self._locals} = {expression}")
+        return f"v{self._locals}"
+
+
+class _EncoderBody:
+    """Statements that check and convert in wire order, and the parts of the payload."""
+
+    def __init__(self, module: _Module) -> None:
+        self._module = module
+        self._lines: list[str] = []
+        self._codes: list[str] = []
+        self._arguments: list[str] = []
+        self._parts: list[str] = []
+        self._locals = 0
+
+    def finish(self) -> list[str]:
+        self._close_run()
+        parts = self._parts
+        payload = parts[0] if len(parts) == 1 else f"b''.join(({', '.join(parts)}))"
+        return [f" {line}" for line in [*self._lines, f"return {payload}"]]
+
+    def write_message(self, layout: Layout, message: str) -> None:
+        """All fields of the message that the expression names; more or fewer fields are odd."""
+        self._lines.append(f"if len({message}) != {len(layout.fields)}: raise Odd")
+        for field in layout.fields:
+            self._write_field(layout, field, f"{message}[{field.name!r}]")
+
+    def _write_field(self, layout: Layout, field: Field, value: str) -> None:
+        if field.array_length != SCALAR:
+            self._write_array(layout, field, value)
+        elif field.type == "string":
+            self._write_octets(self._local(f"{value}.encode()"))
+        elif field.type == "bool":
+            name = self._local(value)
+            self._lines.append(f"if {name} is not True and {name} is not False: raise Odd")
+            self._add("?", name)
+        elif field.type in FORMATS:
+            self._add(FORMATS[field.type], value)
+        else:
+            self.write_message(layout.nested[field.type], self._local(value))
+
+    def _write_array(self, layout: Layout, field: Field, value: str) -> None:
+        name = self._local(value)
+        self._lines.append(f"if type({name}) is not {'bytes' if field.is_octets else 'list'}: raise Odd")
+        if field.array_length != VARIABLE:
+            self._lines.append(f"if len({name}) != {field.array_length}: raise Odd")
+        if field.type == "bool":
+            self._lines.append(f"if not bools.issuperset(map(type, {name})): raise Odd")
+        if field.array_length != VARIABLE and field.type in FORMATS:
+            self._write_fixed_array(field, name)
+        elif field.is_octets:
+            self._write_octets(name)
+        else:
+            self._write_elements(layout, field, name)
+
+    def _write_fixed_array(self, field: Field, name: str) -> None:
+        code = "s" if field.is_octets else FORMATS[field.type]
+        self._add(f"{field.array_length}{code}", name if field.is_octets else f"*{name}")
+
+    def _write_octets(self, name: str) -> None:
+        self._add("I", f"len({name})")
+        self._close_run()
+        self._parts.append(name)
+
+    def _write_elements(self, layout: Layout, field: Field, name: str) -> None:
+        if field.array_length == VARIABLE:
+            self._add("I", f"len({name})")
+        self._close_run()
+        if field.type in FORMATS:
+            self._parts.append(f"pack(f'<{{len({name})}}{FORMATS[field.type]}', *{name})")
+        elif field.type == "string":
+            self._lines.append(f"{name} = [x.encode() for x in {name}]")
+            self._parts.append(f"b''.join([pack('<I', len(x)) + x for x in {name}])")
+        else:
+            self._write_messages(layout.nested[field.type], field, name)
+
+    def _write_messages(self, layout: Layout, field: Field, name: str) -> None:
+        if layout.minimum_bytes == 0 and field.array_length == VARIABLE:
+            self._lines.append(f"if len({name}) > {HOLLOW_ELEMENTS_MAX}: raise Odd")
+        self._parts.append(f"b''.join([{self._module.add_encoder(layout)}(x) for x in {name}])")
+
+    def _add(self, code: str, argument: str) -> None:
+        self._codes.append(code)
+        self._arguments.append(argument)
+
+    def _close_run(self) -> None:
+        if self._codes or not self._parts:
+            _, number = self._module.add_struct(self._codes)
+            self._parts.append(f"p{number}({', '.join(self._arguments)})")
+            self._codes, self._arguments = [], []
+
+    def _local(self, expression: str) -> str:
+        self._locals += 1
+        self._lines.append(f"v{self._locals} = {expression}")
+        return f"v{self._locals}"
+
+
+def _is_flat(layout: Layout) -> bool:
+    """One struct reads it: fixed, and no array of messages in it."""
+    return layout.fixed_bytes is not None and all(
+        field.type in FORMATS or (field.array_length == SCALAR and _is_flat(layout.nested[field.type]))
+        for field in layout.fields
+    )

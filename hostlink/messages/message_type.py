@@ -1,0 +1,110 @@
+"""One message type, one service type: the definition, its md5 sum by the rule of ROS 1, and its codec."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+from hostlink.messages import careful
+from hostlink.messages.codec import ODD, Decoder, Encoder, compile_decoder, compile_encoder
+from hostlink.messages.fields import DURATION, TIME, Constant, Field, Layout
+from hostlink.messages.parsing import Definition
+
+SEPARATOR: Final = "=" * 80
+
+
+class MessageType:
+    """What the payloads of one type mean. The codec is compiled when it is first used."""
+
+    def __init__(self, definition: Definition, nested: "Mapping[str, MessageType]") -> None:
+        """`nested`: the type of every field that is a message, by its full name."""
+        layouts = {name: message.layout for name, message in nested.items()}
+        self.name: str = definition.name
+        self.definition: str = definition.text
+        self.constants: tuple[Constant, ...] = definition.constants
+        layouts |= {"time": TIME, "duration": DURATION}
+        self.layout: Layout = Layout(definition.name, definition.fields, layouts)
+        self.nested: Mapping[str, MessageType] = nested
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        return self.layout.fields
+
+    @property
+    def fixed_bytes(self) -> int | None:
+        """The serialised size where every value has the same, else None."""
+        return self.layout.fixed_bytes
+
+    @cached_property
+    def md5_text(self) -> str:
+        """What the md5 sum is the sum of: constants, fields; a message in it is the md5 sum of its type."""
+        lines = [f"{constant.type} {constant.name}={constant.text}" for constant in self.constants]
+        for field in self.fields:
+            nested = self.nested.get(field.type)
+            lines.append(f"{nested.md5 if nested else field.type_text} {field.name}")
+        return "\n".join(lines)
+
+    @cached_property
+    def md5(self) -> str:
+        return _md5(self.md5_text)
+
+    @cached_property
+    def full_definition(self) -> str:
+        """The definition and those of all types in it, each once, as `gendeps --cat` of ROS prints them."""
+        dependencies: dict[str, str] = {}
+        _collect_definitions(self, dependencies)
+        return self.definition + "".join(
+            f"{SEPARATOR}\nMSG: {name}\n{definition}" for name, definition in dependencies.items()
+        )
+
+    def encode(self, message: Mapping[str, object]) -> bytes:
+        """Missing fields are zero; BadRequest names the field that is unknown or has a wrong value."""
+        try:
+            return self._encoder(message)
+        except ODD:
+            return careful.encode(self.layout, message)
+
+    def decode(self, payload: bytes | memoryview) -> dict[str, object]:
+        """A dict in field order; BadPayload where the payload is not exactly one message.
+
+        Text that is not UTF-8 gets replacement characters, so that every decoded message can become JSON.
+        """
+        data = bytes(payload)
+        try:
+            return self._decoder(data)
+        except ODD:
+            return careful.decode(self.layout, data)
+
+    @cached_property
+    def _encoder(self) -> Encoder:
+        return compile_encoder(self.layout)
+
+    @cached_property
+    def _decoder(self) -> Decoder:
+        return compile_decoder(self.layout)
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceType:
+    """The two message types of a service."""
+
+    name: str
+    request: MessageType
+    response: MessageType
+
+    @property
+    def md5(self) -> str:
+        return _md5(self.request.md5_text + self.response.md5_text)
+
+
+def _collect_definitions(message: MessageType, definitions: dict[str, str]) -> None:
+    """Add the definitions of all types in the message, depth first."""
+    for nested in message.nested.values():
+        if nested.name not in definitions:
+            definitions[nested.name] = nested.definition
+            _collect_definitions(nested, definitions)
+
+
+def _md5(text: str) -> str:
+    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()

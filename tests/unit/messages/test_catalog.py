@@ -1,0 +1,282 @@
+"""Types by name: md5 sums, full definitions, folders of the user's and what is wrong with them."""
+
+from pathlib import Path
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from hostlink.errors import ConfigError, WrongType
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.fields import Constant
+from hostlink.messages.message_type import MessageType, ServiceType
+
+STORE = get_typestore(Stores.ROS1_NOETIC)
+STORE_NAMES = sorted(name.replace("/msg/", "/") for name in STORE.fielddefs if not name.startswith("builtin"))
+
+SET_BOOL_REQUEST = "8b94c1b53db61fb6aed406028ad6332a"
+SET_BOOL_RESPONSE = "937c9679a518e3a18d831e57125ea522"
+EMPTY = "d41d8cd98f00b204e9800998ecf8427e"
+
+
+@pytest.fixture(scope="module")
+def catalog() -> Catalog:
+    return Catalog()
+
+
+def message(catalog: Catalog, name: str) -> MessageType:
+    found = catalog.message(name)
+    assert found is not None
+    return found
+
+
+def service(catalog: Catalog, name: str) -> ServiceType:
+    found = catalog.service(name)
+    assert found is not None
+    return found
+
+
+def write(folder: Path, **files: str) -> Path:
+    """Definitions of a package "robot" below the folder; "msg_Type" and "srv_Type" name kind and type."""
+    for name, text in files.items():
+        kind, _, stem = name.partition("_")
+        path = folder / "robot" / kind / f"{stem}.{kind}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder
+
+
+def test_every_stored_type_has_the_md5_and_the_text_of_the_store(catalog: Catalog) -> None:
+    assert len(STORE_NAMES) == 162
+    for name in STORE_NAMES:
+        ours = message(catalog, name)
+        assert (ours.full_definition, ours.md5) == STORE.generate_msgdef(name.replace("/", "/msg/"))
+
+
+def test_every_stored_type_compiles_and_its_defaults_come_back(catalog: Catalog) -> None:
+    for name in STORE_NAMES:
+        ours = message(catalog, name)
+        payload = ours.encode({})
+        assert payload == bytes(ours.layout.minimum_bytes)
+        assert ours.encode(ours.decode(payload)) == payload
+
+
+@pytest.mark.parametrize(
+    ("name", "md5"),
+    [
+        ("geometry_msgs/Pose2D", "938fa65709584ad8e77d238529be13b8"),
+        ("geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a"),
+        ("geometry_msgs/Vector3", "4a842b65f413084dc2b10fb484ea7f17"),
+        ("nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7"),
+        ("rosserial_msgs/Log", "11abd731c25933261cd6183bd12d6295"),
+        ("rosserial_msgs/TopicInfo", "0ad51f88fc44892f8c10684077646005"),
+        ("sensor_msgs/JointState", "3066dcd76a6cfaef579bd0f34173e9fd"),
+        ("sensor_msgs/LaserScan", "90c7ef2dc6895d81024acba2ac42f369"),
+        ("std_msgs/Empty", EMPTY),
+        ("std_msgs/Float32MultiArray", "6a40e0ffa6a17a503ac3f8616991b1f6"),
+        ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1"),
+    ],
+)
+def test_md5_sums_that_devices_announce(catalog: Catalog, name: str, md5: str) -> None:
+    assert message(catalog, name).md5 == md5
+
+
+@pytest.mark.parametrize(
+    ("name", "md5", "request_md5", "response_md5"),
+    [
+        ("nav_msgs/GetMap", "6cdd0a18e0aff5b0a3ca2326a89b54ff", EMPTY, "6cdd0a18e0aff5b0a3ca2326a89b54ff"),
+        (
+            "nav_msgs/GetPlan",
+            "421c8ea4d21c6c9db7054b4bbdf1e024",
+            "e25a43e0752bcca599a8c2eef8282df8",
+            "0002bc113c0259d71f6cf8cbc9430e18",
+        ),
+        (
+            "rosserial_msgs/RequestMessageInfo",
+            "6416d80296dfbbdd5f7b2cee839f9316",
+            "dc67331de85cf97091b7d45e5c64ab75",
+            "fe452186a069bed40f09b8628fe5eac8",
+        ),
+        (
+            "rosserial_msgs/RequestParam",
+            "d7a0c2be00c9fd03cc69f2863de9c4d9",
+            "c1f3d28f1b044c871e6eff2e9fc3c667",
+            "9f0e98bda65981986ddf53afa7a40e49",
+        ),
+        (
+            "rosserial_msgs/RequestServiceInfo",
+            "0961604b984b94b0b68e8074882be071",
+            "1cbcfa13b08f6d36710b9af8741e6112",
+            "c3d6dd25b909596479fbbc6559fa6874",
+        ),
+        (
+            "sensor_msgs/SetCameraInfo",
+            "bef1df590ed75ed1f393692395e15482",
+            "ee34be01fdeee563d0d99cd594d5581d",
+            "2ec6f3eff0161f4257b808b12bc830c2",
+        ),
+        ("std_srvs/Empty", EMPTY, EMPTY, EMPTY),
+        ("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16", SET_BOOL_REQUEST, SET_BOOL_RESPONSE),
+        ("std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522", EMPTY, SET_BOOL_RESPONSE),
+    ],
+)
+def test_md5_sums_of_services(catalog: Catalog, name: str, md5: str, request_md5: str, response_md5: str) -> None:
+    found = service(catalog, name)
+    assert (found.md5, found.request.md5, found.response.md5) == (md5, request_md5, response_md5)
+
+
+def test_names_in_both_forms_are_one_type(catalog: Catalog) -> None:
+    assert message(catalog, "geometry_msgs/msg/Twist") is message(catalog, "geometry_msgs/Twist")
+    assert service(catalog, "std_srvs/srv/Trigger") is service(catalog, "std_srvs/Trigger")
+
+
+@pytest.mark.parametrize(
+    "name", ["", "/", "Twist", "geometry_msgs/Twis", "builtin_interfaces/Time", "../errors", "a/b/c/d", "time"]
+)
+def test_unknown_names(catalog: Catalog, name: str) -> None:
+    assert catalog.message(name) is None
+    assert catalog.service(name) is None
+
+
+def test_a_type_tells_its_fields_constants_and_size(catalog: Catalog) -> None:
+    info = message(catalog, "rosserial_msgs/Log")
+    assert [(field.name, field.type, field.array_length) for field in info.fields] == [
+        ("level", "uint8", -1),
+        ("msg", "string", -1),
+    ]
+    assert info.constants[0] == Constant("ROSDEBUG", "uint8", "0")
+    assert info.fixed_bytes is None
+    assert message(catalog, "geometry_msgs/Twist").fixed_bytes == 48
+    assert message(catalog, "geometry_msgs/TwistWithCovariance").fixed_bytes == 336
+    assert message(catalog, "std_msgs/Empty").fixed_bytes == 0
+    assert message(catalog, "geometry_msgs/TwistStamped").fixed_bytes is None
+
+
+def test_an_announced_md5_is_checked(catalog: Catalog) -> None:
+    twist = message(catalog, "geometry_msgs/Twist")
+    assert catalog.check_message("/cmd_vel", "geometry_msgs/Twist", twist.md5) is twist
+    assert catalog.check_message("/cmd_vel", "robot/Unknown", "0" * 32) is None
+    with pytest.raises(WrongType) as error:
+        catalog.check_message("/cmd_vel", "geometry_msgs/Twist", "abc")
+    assert str(error.value) == f"/cmd_vel: wanted geometry_msgs/Twist md5 {twist.md5}, got md5 abc"
+
+
+def test_a_service_is_announced_as_two_md5_sums(catalog: Catalog) -> None:
+    set_bool = service(catalog, "std_srvs/SetBool")
+    assert catalog.check_request("/led", "std_srvs/SetBool", SET_BOOL_REQUEST) is set_bool.request
+    assert catalog.check_response("/led", "std_srvs/SetBool", SET_BOOL_RESPONSE) is set_bool.response
+    assert catalog.check_request("/led", "robot/Unknown", "abc") is None
+    assert catalog.check_response("/led", "robot/Unknown", "abc") is None
+    with pytest.raises(WrongType) as error:
+        catalog.check_request("/led", "std_srvs/SetBool", SET_BOOL_RESPONSE)
+    assert str(error.value) == (
+        f"/led: wanted std_srvs/SetBoolRequest md5 {SET_BOOL_REQUEST}, got md5 {SET_BOOL_RESPONSE}"
+    )
+
+
+def test_types_of_the_users(tmp_path: Path) -> None:
+    folder = write(
+        tmp_path,
+        msg_Wheel="string SIDE=left # or right\nfloat32 speed_m_s  # a comment\n",
+        msg_Wheels="Header header\nWheel[] wheels\n",
+        srv_Spin="Wheel[2] wheels\n---\nbool done\n",
+    )
+    (folder / "robot" / "Flat.msg").write_text("int8 a\n")
+    (folder / "README.md").write_text("not a package\n")
+    catalog = Catalog([folder])
+    wheel = message(catalog, "robot/Wheel")
+    assert wheel.md5_text == "string SIDE=left # or right\nfloat32 speed_m_s"
+    assert message(catalog, "robot/Wheels").md5_text.splitlines()[1] == f"{wheel.md5} wheels"
+    assert service(catalog, "robot/Spin").request.fixed_bytes == 8
+    assert message(catalog, "robot/Flat").fixed_bytes == 1
+
+
+def test_the_first_folder_that_has_a_name_wins_also_over_built_in_types(tmp_path: Path) -> None:
+    for number in (1, 2):
+        path = tmp_path / str(number) / "std_msgs" / "Bool.msg"
+        path.parent.mkdir(parents=True)
+        path.write_text(f"uint8 from_{number}\n")
+    catalog = Catalog([tmp_path / "1", tmp_path / "2"])
+    assert message(catalog, "std_msgs/Bool").fields[0].name == "from_1"
+
+
+def test_each_dependency_stands_once_in_the_full_definition(tmp_path: Path) -> None:
+    catalog = Catalog([write(tmp_path, msg_A="B one\nC two\n", msg_B="C c\n", msg_C="int8 x\n")])
+    line = "=" * 80
+    assert message(catalog, "robot/A").full_definition == (
+        f"B one\nC two\n{line}\nMSG: robot/B\nC c\n{line}\nMSG: robot/C\nint8 x\n"
+    )
+
+
+def test_shared_dependencies_are_not_walked_twice(tmp_path: Path) -> None:
+    levels = {f"msg_T{depth}": f"T{depth + 1}[] a\nT{depth + 1}[] b\n" for depth in range(30)}
+    catalog = Catalog([write(tmp_path, **levels, msg_T30="int8 x\n")])
+    assert message(catalog, "robot/T0").full_definition.count("MSG:") == 30
+
+
+@pytest.mark.parametrize(
+    ("files", "where", "problem"),
+    [
+        ({"msg_A": "\nB b\n"}, "msg/A.msg:2", "field b: no type is named robot/B"),
+        ({"msg_A": "int8 x\nA[] a\n"}, "msg/A.msg:2", "field a: robot/A contains itself"),
+        ({"msg_A": "B b\n", "msg_B": "A a\n"}, "msg/B.msg:1", "field a: robot/A contains itself"),
+        ({"srv_A": "int8 a\n---\n\nB b\n"}, "srv/A.srv:4", "field b: no type is named robot/B"),
+        ({"msg_A": "int8 x y\n"}, "msg/A.msg:1", "wanted TYPE NAME, got 'int8 x y'"),
+        (
+            {"msg_A": "B[300] b\n", "msg_B": "uint8[300] x\n"},
+            "msg/A.msg",
+            "a message takes at least 90000 bytes, a frame holds 65535",
+        ),
+        (
+            {"msg_A": "B[300] b\n", "msg_B": "std_msgs/Empty[300] x\n"},
+            "msg/A.msg",
+            "a message takes at least 90000 bytes, a frame holds 65535",
+        ),
+        (
+            {f"msg_T{depth:02}": f"T{depth + 1:02} x\n" for depth in range(40)},
+            "msg/T32.msg:1",
+            "field x: messages in messages, more than 32 deep",
+        ),
+    ],
+)
+def test_a_broken_definition_stops_the_start(tmp_path: Path, files: dict[str, str], where: str, problem: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        Catalog([write(tmp_path, **files)])
+    assert str(error.value) == f"{tmp_path}/robot/{where}: {problem}"
+
+
+def test_the_deepest_type_that_is_allowed_has_a_codec(tmp_path: Path) -> None:
+    levels = {f"msg_T{depth}": f"T{depth + 1} x\n" for depth in range(32)}
+    deepest = message(Catalog([write(tmp_path, **levels, msg_T32="int8 x\n")]), "robot/T0")
+    assert deepest.encode(deepest.decode(b"\x07")) == b"\x07"
+
+
+def test_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere: no such folder$"):
+        Catalog([tmp_path / "nowhere"])
+
+
+@pytest.mark.parametrize("folder", ["robot", "robot/msg"])
+def test_a_package_instead_of_the_folder_around_it(tmp_path: Path, folder: str) -> None:
+    write(tmp_path, msg_A="int8 a\n")
+    with pytest.raises(ConfigError, match=r"this is a package; give the folder that it stands in$"):
+        Catalog([tmp_path / folder])
+
+
+def test_a_file_that_is_not_text(tmp_path: Path) -> None:
+    path = write(tmp_path, msg_A="") / "robot" / "msg" / "A.msg"
+    path.write_bytes(b"int8 a\n# \xff\n")
+    with pytest.raises(ConfigError) as error:
+        Catalog([tmp_path])
+    assert str(error.value) == f"{path}:2: not UTF-8"
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "robot" / "A.msg").mkdir(parents=True)
+    with pytest.raises(ConfigError, match=r"A\.msg: Is a directory$"):
+        Catalog([tmp_path])
+
+
+def test_a_file_with_a_name_that_no_type_has(tmp_path: Path) -> None:
+    write(tmp_path, **{"msg_A-1": "int8 a\n"})
+    with pytest.raises(ConfigError, match=r"A-1\.msg: no name for a type: letters, digits and _, a letter first$"):
+        Catalog([tmp_path])
