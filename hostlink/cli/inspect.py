@@ -10,6 +10,8 @@ import typer
 from hostlink.messages.catalog import Catalog
 from hostlink.recording import Inspection, load_reads
 
+LAST_LOGS = 8
+
 
 def command(
     file: Annotated[Path, typer.Argument(help="A recording: JSON lines with t, dir, hex, conn.", show_default=False)],
@@ -32,27 +34,36 @@ def command(
 def _lines(report: dict[str, Any]) -> list[str]:
     lines = [
         f"connections {report['connections']}   time requests {report['time_requests']}   "
-        f"skipped bytes {report['skipped_bytes']}",
-        "",
-        f"{'id':>5}  {'kind':<15} {'topic':<34} type",
-        *(f"{topic['id']:>5}  {topic['kind']:<15} {topic['name']:<34} {topic['type']}" for topic in report["topics"]),
+        f"skipped bytes {report['skipped_bytes']}"
     ]
+    topics = [[topic["id"], topic["kind"], topic["name"], topic["type"]] for topic in report["topics"]]
+    lines += _table(["id", "kind", "topic", "type"], topics)
     for title, key in (("from device", "messages"), ("to device", "to_device")):
-        lines += ["", f"{title:<14} {'count':>7}  last"]
-        lines += [f"{name:<14} {series['count']:>7}  {_short(series['last'])}" for name, series in report[key].items()]
-    if report["services"]:
-        lines += ["", "service        requests  responses"]
-        lines += [
-            f"{name:<14} {counts['requests']:>8}  {counts['responses']:>9}"
-            for name, counts in report["services"].items()
-        ]
-    if report["parameters"]:
-        lines += ["", "parameter      reply"]
-        lines += [f"{item['name']:<14} {_short(item['reply'])}" for item in report["parameters"]]
-    if report["logs"]:
-        lines += ["", f"log lines {len(report['logs'])}, the last ones:"]
-        lines += [f"  {log['level']} {_short(log['msg'])}" for log in report["logs"][-8:]]
-    return lines
+        series = report[key].items()
+        lines += _table(
+            [title, "count", "last"], [[name, item["count"], _short(item["last"])] for name, item in series]
+        )
+    services = report["services"].items()
+    lines += _table(
+        ["service", "requests", "responses"], [[name, item["requests"], item["responses"]] for name, item in services]
+    )
+    lines += _table(["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in report["parameters"]])
+    logs = report["logs"][-LAST_LOGS:]
+    return lines + _table(
+        ["level", f"log, the last of {len(report['logs'])} lines"], [[x["level"], x["msg"]] for x in logs]
+    )
+
+
+def _table(head: list[str], rows: list[list[Any]]) -> list[str]:
+    """Columns under a head; nothing where there are no rows."""
+    if not rows:
+        return []
+    cells = [head, *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
+    return [
+        "",
+        *("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells),
+    ]
 
 
 def _short(value: Any) -> str:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import dataclasses
 import signal
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ import typer
 
 from hostlink import logs
 from hostlink.api.server import serve_api
+from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig, load
 from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
@@ -75,19 +76,18 @@ async def _serve_serial(hub: Hub, config: SerialConfig) -> None:
         await asyncio.sleep(SERIAL_RETRY_S)
 
 
-async def until_stopped(on_signal: Callable[[], None] | None = None) -> None:
-    """Wait for a signal that asks the daemon to stop."""
+@contextlib.contextmanager
+def stop_signals() -> Iterator[asyncio.Event]:
+    """An event that is set by a signal which asks the daemon to stop."""
     stopped = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in STOP_SIGNALS:
         loop.add_signal_handler(number, stopped.set)
     try:
-        await stopped.wait()
+        yield stopped
     finally:
         for number in STOP_SIGNALS:
             loop.remove_signal_handler(number)
-    if on_signal is not None:
-        on_signal()
 
 
 def command(
@@ -116,8 +116,9 @@ def command(
 
 
 async def _serve(config: Config) -> None:
-    async with running(config):
-        await until_stopped()
+    with stop_signals() as stopped:
+        async with running(config):
+            await stopped.wait()
 
 
 def merge(
@@ -137,19 +138,3 @@ def merge(
         config = dataclasses.replace(config, api=ApiConfig(host=host, port=port))
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))
-
-
-def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
-    """`HOST:PORT`, `:PORT` or `[::1]:PORT`."""
-    host, colon, port = text.rpartition(":")
-    if not colon or not port.isdecimal() or int(port) > 0xFFFF:  # noqa: PLR2004 - ports have 16 bits
-        raise ConfigError(option, f"{text!r} is not HOST:PORT")
-    return host.strip("[]") or default_host, int(port)
-
-
-def parse_serial(text: str) -> SerialConfig:
-    """`/dev/ttyACM0` or `/dev/ttyACM0@57600`."""
-    path, at, baud = text.partition("@")
-    if not path or (at and not (baud.isdecimal() and int(baud))):
-        raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
-    return SerialConfig(path=path, baud=int(baud)) if at else SerialConfig(path=path)

@@ -32,7 +32,7 @@ log = structlog.get_logger()
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
 FAREWELL_TIMEOUT_S = 0.5
-_DEVICE_LOG = (log.debug, log.info, log.warning, log.error, log.error)  # by rosserial's level
+_DEVICE_LOG = ("debug", "info", "warning", "error", "error")  # the daemon's method for each of rosserial's levels
 
 
 class Hub:
@@ -273,7 +273,9 @@ def _log_ask(link: Link, event: events.TopicsAsked) -> None:  # noqa: ARG001 - t
 
 
 def _log_for_device(link: Link, event: events.DeviceLogged) -> None:  # noqa: ARG001
-    _DEVICE_LOG[event.level]("device.logged", level_name=LOG_LEVELS[event.level], text=printable(event.text))
+    getattr(log, _DEVICE_LOG[event.level])(
+        "device.logged", level_name=LOG_LEVELS[event.level], text=printable(event.text)
+    )
 
 
 def _log_protocol_1(link: Link, event: events.Protocol1Recognised) -> None:  # noqa: ARG001

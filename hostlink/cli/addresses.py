@@ -1,0 +1,22 @@
+"""The spelling of addresses on the command line."""
+
+from hostlink.config import SerialConfig
+from hostlink.errors import ConfigError
+
+_MAX_PORT = 0xFFFF
+
+
+def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
+    """`HOST:PORT`, `:PORT` or `[::1]:PORT`."""
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdecimal() or int(port) > _MAX_PORT:
+        raise ConfigError(option, f"{text!r} is not HOST:PORT")
+    return host.strip("[]") or default_host, int(port)
+
+
+def parse_serial(text: str) -> SerialConfig:
+    """`/dev/ttyACM0` or `/dev/ttyACM0@57600`."""
+    path, at, baud = text.partition("@")
+    if not path or (at and not (baud.isdecimal() and int(baud))):
+        raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
+    return SerialConfig(path=path, baud=int(baud)) if at else SerialConfig(path=path)

@@ -1,0 +1,103 @@
+"""`hostlink demo`: the daemon and a simulated robot in one process, driven in a gentle curve until somebody drives."""
+
+import asyncio
+import contextlib
+import math
+import sys
+from typing import Annotated
+
+import typer
+
+from hostlink import logs
+from hostlink.cli.serve import merge, running, stop_signals
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import HostlinkError
+from hostlink.hub.hub import Hub
+from hostlink.hub.robots import DEMO_PRIORITY, Robot
+from hostlink.robot.velocity import Velocity
+from hostlink.sim.run import run_fleet
+
+OWNER = "demo"
+CURVE = Velocity(linear_x_m_s=0.15, angular_z_rad_s=0.3)  # a circle of a metre across
+COMMAND_INTERVAL_S = 0.2  # well within the lease
+PAUSE_S = 5.0  # somebody who drove may want to look before the demo drives on
+LINE_INTERVAL_S = 0.2
+PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # ROBOT.md
+
+
+def command(
+    *,
+    robots: Annotated[int, typer.Option(min=1, max=50, help="How many simulated robots.")] = 1,
+    listen: Annotated[str, typer.Option(help="Where devices connect: HOST:PORT.")] = "127.0.0.1:11411",
+    api: Annotated[str, typer.Option(help="Where programs connect: HOST:PORT.")] = "127.0.0.1:9090",
+) -> None:
+    """Run the daemon with simulated robots; drive them from anywhere, or watch."""
+    logs.configure(level="error")
+    names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
+    asyncio.run(_demo(merge(Config(robots=names), listen=listen, api=api), robots))
+
+
+async def _demo(config: Config, robots: int) -> None:
+    with stop_signals() as stopped:
+        async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
+            host, port = addresses.tcp
+            fleet = tasks.create_task(run_fleet(host, port, robots=robots), name="simulated robots")
+            driver = tasks.create_task(_drive(hub), name="demo driver")
+            line = tasks.create_task(_show(hub), name="live line")
+            _print_welcome(addresses.api)
+            await stopped.wait()
+            line.cancel()
+            driver.cancel()
+            sys.stdout.write("\nstopping the robots ...\n")
+            hub.robots.leave(OWNER)
+            await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots hear it before they go
+            fleet.cancel()
+
+
+def _print_welcome(api: str) -> None:
+    sys.stdout.write(
+        f"hostlink runs: {api}  (open it in a browser)\n"
+        f"  drive     hostlink teleop --url {api}\n"
+        f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'\n'
+        f"  read      curl {api}/api/robots/robot_0/odometry\n"
+        "Ctrl-C ends it.\n"
+    )
+    sys.stdout.flush()
+
+
+async def _drive(hub: Hub) -> None:
+    """Drive every robot in a curve; whoever else drives one has it until he has left it alone for a while."""
+    now_s = asyncio.get_running_loop().time
+    busy_until_s: dict[str, float] = {}
+    while True:
+        for robot in hub.robots.all():
+            if robot.gate.holder not in (None, OWNER):
+                busy_until_s[robot.name] = now_s() + PAUSE_S
+            elif now_s() >= busy_until_s.get(robot.name, 0.0):
+                with contextlib.suppress(HostlinkError):  # not connected yet, or taken this very moment
+                    hub.robots.command(robot, CURVE, owner=OWNER, priority=DEMO_PRIORITY)
+        await asyncio.sleep(COMMAND_INTERVAL_S)
+
+
+async def _show(hub: Hub) -> None:
+    """One line that is written over again on a terminal; elsewhere a line a second."""
+    is_terminal = sys.stdout.isatty()
+    while True:
+        robots = hub.robots.all()
+        if robots:
+            text = "   ".join(_describe(robot) for robot in robots[:2])
+            sys.stdout.write(f"\r\x1b[2K{text}" if is_terminal else f"{text}\n")
+            sys.stdout.flush()
+        await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
+
+
+def _describe(robot: Robot) -> str:
+    seen = robot.odometry.snapshot(asyncio.get_running_loop().time())
+    if seen is None or robot.link is None:
+        return f"{robot.name} waits for its odometry"
+    pose, twist = seen["pose"], seen["twist"]
+    return (
+        f"{robot.name}  x {pose['x_m']:+6.2f} m  y {pose['y_m']:+6.2f} m  "
+        f"heading {math.degrees(pose['theta_rad']):+6.1f}°  {twist['linear_m_s']:+5.2f} m/s  "
+        f"driven by {robot.gate.holder or 'nobody'}"
+    )

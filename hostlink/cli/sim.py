@@ -1,0 +1,27 @@
+"""`hostlink sim`: robots without hardware that connect to a host."""
+
+import asyncio
+import contextlib
+import sys
+from typing import Annotated
+
+import typer
+
+from hostlink.cli.addresses import parse_address
+from hostlink.sim.run import run_fleet
+
+
+def command(
+    *,
+    connect: Annotated[str, typer.Option(help="The host's address for devices: HOST:PORT.")] = "127.0.0.1:11411",
+    robots: Annotated[int, typer.Option(min=1, max=200, help="How many: robot_0, robot_1, ...")] = 1,
+    first: Annotated[int, typer.Option(min=0, help="The number of the first one.")] = 0,
+) -> None:
+    """Run simulated robots: the paper's, on a 38400 baud UART with all the faults of the original client library."""
+    host, port = parse_address("--connect", connect, "127.0.0.1")
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(run_fleet(host, port, robots=robots, first=first, say=_say))
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(line + "\n")

@@ -1,0 +1,141 @@
+"""SimulatedRobot: the paper's robot on a SimulatedDevice: topics, 30 Hz loop, watchdog, odometry. Pure."""
+
+from typing import Any
+
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import MessageType
+from hostlink.protocol.control import Parameter
+from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.sim.controller import LEFT_GAINS, RIGHT_GAINS, Gains, WheelController
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.drive_train import FULL_SPEED_TICKS_S, DriveTrain
+
+LOOP_S = 1 / 30
+PUBLISH_EVERY = 3
+WATCHDOG_S = 0.5
+_INFO = 1
+
+
+class SimulatedRobot:
+    """Call `turn` thirty times a second; what it sends is in `device.to_host`."""
+
+    def __init__(self, name: str, catalog: Catalog, *, device: SimulatedDevice | None = None) -> None:
+        self.name = name
+        self.device = SimulatedDevice() if device is None else device
+        self.pose = Pose()  # as the robot believes
+        self.drive = DifferentialDrive()
+        self.wheels = (DriveTrain(), DriveTrain())
+        self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
+        self._turns = 0
+        self._commanded_at_s: float | None = None
+        self._now_s = 0.0
+        self._greeting = 0
+        self._types = {key: _message_type(catalog, key) for key in ("Twist", "Pose2D", "Vector3")}
+        self._odometry = self._advertise("odometry", "Pose2D")
+        self._plot = self._advertise("plot_data", "Twist")
+        self._subscribe_all(catalog)
+
+    @property
+    def speed_m_s(self) -> float:
+        """How fast the robot truly moves forward."""
+        left, right = (wheel.speed_ticks_s * self.drive.metres_per_tick for wheel in self.wheels)
+        return self.drive.body_velocity(left, right)[0]
+
+    def turn(self, now_s: float) -> float | None:
+        """One turn of the loop; None when it is done, else call again after so many seconds (the retry clause)."""
+        self._now_s = now_s
+        wait_s = self.device.spin(now_s)
+        if wait_s is not None:
+            return wait_s
+        self._greet()
+        is_stale = self._commanded_at_s is not None and now_s - self._commanded_at_s > WATCHDOG_S
+        if is_stale or not self.device.is_configured:
+            self._command(0.0, 0.0)
+            self._commanded_at_s = None
+        ticks = [wheel.step(control.pwm, LOOP_S) for wheel, control in zip(self.wheels, self.controllers, strict=True)]
+        rolled = [control.step(count, LOOP_S) for control, count in zip(self.controllers, ticks, strict=True)]
+        left_m, right_m = (count * self.drive.metres_per_tick for count in rolled)
+        self.pose = self.drive.integrate(self.pose, left_m, right_m)
+        self._turns += 1
+        if self._turns % PUBLISH_EVERY == 0:
+            self._publish()
+        return None
+
+    def reboot(self) -> None:
+        """Power off and on: it stands at the origin of a new odometry."""
+        self.device.reboot()
+        self.pose = Pose()
+        self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
+        self._commanded_at_s = None
+        self._greeting = 0
+
+    def _publish(self) -> None:
+        left, right = self.controllers
+        pose = dict(zip(("x", "y", "theta"), self.pose, strict=True))
+        plot = {
+            "linear": {"x": left.speed_ticks_s, "y": right.speed_ticks_s, "z": float(left.pwm)},
+            "angular": {"x": left.set_point.value, "y": right.set_point.value, "z": float(right.pwm)},
+        }
+        self.device.publish(self._odometry, self._types["Pose2D"].encode(pose), self._now_s)
+        self.device.publish(self._plot, self._types["Twist"].encode(plot), self._now_s)
+
+    def _greet(self) -> None:
+        """Once configured, say so, and ask for what may be set; without an answer the constants hold."""
+        if not self.device.is_configured:
+            self._greeting = 0
+        elif self._greeting == 0:
+            self._greeting = 1
+            self.device.log(_INFO, f"{self.name} is ready", self._now_s)
+            self.device.ask_parameter(f"/{self.name}/wheel_separation", self._set_separation, self._now_s)
+
+    def _set_separation(self, parameter: Parameter) -> None:
+        if parameter.floats and parameter.floats[0] > 0:
+            self.drive = DifferentialDrive(wheel_separation_m=parameter.floats[0])
+        if self._greeting == 1:
+            self._greeting = 2
+            self.device.ask_parameter(f"/{self.name}/wheel_radius", self._set_radius, self._now_s)
+
+    def _set_radius(self, parameter: Parameter) -> None:
+        if parameter.floats and parameter.floats[0] > 0:
+            separation_m = self.drive.wheel_separation_m
+            self.drive = DifferentialDrive(wheel_separation_m=separation_m, wheel_radius_m=parameter.floats[0])
+
+    def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
+        speeds = self.drive.wheel_speeds(linear_m_s, angular_rad_s)
+        wanted = [speed / self.drive.metres_per_tick for speed in speeds]
+        factor = min(1.0, FULL_SPEED_TICKS_S / max(1.0, *map(abs, wanted)))  # both, so that the curvature stays
+        for control, ticks_s in zip(self.controllers, wanted, strict=True):
+            control.aim(ticks_s * factor)
+
+    def _take_velocity(self, payload: bytes) -> None:
+        twist: dict[str, Any] = self._types["Twist"].decode(payload)
+        self._commanded_at_s = self._now_s
+        self._command(twist["linear"]["x"], twist["angular"]["z"])
+
+    def _reset(self, _: bytes) -> None:
+        self.pose = Pose()
+
+    def _tune(self, wheel: int, payload: bytes) -> None:
+        gains: dict[str, Any] = self._types["Vector3"].decode(payload)
+        self.controllers[wheel].gains = Gains(gains["x"], gains["y"], gains["z"])
+
+    def _advertise(self, topic: str, type_name: str) -> int:
+        type_ = self._types[type_name]
+        return self.device.advertise(f"/{self.name}/{topic}", type_.name, type_.md5)
+
+    def _subscribe_all(self, catalog: Catalog) -> None:
+        empty = catalog.message("std_msgs/Empty")
+        for topic, type_, callback in (
+            ("velocity_commands", self._types["Twist"], self._take_velocity),
+            ("reset_odometry", empty, self._reset),
+            ("pid_tune_l", self._types["Vector3"], lambda payload: self._tune(0, payload)),
+            ("pid_tune_r", self._types["Vector3"], lambda payload: self._tune(1, payload)),
+        ):
+            assert type_ is not None  # noqa: S101 - of the store that the project is built on
+            self.device.subscribe(f"/{self.name}/{topic}", type_.name, type_.md5, callback)
+
+
+def _message_type(catalog: Catalog, name: str) -> MessageType:
+    type_ = catalog.message(f"geometry_msgs/{name}")
+    assert type_ is not None  # noqa: S101 - of the store that the project is built on
+    return type_

@@ -1,0 +1,104 @@
+"""Runs simulated robots in real time against a host: over TCP, as their ESP8266 would, or over any pair of streams."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+
+from hostlink.messages.catalog import Catalog
+from hostlink.sim.robot import LOOP_S, SimulatedRobot
+
+READ_BYTES = 4096
+RECONNECT_S = 0.5
+LINE_POLL_S = 0.004  # how often what has left the UART is passed on: as an ESP8266's loop does
+
+
+async def run_fleet(
+    host: str, port: int, *, robots: int = 1, first: int = 0, say: Callable[[str], None] = lambda _: None
+) -> None:
+    """Run robot_0, robot_1, ... until cancelled; each connects again for ever."""
+    catalog = Catalog()
+    async with asyncio.TaskGroup() as tasks:
+        for number in range(first, first + robots):
+            robot = SimulatedRobot(f"robot_{number}", catalog)
+            tasks.create_task(run_over_tcp(robot, host, port, say=say), name=robot.name)
+
+
+async def run_over_tcp(
+    robot: SimulatedRobot, host: str, port: int, *, say: Callable[[str], None] = lambda _: None
+) -> None:
+    """Connect, talk, connect again, until cancelled; the robot's own loop never stops."""
+    said = ""
+    async with _alive(robot):
+        while True:
+            try:
+                reader, writer = await asyncio.open_connection(host, port)
+            except OSError as error:
+                if said != str(error):
+                    said = str(error)
+                    say(f"{robot.name}: waiting for a host at {host}:{port}: {error.strerror or error}")
+            else:
+                said = ""
+                say(f"{robot.name}: connected to {host}:{port}")
+                await _talk(robot, reader, writer)
+                say(f"{robot.name}: the host closed the connection")
+            await asyncio.sleep(RECONNECT_S)
+
+
+async def run_over_streams(robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Run the robot on an open connection until that ends."""
+    async with _alive(robot):
+        await _talk(robot, reader, writer)
+
+
+@contextlib.asynccontextmanager
+async def _alive(robot: SimulatedRobot) -> AsyncIterator[None]:
+    """The robot's loop turns for the length of the block."""
+    async with asyncio.TaskGroup() as tasks:
+        loop = tasks.create_task(_turn(robot), name=f"{robot.name} loop")
+        try:
+            yield
+        finally:
+            loop.cancel()
+
+
+async def _talk(robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Carry bytes between the robot's UART and the connection, until one of them ends it."""
+    now_s = asyncio.get_running_loop().time
+    with contextlib.suppress(OSError):  # the host is gone; the caller decides what next
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                passing = tasks.create_task(_pass_on(robot, writer), name=f"{robot.name} UART")
+                try:
+                    while data := await reader.read(READ_BYTES):
+                        robot.device.from_host.send(data, now_s())
+                finally:
+                    passing.cancel()
+        except* OSError as broken:
+            raise broken.exceptions[0] from None
+        finally:
+            robot.device.from_host.cut()
+            robot.device.to_host.cut()
+            writer.close()
+            await writer.wait_closed()
+
+
+async def _pass_on(robot: SimulatedRobot, writer: asyncio.StreamWriter) -> None:
+    now_s = asyncio.get_running_loop().time
+    while True:
+        data = robot.device.to_host.take(now_s())
+        if data:
+            writer.write(data)
+            await writer.drain()
+        await asyncio.sleep(LINE_POLL_S)
+
+
+async def _turn(robot: SimulatedRobot) -> None:
+    """Thirty turns a second; within one the retry clause may wait, and the turn goes on after that."""
+    now_s = asyncio.get_running_loop().time
+    next_s = now_s()
+    while True:
+        wait_s = robot.turn(now_s())
+        if wait_s is None:
+            next_s = max(next_s + LOOP_S, now_s())
+            wait_s = next_s - now_s()
+        await asyncio.sleep(wait_s)
