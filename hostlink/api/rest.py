@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from aiohttp import web
 
-from hostlink.api.views import link_view, odometry_view, robot_view, topic_views
+from hostlink.api.views import link_views, odometry_view, robot_view, topic_views
 from hostlink.errors import (
     BadPayload,
     BadRequest,
@@ -114,7 +114,7 @@ class Rest:
         return reply({"reset": robot.topics.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
-        return reply({"links": [link_view(link) for link in self._hub.links()], "crashes": self._hub.crashes})
+        return reply({"links": link_views(self._hub), "crashes": self._hub.crashes})
 
     async def _topics(self, _: web.Request) -> web.Response:
         return reply({"topics": topic_views(self._hub)})

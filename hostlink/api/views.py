@@ -5,7 +5,6 @@ from typing import Any
 
 from hostlink.hub.hub import Hub
 from hostlink.hub.robots import Robot
-from hostlink.link.link import Link
 
 
 def robot_view(robot: Robot) -> dict[str, Any]:
@@ -30,26 +29,29 @@ def odometry_view(robot: Robot) -> dict[str, Any] | None:
     return robot.odometry.snapshot(asyncio.get_running_loop().time())
 
 
-def link_view(link: Link) -> dict[str, Any]:
-    """One connection and what was counted on it."""
+def link_views(hub: Hub) -> list[dict[str, Any]]:
+    """Every live connection, its topics and what was counted on it."""
     now_s = asyncio.get_running_loop().time()
-    return {
-        "number": link.number,
-        "peer": link.peer,
-        "silent_s": round(now_s - link.heard_at_s, 3),
-        "topics": [
-            {
-                "kind": info.kind.name.lower(),
-                "id": info.topic_id,
-                "name": info.name,
-                "type": info.type,
-                "md5": info.md5,
-                "buffer_bytes": info.buffer_bytes,
-            }
-            for info in link.session.topics
-        ],
-        **link.facts(),
-    }
+    return [
+        {
+            "number": link.number,
+            "peer": link.peer,
+            "silent_s": round(now_s - link.heard_at_s, 3),
+            "topics": [
+                {
+                    "kind": info.kind.name.lower(),
+                    "id": info.topic_id,
+                    "name": info.name,
+                    "type": info.type,
+                    "md5": info.md5,
+                    "buffer_bytes": info.buffer_bytes,
+                }
+                for info in link.session.topics
+            ],
+            **link.facts(),
+        }
+        for link in hub.links()
+    ]
 
 
 def topic_views(hub: Hub) -> list[dict[str, Any]]:

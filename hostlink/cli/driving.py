@@ -1,0 +1,107 @@
+"""Driving: from keys and time to a velocity. Pure; whatever stops coming, the velocity goes to zero."""
+
+from hostlink.cli.keys import Action, Key
+
+GRACE_S = 0.6  # from the first press of a key to its first repeat: half a second on usual systems
+HOLD_S = 0.2  # between repeats: three of their periods, and a little
+STEP = 1.1  # a speed key changes by a tenth
+SEND_INTERVAL_S = 0.1
+ZEROS = 3  # one may be lost on a radio
+
+Direction = tuple[int, int]  # forward, counter-clockwise
+
+_ORIGINAL: dict[str, Direction] = {
+    "q": (1, 1), "w": (1, 0), "e": (1, -1),
+    "a": (0, 1), "d": (0, -1),
+    "z": (-1, -1), "x": (-1, 0), "c": (-1, 1),
+}  # fmt: skip
+_FIELD: dict[str, Direction] = {
+    "u": (1, 1), "i": (1, 0), "o": (1, -1),
+    "j": (0, 1), "l": (0, -1),
+    "m": (-1, -1), ",": (-1, 0), ".": (-1, 1),
+    "up": (1, 0), "down": (-1, 0), "left": (0, 1), "right": (0, -1),
+}  # fmt: skip
+_ORIGINAL_SPEEDS: dict[str, tuple[float, float]] = {
+    "t": (STEP, STEP), "b": (1 / STEP, 1 / STEP),
+    "y": (STEP, 1), "n": (1 / STEP, 1),
+    "u": (1, STEP), "m": (1, 1 / STEP),
+}  # fmt: skip
+_FIELD_SPEEDS: dict[str, tuple[float, float]] = {
+    "q": (STEP, STEP), "z": (1 / STEP, 1 / STEP),
+    "w": (STEP, 1), "x": (1 / STEP, 1),
+    "e": (1, STEP), "c": (1, 1 / STEP),
+}  # fmt: skip
+
+LAYOUTS = {
+    # u and m change the turning speed, as in the original; the field's other keys drive.
+    "original": ({**_FIELD, **_ORIGINAL}, _ORIGINAL_SPEEDS),
+    "twist": (_FIELD, _FIELD_SPEEDS),
+}
+
+
+class Driving:
+    """Which keys are held, and the velocity that they add up to.
+
+    A terminal tells presses and repeats, few tell releases: a key lives for GRACE_S after its first press and for
+    HOLD_S after each repeat. Any key without a meaning stops.
+    """
+
+    def __init__(self, *, layout: str, linear_m_s: float, angular_rad_s: float, max_linear_m_s: float = 1.0) -> None:
+        directions, self._speed_keys = LAYOUTS[layout]
+        self._directions = {key: way for key, way in directions.items() if key not in self._speed_keys}
+        self.linear_m_s, self.angular_rad_s = linear_m_s, angular_rad_s
+        self._max_linear_m_s = max_linear_m_s
+        self._held: dict[str, float] = {}  # key -> when it is let go
+        self._zeros = 0
+        self._send_at_s = float("-inf")
+
+    def take(self, key: Key, now_s: float) -> None:
+        """A key was pressed, repeated or released."""
+        if key.name in self._speed_keys:
+            if key.action is not Action.RELEASED:
+                self._change_speed(*self._speed_keys[key.name])
+        elif key.action is Action.RELEASED:
+            self._held.pop(key.name, None)
+        elif key.name in self._directions:
+            is_repeat = self._held.get(key.name, float("-inf")) > now_s
+            self._held[key.name] = now_s + (HOLD_S if is_repeat else GRACE_S)
+        else:
+            self.stop()
+
+    def stop(self) -> None:
+        """Let go of everything."""
+        self._held.clear()
+        self._send_at_s = float("-inf")
+
+    def velocity(self, now_s: float) -> tuple[float, float]:
+        """(m/s, rad/s) of the keys that are held now."""
+        self._held = {key: until_s for key, until_s in self._held.items() if until_s > now_s}
+        ways = [self._directions[key] for key in self._held]
+        forward = max(-1, min(1, sum(way for way, _ in ways)))
+        turn = max(-1, min(1, sum(way for _, way in ways)))
+        return forward * self.linear_m_s, turn * self.angular_rad_s
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether zeros are left to send."""
+        return self._zeros > 0
+
+    def due(self, now_s: float) -> tuple[float, float] | None:
+        """What to send now: the velocity while driving, zeros at the end, then nothing."""
+        velocity = self.velocity(now_s)
+        is_moving = velocity != (0.0, 0.0)
+        if is_moving:
+            self._zeros = ZEROS
+        elif self._zeros == ZEROS:
+            self._send_at_s = float("-inf")  # the first zero does not wait
+        if now_s < self._send_at_s or (not is_moving and self._zeros == 0):
+            return None
+        if not is_moving:
+            self._zeros -= 1
+        self._send_at_s = now_s + SEND_INTERVAL_S
+        return velocity
+
+    def _change_speed(self, linear: float, angular: float) -> None:
+        """Within reason; a speed key alone moves nothing."""
+        self.linear_m_s = min(max(self.linear_m_s * linear, 0.01), self._max_linear_m_s)
+        self.angular_rad_s = min(max(self.angular_rad_s * angular, 0.05), 4.0)

@@ -1,0 +1,49 @@
+"""`hostlink pub`: publish messages on a topic."""
+
+import asyncio
+import sys
+from typing import Annotated
+
+import typer
+
+from hostlink.cli.arguments import json_object
+from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.errors import HostlinkError
+
+ANSWER_S = 0.3  # a refusal comes within it, on one machine and on a network
+
+
+def command(
+    topic: Annotated[str, typer.Argument(show_default=False)],
+    message: Annotated[
+        str, typer.Argument(help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero.', show_default=False)
+    ],
+    *,
+    type_name: Annotated[
+        str, typer.Option("--type", help="As geometry_msgs/Twist; that of the topic if it is known.")
+    ] = "",
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Messages a second, with --count.")] = 10.0,
+    count: Annotated[int, typer.Option(min=0, help="How many; 0: until Ctrl-C.")] = 1,
+    url: Annotated[str, typer.Option(help="Where hostlink's API is.")] = DEFAULT_URL,
+) -> None:
+    """Publish a message once, or at a rate. A robot that is driven so stops when this command ends."""
+    asyncio.run(_pub(url, topic, json_object("MESSAGE", message), type_name, rate, count))
+
+
+async def _pub(url: str, topic: str, message: dict[str, object], type_name: str, rate_hz: float, count: int) -> None:
+    async with connect(url) as host:
+        sent = 0
+        while not count or sent < count:
+            if sent:
+                await asyncio.sleep(1 / rate_hz)
+            await host.publish(topic, message, type_name=type_name)
+            sent += 1
+        await _hear_refusal(host, topic)
+    sys.stderr.write(f"{sent} sent\n")
+
+
+async def _hear_refusal(host: Host, topic: str) -> None:
+    await asyncio.sleep(ANSWER_S)
+    refusal = host.take_refusal(topic)
+    if refusal:
+        raise HostlinkError(refusal)

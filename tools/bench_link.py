@@ -1,0 +1,326 @@
+"""`make bench`: how fast bytes become messages, each figure as a ratio to a yardstick of the same run.
+
+Writes build/bench.json and prints a table; docs/performance.md holds a copy of a run with its date.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import platform
+import resource
+import statistics
+import struct
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+
+from hostlink import logs
+from hostlink.cli.serve import running
+from hostlink.config import ApiConfig, Config, TcpConfig
+from hostlink.hub.hub import Hub
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.stream import FrameStream
+
+POSE_MD5 = "938fa65709584ad8e77d238529be13b8"
+TWIST_MD5 = "9f195f881246fdfa2798d1d3eebca84a"
+PAYLOAD = struct.pack("<3d", 1.0, 2.0, 0.5)  # 24 bytes, as a Pose2D
+READ_BYTES = 65536
+REPEATS = 5
+SETTLE_S = 0.5  # for a device to be negotiated, a client to be subscribed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("build/bench.json"))
+    parser.add_argument("--quick", action="store_true", help="a tenth of the frames: does it run at all?")
+    arguments = parser.parse_args()
+    logs.configure(level="error")
+    frames = 20_000 if arguments.quick else 200_000
+    rows = [*parser_rows(frames), *asyncio.run(daemon_rows(frames))]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    report = {"python": platform.python_version(), "machine": platform.machine(), "rows": rows}
+    arguments.out.write_text(json.dumps(report, indent=1) + "\n")
+    for row in rows:
+        ratio = f"{row['ratio']:.3g}" if row["ratio"] is not None else ""
+        print(f"{row['what']:<62} {row['value']:>12,.4g} {row['unit']:<9} {ratio:>8} {row['yardstick']}")
+    missed = [row["what"] for row in rows if not row["is_enough"]]
+    if missed:
+        sys.exit("not fast enough: " + ", ".join(missed))
+
+
+def row(
+    what: str, value: float, unit: str, *, yardstick: str = "", ratio: float | None = None, **limit: float
+) -> dict[str, Any]:
+    """One figure; `at_least` or `at_most` is what the project promises."""
+    is_enough = limit.get("at_least", value) <= value <= limit.get("at_most", value)
+    return {"what": what, "value": value, "unit": unit, "ratio": ratio, "yardstick": yardstick, "is_enough": is_enough}
+
+
+# -- the parser -------------------------------------------------------------------------------------------------------
+
+
+def parser_rows(frames: int) -> Iterator[dict[str, Any]]:
+    frame = encode(125, PAYLOAD)
+    for cut, name, count, floor in (
+        (READ_BYTES, "64 KiB reads", frames, 350_000.0),
+        (len(frame), "single frames", frames, 0.0),
+        (1, "single bytes", frames // 20, 0.0),
+    ):
+        reads = pieces(frame * count, cut)
+        parsed = best(lambda reads=reads, count=count: parse(reads, count))
+        copied = best(lambda reads=reads: copy(reads))
+        yield row(
+            f"parser, 24-byte payloads in {name}",
+            count / parsed,
+            "frames/s",
+            yardstick="of the time that copying the same reads takes",
+            ratio=parsed / copied,
+            at_least=floor,
+        )
+
+
+def pieces(data: bytes, size: int) -> list[bytes]:
+    return [data[at : at + size] for at in range(0, len(data), size)]
+
+
+def parse(reads: list[bytes], count: int) -> None:
+    stream = FrameStream()
+    found = sum(1 for read in reads for _ in stream.feed(read))
+    if found != count:
+        raise AssertionError(f"{found} frames of {count}")
+
+
+def copy(reads: list[bytes]) -> None:
+    buffer = bytearray()
+    for read in reads:
+        buffer += read
+        if len(buffer) > READ_BYTES:
+            buffer.clear()
+
+
+def best(work: Callable[[], None]) -> float:
+    """The shortest of some runs, in seconds: what the machine can do when nothing else wants it."""
+    times = []
+    for _ in range(REPEATS):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+# -- the daemon -------------------------------------------------------------------------------------------------------
+
+
+async def daemon_rows(frames: int) -> list[dict[str, Any]]:
+    """Floods run from a process of their own, so that the daemon has a core for itself."""
+    raw = await raw_tcp(frames)
+    rows = []
+    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0))
+    async with running(config) as (hub, addresses):
+        host, port = addresses.tcp
+        taken = await hub_flood(hub, host, port, frames)
+        rows.append(
+            row(
+                "TCP to a subscriber of the hub, one device flooding",
+                taken,
+                "frames/s",
+                yardstick="of asyncio reading the same bytes and doing nothing",
+                ratio=taken / raw,
+                at_least=100_000.0,
+            )
+        )
+        for clients in (1, 10):
+            sent = await websocket_flood(addresses.api, host, port, frames // 10, clients)
+            rows.append(
+                row(
+                    f"TCP to {clients} WebSocket client(s) as JSON, messages to all of them",
+                    sent,
+                    "msg/s",
+                    yardstick="of the hub's rate",
+                    ratio=sent / taken,
+                )
+            )
+        latencies = await to_device(addresses.api, host, port)
+        echo = await echo_latency()
+        rows.append(
+            row(
+                "program (WebSocket) to device at 100 Hz, median",
+                statistics.median(latencies) * 1000,
+                "ms",
+                yardstick="times a raw asyncio echo at 100 Hz",
+                ratio=statistics.median(latencies) / echo,
+                at_most=1.0,
+            )
+        )
+        p99 = statistics.quantiles(latencies, n=100)[98]
+        rows.append(row("program (WebSocket) to device at 100 Hz, p99", p99 * 1000, "ms"))
+    rows.append(
+        row("memory of the process at its largest", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "MiB")
+    )
+    return rows
+
+
+FLOOD = """
+import socket, sys
+wire = bytes.fromhex(sys.argv[3]) * 512
+link = socket.create_connection((sys.argv[1], int(sys.argv[2])))
+link.sendall(bytes.fromhex(sys.argv[4]))
+sys.stdin.read(1)
+for _ in range(int(sys.argv[5]) // 512): link.sendall(wire)
+sys.stdin.read(1)
+"""
+
+
+@contextlib.asynccontextmanager
+async def flooding(host: str, port: int, topic: str, frames: int) -> AsyncIterator[Callable[[], Awaitable[None]]]:
+    """A device in another process that announces a Pose2D and, when told, sends it as fast as TCP takes it."""
+    info = TopicInfo(Id.PUBLISHER, 125, topic, "geometry_msgs/Pose2D", POSE_MD5, 512)
+    hello = encode(Id.TIME, bytes(8)) + encode(Id.PUBLISHER, encode_topic_info(info)) + encode(Id.TIME, bytes(8))
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", FLOOD, host, str(port), encode(125, PAYLOAD).hex(), hello.hex(), str(frames),
+        stdin=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    stdin = process.stdin
+    if stdin is None:
+        raise AssertionError("a pipe was asked for")
+
+    async def go() -> None:
+        stdin.write(b"g")
+        await stdin.drain()
+
+    try:
+        yield go
+    finally:
+        stdin.close()
+        await process.wait()
+
+
+async def raw_tcp(frames: int) -> float:
+    """Frames a second that a bare asyncio reader takes off the same flood: the yardstick."""
+    wanted = frames // 512 * 512 * (len(PAYLOAD) + 8)
+    done: asyncio.Future[float] = asyncio.get_running_loop().create_future()
+
+    async def read(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        got, began = 0, 0.0
+        while data := await reader.read(READ_BYTES):
+            began = began or time.perf_counter()
+            got += len(data)
+            if got >= wanted and not done.done():
+                done.set_result(frames / (time.perf_counter() - began))
+        writer.close()
+
+    server = await asyncio.start_server(read, "127.0.0.1", 0)
+    async with server, flooding(*server.sockets[0].getsockname()[:2], "/raw", frames) as go:
+        await go()
+        return await done
+
+
+async def hub_flood(hub: Hub, host: str, port: int, frames: int) -> float:
+    wanted = frames // 512 * 512
+    done = asyncio.Event()
+    times = [0.0, 0.0]
+    count = 0
+
+    def deliver(_: Any) -> None:
+        nonlocal count
+        count += 1
+        if count == 1:
+            times[0] = time.perf_counter()
+        if count == wanted:
+            times[1] = time.perf_counter()
+            done.set()
+
+    unsubscribe = hub.topics.subscribe("/flood", deliver)
+    async with flooding(host, port, "/flood", frames) as go:
+        await asyncio.sleep(SETTLE_S)
+        await go()
+        async with asyncio.timeout(60):
+            await done.wait()
+    unsubscribe()
+    return wanted / (times[1] - times[0])
+
+
+async def websocket_flood(api: str, host: str, port: int, frames: int, clients: int) -> float:
+    """Messages a second that reach all clients; what is dropped on the way does not count."""
+    async with aiohttp.ClientSession() as session, flooding(host, port, "/flood", frames) as go:
+        sockets = [await session.ws_connect(api) for _ in range(clients)]
+        for socket in sockets:
+            await socket.send_json({"op": "subscribe", "topic": "/flood"})
+        await asyncio.sleep(SETTLE_S)
+        began = time.perf_counter()
+        await go()
+        counts = [0] * clients
+
+        async def count(number: int) -> None:
+            with contextlib.suppress(TimeoutError):
+                while True:
+                    async with asyncio.timeout(1.0):
+                        await sockets[number].receive()
+                    counts[number] += 1
+                    ends[number] = time.perf_counter()
+
+        ends = [began] * clients
+        async with asyncio.TaskGroup() as tasks:
+            for number in range(clients):
+                tasks.create_task(count(number))
+        for socket in sockets:
+            await socket.close()
+    return sum(counts) / (max(ends) - began)
+
+
+async def to_device(api: str, host: str, port: int) -> list[float]:
+    """From a client's send to the device's read, a hundred times a second."""
+    reader, writer = await asyncio.open_connection(host, port)
+    info = TopicInfo(Id.SUBSCRIBER, 100, "/bench_in", "geometry_msgs/Twist", TWIST_MD5, 512)
+    writer.write(encode(Id.TIME, bytes(8)) + encode(Id.SUBSCRIBER, encode_topic_info(info)) + encode(Id.TIME, bytes(8)))
+    latencies = []
+    async with aiohttp.ClientSession() as session, session.ws_connect(api) as socket:
+        await asyncio.sleep(SETTLE_S)
+        stream = FrameStream()
+        async with asyncio.timeout(60):
+            for number in range(200):
+                await asyncio.sleep(0.01)
+                began = time.perf_counter()
+                message = {"linear": {"x": float(number + 1)}}
+                await socket.send_json(
+                    {"op": "publish", "topic": "/bench_in", "type": "geometry_msgs/Twist", "msg": message}
+                )
+                while not any(getattr(item, "topic_id", 0) == 100 for item in stream.feed(await reader.read(4096))):
+                    continue
+                latencies.append(time.perf_counter() - began)
+    writer.close()
+    await writer.wait_closed()
+    return latencies
+
+
+async def echo_latency() -> float:
+    """Median of a raw asyncio echo over TCP at 100 Hz: the yardstick of the latencies."""
+
+    async def echo(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while data := await reader.read(READ_BYTES):
+            writer.write(data)
+        writer.close()
+
+    server = await asyncio.start_server(echo, "127.0.0.1", 0)
+    async with server:
+        reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname()[:2])
+        times = []
+        for _ in range(100):
+            await asyncio.sleep(0.01)
+            began = time.perf_counter()
+            writer.write(PAYLOAD)
+            await reader.read(READ_BYTES)
+            times.append(time.perf_counter() - began)
+        writer.close()
+        await writer.wait_closed()
+    return statistics.median(times)
+
+
+if __name__ == "__main__":
+    main()
