@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-SMALL_ANGLE_RAD = 1e-6  # below it the arc is a straight line to the last digit of a double
+SMALL_ANGLE_RAD = 1e-8  # below it an arc and its chord are equally long to the last digit of a double
 
 
 class Pose(NamedTuple):
@@ -16,9 +16,17 @@ class Pose(NamedTuple):
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same angle in (-pi, pi]."""
+    """The same angle in (-pi, pi]; NaN for one that is not finite."""
+    if not math.isfinite(angle_rad):
+        return math.nan
     wrapped = math.remainder(angle_rad, math.tau)
     return math.pi if wrapped <= -math.pi else wrapped
+
+
+def chord_per_arc(turned_rad: float) -> float:
+    """How long the chord of an arc is in lengths of the arc; 2/pi for half a turn."""
+    half_rad = turned_rad / 2
+    return 1.0 if abs(turned_rad) < SMALL_ANGLE_RAD else math.sin(half_rad) / half_rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,19 +52,15 @@ class DifferentialDrive:
         return (left_m_s + right_m_s) / 2, (right_m_s - left_m_s) / self.wheel_separation_m
 
     def integrate(self, pose: Pose, left_m: float, right_m: float) -> Pose:
-        """The pose after the wheels rolled this far: along the arc of a circle."""
-        distance_m = (left_m + right_m) / 2
+        """The pose after the wheels rolled this far: along the arc of a circle.
+
+        ROBOT.md's d/D sin D and d/D (1-cos D), written as the chord and its direction: no digits get lost near D = 0.
+        """
         turned_rad = (right_m - left_m) / self.wheel_separation_m
-        if abs(turned_rad) < SMALL_ANGLE_RAD:
-            forward_m = distance_m * math.cos(turned_rad / 2)
-            left_of_m = distance_m * math.sin(turned_rad / 2)
-        else:
-            radius_m = distance_m / turned_rad
-            forward_m = radius_m * math.sin(turned_rad)
-            left_of_m = radius_m * (1 - math.cos(turned_rad))
-        cos, sin = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
+        chord_m = (left_m + right_m) / 2 * chord_per_arc(turned_rad)
+        heading_rad = pose.theta_rad + turned_rad / 2
         return Pose(
-            pose.x_m + forward_m * cos - left_of_m * sin,
-            pose.y_m + forward_m * sin + left_of_m * cos,
+            pose.x_m + chord_m * math.cos(heading_rad),
+            pose.y_m + chord_m * math.sin(heading_rad),
             wrap_angle(pose.theta_rad + turned_rad),
         )

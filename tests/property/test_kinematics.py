@@ -1,0 +1,131 @@
+"""The kinematics against closed forms."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.robot.kinematics import SMALL_ANGLE_RAD, DifferentialDrive, Pose, chord_per_arc, wrap_angle
+
+speeds = st.floats(-2, 2)
+angles = st.floats(-math.pi, math.pi, exclude_min=True)
+poses = st.builds(Pose, st.floats(-10, 10), st.floats(-10, 10), angles)
+drives = st.builds(
+    DifferentialDrive,
+    wheel_radius_m=st.floats(0.01, 0.5),
+    wheel_separation_m=st.floats(0.05, 2),
+    ticks_per_turn=st.floats(10, 10_000),
+)
+
+
+def assert_near(ours: Pose, theirs: Pose, tolerance: float = 1e-9) -> None:
+    assert ours.x_m == pytest.approx(theirs.x_m, abs=tolerance)
+    assert ours.y_m == pytest.approx(theirs.y_m, abs=tolerance)
+    assert abs(wrap_angle(ours.theta_rad - theirs.theta_rad)) <= tolerance
+
+
+def by_the_book(drive: DifferentialDrive, pose: Pose, left_m: float, right_m: float) -> Pose:
+    """ROBOT.md's step, letter by letter."""
+    d, turned = (left_m + right_m) / 2, (right_m - left_m) / drive.wheel_separation_m
+    if abs(turned) < 1e-5:
+        dx, dy = d * math.cos(turned / 2), d * math.sin(turned / 2)
+    else:
+        dx, dy = d / turned * math.sin(turned), d / turned * (1 - math.cos(turned))
+    cos, sin = math.cos(pose.theta_rad), math.sin(pose.theta_rad)
+    theta = wrap_angle(pose.theta_rad + turned)
+    return Pose(pose.x_m + dx * cos - dy * sin, pose.y_m + dx * sin + dy * cos, theta)
+
+
+@given(drives, speeds, speeds)
+def test_forward_undoes_inverse(drive: DifferentialDrive, linear_m_s: float, angular_rad_s: float) -> None:
+    linear, angular = drive.body_velocity(*drive.wheel_speeds(linear_m_s, angular_rad_s))
+    assert linear == pytest.approx(linear_m_s, abs=1e-12)
+    assert angular == pytest.approx(angular_rad_s, abs=1e-12)
+
+
+@given(drives, speeds, speeds)
+def test_inverse_undoes_forward(drive: DifferentialDrive, left_m_s: float, right_m_s: float) -> None:
+    wheels = drive.wheel_speeds(*drive.body_velocity(left_m_s, right_m_s))
+    assert wheels == pytest.approx((left_m_s, right_m_s), abs=1e-12)
+
+
+@given(drives, poses, st.floats(-3, 3), st.floats(-3, 3))
+def test_a_step_is_that_of_the_book(drive: DifferentialDrive, pose: Pose, left_m: float, right_m: float) -> None:
+    assert_near(drive.integrate(pose, left_m, right_m), by_the_book(drive, pose, left_m, right_m), 1e-7)
+
+
+@given(drives, poses, st.floats(-5, 5))
+def test_equal_wheels_go_straight(drive: DifferentialDrive, pose: Pose, distance_m: float) -> None:
+    x_m = pose.x_m + distance_m * math.cos(pose.theta_rad)
+    y_m = pose.y_m + distance_m * math.sin(pose.theta_rad)
+    assert_near(drive.integrate(pose, distance_m, distance_m), Pose(x_m, y_m, pose.theta_rad))
+
+
+@given(drives, poses, st.floats(-10, 10))
+def test_opposite_wheels_spin_on_the_spot(drive: DifferentialDrive, pose: Pose, turned_rad: float) -> None:
+    rolled_m = turned_rad * drive.wheel_separation_m / 2
+    there = drive.integrate(pose, -rolled_m, rolled_m)
+    assert_near(there, Pose(pose.x_m, pose.y_m, wrap_angle(pose.theta_rad + turned_rad)))
+
+
+@given(drives, poses, st.floats(0.1, 3) | st.floats(-3, -0.1), st.integers(3, 60))
+def test_a_whole_circle_ends_where_it_began(drive: DifferentialDrive, start: Pose, radius_m: float, steps: int) -> None:
+    turn_rad = math.tau / steps
+    left_m, right_m = drive.wheel_speeds(radius_m * turn_rad, turn_rad)
+    centre = (start.x_m - radius_m * math.sin(start.theta_rad), start.y_m + radius_m * math.cos(start.theta_rad))
+    pose = start
+    for _ in range(steps):
+        pose = drive.integrate(pose, left_m, right_m)
+        assert math.dist(pose[:2], centre) == pytest.approx(abs(radius_m))
+    assert_near(pose, start)
+
+
+@given(drives, poses, speeds, speeds, st.integers(1, 20))
+def test_one_long_step_is_many_short_ones(
+    drive: DifferentialDrive, start: Pose, left_m: float, right_m: float, steps: int
+) -> None:
+    pose = start
+    for _ in range(steps):
+        pose = drive.integrate(pose, left_m / steps, right_m / steps)
+    assert_near(pose, drive.integrate(start, left_m, right_m), 1e-8)
+
+
+@given(poses, st.floats(-3, 3), st.floats(0.5, 2))
+def test_nothing_jumps_at_the_small_angle(pose: Pose, distance_m: float, factor: float) -> None:
+    drive = DifferentialDrive()
+    apart_m = SMALL_ANGLE_RAD * factor * drive.wheel_separation_m
+    straight = drive.integrate(pose, distance_m, distance_m)
+    bent = drive.integrate(pose, distance_m - apart_m / 2, distance_m + apart_m / 2)
+    assert_near(bent, straight, 4 * SMALL_ANGLE_RAD)
+
+
+def test_the_chord_is_as_long_as_the_arc_on_both_sides_of_the_small_angle() -> None:
+    assert chord_per_arc(math.nextafter(SMALL_ANGLE_RAD, 1)) == chord_per_arc(SMALL_ANGLE_RAD / 2) == 1
+    assert chord_per_arc(0.0) == 1
+    assert chord_per_arc(math.pi) == chord_per_arc(-math.pi) == pytest.approx(2 / math.pi)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_a_wrapped_angle_is_the_same_direction_within_bounds(angle_rad: float) -> None:
+    wrapped = wrap_angle(angle_rad)
+    assert -math.pi < wrapped <= math.pi
+    assert math.cos(wrapped) == pytest.approx(math.cos(angle_rad), abs=1e-9)
+    assert math.sin(wrapped) == pytest.approx(math.sin(angle_rad), abs=1e-9)
+    assert wrap_angle(wrapped) == wrapped
+
+
+def test_half_a_turn_is_plus_pi_either_way() -> None:
+    assert wrap_angle(math.pi) == wrap_angle(-math.pi) == wrap_angle(3 * math.pi) == math.pi
+
+
+@pytest.mark.parametrize("angle_rad", [math.inf, -math.inf, math.nan])
+def test_no_angle_is_no_angle(angle_rad: float) -> None:
+    assert math.isnan(wrap_angle(angle_rad))
+
+
+def test_the_robot_of_the_paper() -> None:
+    drive = DifferentialDrive()
+    assert drive.metres_per_tick == pytest.approx(0.0012272, abs=5e-8)
+    assert 280 * drive.metres_per_tick == pytest.approx(0.3436, abs=5e-5)
+    assert drive.wheel_speeds(0.0, 1.0) == pytest.approx((-0.105, 0.105))
