@@ -65,6 +65,8 @@ class Robots:
         assert twist is not None  # noqa: S101 - of the store that the project is built on
         self.twist = twist
         self._configs = configs
+        for name in configs:
+            self._limits(name)  # a ConfigError belongs to the start, not to the robot's first connection
         self._subscribe, self._show = subscribe, show
         self._robots: dict[str, Robot] = {}
         self._by_velocity_topic: dict[str, Robot] = {}

@@ -54,7 +54,8 @@ class Velocity(NamedTuple):
         """The point of the straight line to `target`; a fraction of 1 is the target itself."""
         if fraction >= 1:
             return target
-        return Velocity(*(here + (there - here) * fraction for here, there in zip(self, target, strict=True)))
+        rest = 1 - fraction  # not here + (there - here) * fraction: the difference of two finite numbers may be none
+        return Velocity(*(here * rest + there * fraction for here, there in zip(self, target, strict=True)))
 
 
 ZERO = Velocity()

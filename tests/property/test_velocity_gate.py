@@ -1,0 +1,224 @@
+"""VelocityGate: what holds after any history of commands, stops, departures and restarts."""
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+
+from hostlink.errors import BadRequest, RobotHeld
+from hostlink.robot.kinematics import DifferentialDrive
+from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity_gate import LEASE_S, LONGEST_STEP_S, ZEROS, Limits, VelocityGate
+
+SLACK = 1 + 1e-9  # of a scaled double
+
+bounds = st.none() | st.floats(0.05, 5)
+limits_of_speed = st.builds(
+    Limits,
+    max_linear_m_s=bounds,
+    max_angular_rad_s=bounds,
+    max_wheel_m_s=bounds,
+    wheel_separation_m=st.none() | st.floats(0.05, 1),
+)
+limits_of_all = st.builds(
+    dataclasses.replace,
+    limits_of_speed,
+    max_linear_acceleration_m_s2=bounds,
+    max_angular_acceleration_rad_s2=bounds,
+)
+components = st.just(0.0) | st.floats(-3, 3)
+nothing = st.just(0.0)
+velocities = st.builds(Velocity, *[components] * 6) | st.builds(Velocity, components, *[nothing] * 4, components)
+movements = velocities.filter(lambda velocity: not velocity.is_zero)
+not_finite = st.tuples(velocities, st.integers(0, 5), st.sampled_from([math.nan, math.inf, -math.inf])).map(
+    lambda drawn: drawn[0]._replace(**{Velocity._fields[drawn[1]]: drawn[2]})
+)
+owners = st.sampled_from(["ann", "bob", "eve"])
+priorities = st.sampled_from([0, 50, 100])
+
+
+def share(value: float, limit: float | None) -> float:
+    """How much of a limit a value uses."""
+    return 0.0 if limit is None else value / limit
+
+
+def use(velocity: Velocity, limits: Limits) -> float:
+    """How much of the strictest limit of speed a velocity uses: 1 is all of it."""
+    if limits.wheel_separation_m is None:
+        wheel_m_s = velocity.linear_m_s
+    else:
+        drive = DifferentialDrive(wheel_separation_m=limits.wheel_separation_m)
+        wheel_m_s = max(map(abs, drive.wheel_speeds(velocity.linear_x_m_s, velocity.angular_z_rad_s)))
+    return max(
+        share(velocity.linear_m_s, limits.max_linear_m_s),
+        share(velocity.angular_rad_s, limits.max_angular_rad_s),
+        share(wheel_m_s, limits.max_wheel_m_s),
+    )
+
+
+@given(limits_of_speed, velocities)
+def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, asked: Velocity) -> None:
+    given_ = limits.apply(asked)
+    factor = min(1.0, 1 / max(use(asked, limits), 1e-300))
+    assert given_ == pytest.approx(asked.scaled(factor), rel=1e-9)
+    assert use(given_, limits) <= SLACK
+    assert limits.apply(given_) == pytest.approx(given_, rel=1e-9)
+
+
+@given(limits_of_all, st.builds(Velocity, *[st.floats(allow_nan=False, allow_infinity=False)] * 6))
+def test_any_finite_command_gives_finite_velocities(limits: Limits, asked: Velocity) -> None:
+    gate = VelocityGate("robot_0", limits)
+    for now_s, wanted in ((0.0, asked), (0.1, asked.scaled(-1)), (0.2, asked)):
+        assert gate.command("ann", wanted, priority=0, now_s=now_s).is_finite
+        given_ = gate.step(now_s + 0.05)
+        assert given_ is not None
+        assert given_.is_finite
+
+
+class GateHistory(RuleBasedStateMachine):
+    """A gate as the hub uses it: a step after each command and in between, now and then late."""
+
+    @initialize(limits=limits_of_all)
+    def build(self, limits: Limits) -> None:
+        self.limits = limits
+        self.gate = VelocityGate("robot_0", limits)
+        self.now_s = 100.0
+        self.stepped_at_s = self.now_s
+        self.given: Velocity = ZERO  # what the device has
+        self.holder: str | None = None
+        self.priority = 0
+        self.wanted = ZERO
+        self.commanded_at_s = self.moved_at_s = -math.inf  # the holder's last command, and its last that is not zero
+        self.deadline_s = -math.inf
+        self.zeros = 0  # that the gate still owes
+        self.is_new_device = False
+
+    # -- what happens -------------------------------------------------------------------------------------------------
+
+    @rule(dt_s=st.sampled_from([0.0, 0.001, 0.05, 0.05, 0.1, 0.3, 0.7]))
+    def time_passes(self, dt_s: float) -> None:
+        self.now_s += dt_s
+        self.step()
+
+    @rule(owner=owners, velocity=movements, priority=priorities)
+    def somebody_drives(self, owner: str, velocity: Velocity, priority: int) -> None:
+        self.notice_the_end()
+        if self.holder not in (None, owner) and priority < self.priority:
+            with pytest.raises(RobotHeld) as refusal:
+                self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
+            assert refusal.value.holder == self.holder
+            return
+        limited = self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
+        assert limited == self.limits.apply(velocity)
+        self.holder, self.priority, self.wanted = owner, priority, limited
+        self.commanded_at_s = self.moved_at_s = self.now_s
+        self.deadline_s = self.now_s + LEASE_S
+        self.zeros = int(self.is_new_device)
+        self.step()
+
+    @rule(owner=owners, priority=priorities)
+    def somebody_sends_zero(self, owner: str, priority: int) -> None:
+        self.notice_the_end()
+        assert self.gate.command(owner, ZERO, priority=priority, now_s=self.now_s) == ZERO
+        if self.holder == owner:
+            if self.wanted.is_zero and not self.given.is_zero:
+                self.deadline_s = self.now_s + LEASE_S
+            self.commanded_at_s, self.priority, self.wanted = self.now_s, priority, ZERO
+        elif self.holder is None:
+            self.zeros = max(self.zeros, 1)
+        self.step()
+
+    @rule(owner=owners, velocity=not_finite, priority=priorities)
+    def somebody_sends_no_number(self, owner: str, velocity: Velocity, priority: int) -> None:
+        with pytest.raises(BadRequest):
+            self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
+        self.step()
+
+    @rule(owner=owners)
+    def somebody_leaves(self, owner: str) -> None:
+        self.notice_the_end()
+        self.gate.release(owner, now_s=self.now_s)
+        if self.holder == owner:
+            self.end()
+        assert self.gate.holder != owner
+
+    @rule()
+    def somebody_stops_it(self) -> None:
+        self.gate.stop(now_s=self.now_s)
+        self.end()
+        assert (self.gate.holder, self.gate.current) == (None, ZERO)
+
+    @rule()
+    def the_device_restarts(self) -> None:
+        self.gate.restart()
+        self.end()
+        self.is_new_device = True
+
+    @rule()
+    def silence_falls(self) -> None:
+        self.now_s += LEASE_S
+        self.notice_the_end()
+        owed = self.zeros
+        given_ = [self.step() for _ in range(ZEROS + 2)]
+        assert given_ == [ZERO] * owed + [None] * (ZEROS + 2 - owed)
+        assert not self.gate.is_active
+
+    @precondition(lambda self: self.holder is not None)
+    @rule()
+    def the_clock_reaches_the_very_end_of_the_lease(self) -> None:
+        self.now_s = math.nextafter(max(self.now_s, self.deadline_s), 0)
+        self.step()
+
+    # -- what must hold -----------------------------------------------------------------------------------------------
+
+    def step(self) -> Velocity | None:
+        self.notice_the_end()
+        before, dt_s = self.given, self.now_s - self.stepped_at_s
+        given_ = self.gate.step(self.now_s)
+        self.stepped_at_s = self.now_s
+        assert self.gate.holder == self.holder
+        if self.zeros > 0:
+            assert given_ == ZERO
+            self.zeros -= 1
+            self.is_new_device = False
+        elif self.holder is None:
+            assert given_ is None
+        else:
+            assert given_ is not None
+            self.check_drive(before, given_, min(dt_s, LONGEST_STEP_S))
+            self.given = given_
+        assert self.gate.is_active == (self.holder is not None or self.zeros > 0)
+        return given_
+
+    def check_drive(self, before: Velocity, given_: Velocity, dt_s: float) -> None:
+        assert use(given_, self.limits) <= SLACK
+        change = Velocity(*(there - here for here, there in zip(before, given_, strict=True)))
+        rounding = 1e-9  # of metres and radians a second
+        if self.limits.max_linear_acceleration_m_s2 is not None:
+            assert change.linear_m_s <= self.limits.max_linear_acceleration_m_s2 * dt_s + rounding
+        if self.limits.max_angular_acceleration_rad_s2 is not None:
+            assert change.angular_rad_s <= self.limits.max_angular_acceleration_rad_s2 * dt_s + rounding
+        assert self.now_s < self.commanded_at_s + LEASE_S
+        has_ramps = (self.limits.max_linear_acceleration_m_s2, self.limits.max_angular_acceleration_rad_s2) != (
+            None,
+            None,
+        )
+        if has_ramps:
+            assert self.now_s < self.moved_at_s + LEASE_S or self.wanted.is_zero
+        else:
+            assert given_ == self.wanted
+            assert self.now_s < self.moved_at_s + LEASE_S
+
+    def notice_the_end(self) -> None:
+        if self.holder is not None and self.now_s >= self.deadline_s:
+            self.end()
+
+    def end(self) -> None:
+        self.holder = None
+        self.given, self.zeros = ZERO, ZEROS
+
+
+TestGateHistory = GateHistory.TestCase
