@@ -1,12 +1,17 @@
 """Directory: which device is which robot, and which device is another one that came back."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 VELOCITY_TYPE = "geometry_msgs/Twist"
 ODOMETRY_TYPES = ("geometry_msgs/Pose2D", "nav_msgs/Odometry")
 RESET_TYPE = "std_msgs/Empty"
-_USUAL_NAMES = ("velocity_commands", "cmd_vel")
+_USUAL_NAMES = ("velocity_commands", "cmd_vel")  # the likelier first
+_DEFAULT_NAME = "robot"
+_LONGEST_NAME = 64  # characters; a name goes into logs, paths and labels
 
 TopicClaim = tuple[str, str, bool]  # name, type, whether it goes to the device
 
@@ -39,38 +44,45 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
+    """What a device claims to be."""
+
     address: str
-    robot: str | None
-    names: frozenset[str]
+    robot: RobotTopics | None
+    topics: frozenset[str]
+
+    @property
+    def identity(self) -> tuple[str, str | frozenset[str]]:
+        """What a device has in common with itself before a reconnect."""
+        return self.address, self.topics if self.robot is None else self.robot.name
 
 
 class Directory:
     """Knows devices by the numbers of their links.
 
     A device is another's return when address and robot are the same; one that is no robot, when address and topics
-    are. Robots of one name at two addresses are a mistake that only configuration can mend.
+    are. Robots of one name at two addresses are a mistake that only configuration can mend; a name that the
+    configuration gives to an address is nobody else's.
     """
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> the peer address or serial port that the configuration gives it."""
-        self._names = {address: name for name, address in addresses.items() if address is not None}
+        self._addresses = {name: address for name, address in addresses.items() if address is not None}
+        self._names: defaultdict[str, list[str]] = defaultdict(list)
+        for name, address in self._addresses.items():
+            self._names[address].append(name)
         self._entries: dict[int, _Entry] = {}
 
     def claim(self, link: int, address: str, topics: Sequence[TopicClaim]) -> Accepted | Refused:
         """A device has told its topics (again)."""
-        robot = find_robot(topics, self._names.get(address))
-        entry = _Entry(address, None if robot is None else robot.name, frozenset(name for name, _, _ in topics))
-        replaces = None
-        for other_link, other in self._entries.items():
-            if other_link == link:
-                continue
-            if entry.robot is not None and other.robot == entry.robot and other.address != address:
-                return Refused(
-                    f"two devices claim the robot name {entry.robot}: {other.address} has it, {address} wants it; "
-                    f'name one of them in hostlink.toml: [robots.OTHER_NAME] address = "{address}"'
-                )
-            if other.address == address and other.robot == entry.robot and (entry.robot or other.names == entry.names):
-                replaces = other_link
+        others = {number: entry for number, entry in self._entries.items() if number != link}
+        robot = find_robot(topics)
+        if robot is not None:
+            robot = replace(robot, name=self._configured_name(robot, address, others.values()))
+            refusal = self._refusal(robot.name, address, others.values())
+            if refusal is not None:
+                return refusal
+        entry = _Entry(address, robot, frozenset(name for name, _, _ in topics))
+        replaces = next((number for number, other in others.items() if other.identity == entry.identity), None)
         if replaces is not None:
             del self._entries[replaces]
         self._entries[link] = entry
@@ -80,9 +92,36 @@ class Directory:
         """The device's link is gone."""
         self._entries.pop(link, None)
 
+    def _configured_name(self, robot: RobotTopics, address: str, others: Iterable[_Entry]) -> str:
+        """Its own name if that is configured for the address, else the first that no other robot there has."""
+        names = self._names.get(address, [])
+        if robot.name in names:
+            return robot.name
+        taken = {
+            other.robot.name
+            for other in others
+            if other.address == address and other.robot is not None and other.robot.velocity != robot.velocity
+        }
+        return next((name for name in names if name not in taken), robot.name)
 
-def find_robot(topics: Sequence[TopicClaim], name: str | None = None) -> RobotTopics | None:
-    """A device that takes a Twist and tells a pose is a robot, named by their namespace unless `name` is given."""
+    def _refusal(self, name: str, address: str, others: Iterable[_Entry]) -> Refused | None:
+        configured = self._addresses.get(name, address)
+        if configured != address:
+            return Refused(
+                f"the robot name {name} belongs to {configured} in hostlink.toml, but {address} wants it; "
+                f'correct the address, or name this one: [robots.OTHER_NAME] address = "{address}"'
+            )
+        for other in others:
+            if other.robot is not None and other.robot.name == name and other.address != address:
+                return Refused(
+                    f"two devices claim the robot name {name}: {other.address} has it, {address} wants it; "
+                    f'name one of them in hostlink.toml: [robots.OTHER_NAME] address = "{address}"'
+                )
+        return None
+
+
+def find_robot(topics: Sequence[TopicClaim]) -> RobotTopics | None:
+    """A device that takes a Twist and tells a pose is a robot, named by their common namespace."""
     velocities = [topic for topic, type_name, is_to_device in topics if is_to_device and type_name == VELOCITY_TYPE]
     odometries = [
         (topic, type_name)
@@ -93,25 +132,39 @@ def find_robot(topics: Sequence[TopicClaim], name: str | None = None) -> RobotTo
     if not pairs:
         return None
     velocity, odometry, odometry_type = min(pairs, key=lambda pair: _unlikelihood(pair[0], pair[1]))
-    namespace = _namespace(velocity)
+    namespaces = (_namespace(velocity), _namespace(odometry))
     resets = [
         topic
         for topic, type_name, is_to_device in topics
-        if is_to_device and type_name == RESET_TYPE and "reset" in topic and _namespace(topic) == namespace
+        if is_to_device and type_name == RESET_TYPE and "reset" in _leaf(topic) and _namespace(topic) in namespaces
     ]
-    return RobotTopics(
-        name or namespace.strip("/").replace("/", "_") or "robot",
-        velocity,
-        odometry,
-        odometry_type,
-        next(iter(sorted(resets)), None),
-    )
+    reset = min(resets, key=lambda topic: ("odom" not in _leaf(topic), topic), default=None)
+    return RobotTopics(_name(*namespaces), velocity, odometry, odometry_type, reset)
 
 
-def _namespace(topic: str) -> str:
-    return ("/" + topic.lstrip("/~")).rpartition("/")[0]
+def _parts(topic: str) -> list[str]:
+    return [part for part in topic.lstrip("~").split("/") if part]
 
 
-def _unlikelihood(velocity: str, odometry: str) -> tuple[bool, bool, str]:
+def _leaf(topic: str) -> str:
+    return _parts(topic)[-1] if _parts(topic) else ""
+
+
+def _namespace(topic: str) -> tuple[str, ...]:
+    return tuple(_parts(topic)[:-1])
+
+
+def _name(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> str:
+    """What two namespaces have in common; else the one that there is."""
+    pairs = zip(velocity, odometry, strict=False)
+    common = [here for here, _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)]
+    name = "_".join(common or velocity or odometry)
+    return re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST_NAME] or _DEFAULT_NAME
+
+
+def _unlikelihood(velocity: str, odometry: str) -> tuple[int, bool, bool, str, str]:
     """Small for the pair that a person would choose."""
-    return _namespace(velocity) != _namespace(odometry), velocity.rpartition("/")[2] not in _USUAL_NAMES, velocity
+    leaf = _leaf(velocity)
+    rank = _USUAL_NAMES.index(leaf) if leaf in _USUAL_NAMES else len(_USUAL_NAMES)
+    is_apart = _namespace(velocity) != _namespace(odometry)
+    return rank, is_apart, "odom" not in _leaf(odometry), velocity, odometry
