@@ -98,9 +98,7 @@ class Directory:
         if robot.name in names:
             return robot.name
         taken = {
-            other.robot.name
-            for other in others
-            if other.address == address and other.robot is not None and other.robot.velocity != robot.velocity
+            other.robot.name for other in others if other.robot is not None and other.robot.velocity != robot.velocity
         }
         return next((name for name in names if name not in taken), robot.name)
 

@@ -80,6 +80,13 @@ def test_the_holder_may_leave() -> None:
     assert ours.counts.expired == 0
 
 
+def test_a_lease_that_nobody_saw_end_has_expired_all_the_same() -> None:
+    ours = held()
+    ours.release("ann", now_s=0.5)
+    assert outputs(ours, 0.5) == STOPPED
+    assert ours.counts.expired == 1
+
+
 def test_nobody_else_ends_it_by_leaving() -> None:
     ours = held()
     ours.release("bob", now_s=0.1)
