@@ -39,24 +39,36 @@ class Addresses:
 async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
     """The whole daemon for the length of a block; leaving it stops every robot, then says goodbye to every device."""
     hub = Hub(config, Catalog(config.message_folders))
-    async with asyncio.TaskGroup() as tasks:
-        heart = tasks.create_task(hub.run(), name="hub")
-        await asyncio.sleep(0)  # the hub's own group must stand before a device comes
-        try:
-            async with serve_api(config.api, hub) as api:
-                async with serve_tcp(config.tcp, hub.connect) as listener:
-                    ports = [tasks.create_task(_serve_serial(hub, port), name=port.path) for port in config.serial]
-                    log.info("daemon.started", tcp="{}:{}".format(*listener.address), api=api)
-                    try:
-                        yield hub, Addresses(listener.address, api)
-                    finally:
-                        for port in ports:
-                            port.cancel()
-                        log.info("daemon.stopping")
-                await hub.farewell()
-        finally:
-            heart.cancel()
+    try:
+        async with asyncio.TaskGroup() as tasks, _hub_running(hub, tasks), serve_api(config.api, hub) as api:
+            async with serve_tcp(config.tcp, hub.connect) as listener, _serial_ports(hub, config, tasks):
+                log.info("daemon.started", tcp="{}:{}".format(*listener.address), api=api)
+                yield hub, Addresses(listener.address, api)
+                log.info("daemon.stopping")
+            await hub.farewell()
+    except BaseExceptionGroup as group:  # one error has one line; the others are its consequences
+        raise group.exceptions[0] from None
     log.info("daemon.stopped")
+
+
+@contextlib.asynccontextmanager
+async def _hub_running(hub: Hub, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    heart = tasks.create_task(hub.run(), name="hub")
+    await hub.is_running.wait()
+    try:
+        yield
+    finally:
+        heart.cancel()
+
+
+@contextlib.asynccontextmanager
+async def _serial_ports(hub: Hub, config: Config, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
+    ports = [tasks.create_task(_serve_serial(hub, port), name=port.path) for port in config.serial]
+    try:
+        yield
+    finally:
+        for port in ports:
+            port.cancel()
 
 
 async def _serve_serial(hub: Hub, config: SerialConfig) -> None:

@@ -46,6 +46,7 @@ class Hub:
         self.topics = TopicGraph(catalog)
         self.services = Services(catalog)
         self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
+        self.is_running = asyncio.Event()  # once set, devices may `connect`
         self.crashes = 0
         self.config = config
         self._reraises = reraises
@@ -73,6 +74,7 @@ class Hub:
     async def run(self) -> None:
         """Serve until cancelled; the parent of every link that `connect` begins."""
         async with asyncio.TaskGroup() as self._tasks:
+            self.is_running.set()
             await self.robots.run()
 
     def connect(self, transport: Transport) -> None:
@@ -156,9 +158,8 @@ class Hub:
         log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
         if not event.is_changed:
             return
-        claim = self._directory.claim(
-            link.number, link.address, [(info.name, info.type, info.is_to_device) for info in event.topics]
-        )
+        topics = [(info.name, info.type, info.is_to_device) for info in event.topics]
+        claim = self._directory.claim(link.number, link.address, topics, announced=event.topics)
         if isinstance(claim, Refused):
             log.warning("link.refused", reason=claim.reason)
             link.end(LinkEnd.REFUSED)

@@ -144,9 +144,9 @@ class Session:
         return self._outbox.replaced
 
     @property
-    def rejected(self) -> Counter[str]:
+    def rejected(self) -> dict[str, int]:
         """Starts of frames that were none, by cause."""
-        return Counter({cause.value: count for cause, count in self._stream.rejected.items()})
+        return {cause.value: count for cause, count in self._stream.rejected.items()}
 
     def publish(self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False) -> None:
         """Queue a message to the device; raises UnknownTopic, WrongType or FrameTooLarge before anything is queued."""

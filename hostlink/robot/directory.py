@@ -3,7 +3,7 @@
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 VELOCITY_TYPE = "geometry_msgs/Twist"
@@ -48,19 +48,19 @@ class _Entry:
 
     address: str
     robot: RobotTopics | None
-    topics: frozenset[str]
+    announced: Hashable
 
     @property
-    def identity(self) -> tuple[str, str | frozenset[str]]:
+    def identity(self) -> tuple[str, Hashable]:
         """What a device has in common with itself before a reconnect."""
-        return self.address, self.topics if self.robot is None else self.robot.name
+        return self.address, self.announced if self.robot is None else self.robot.name
 
 
 class Directory:
     """Knows devices by the numbers of their links.
 
-    A device is another's return when address and robot are the same; one that is no robot, when address and topics
-    are. Robots of one name at two addresses are a mistake that only configuration can mend; a name that the
+    A device is another's return when address and robot are the same; one that is no robot, when address and
+    all that it announced are. Robots of one name at two addresses are a mistake that only configuration can mend; a name that the
     configuration gives to an address is nobody else's.
     """
 
@@ -72,8 +72,10 @@ class Directory:
             self._names[address].append(name)
         self._entries: dict[int, _Entry] = {}
 
-    def claim(self, link: int, address: str, topics: Sequence[TopicClaim]) -> Accepted | Refused:
-        """A device has told its topics (again)."""
+    def claim(
+        self, link: int, address: str, topics: Sequence[TopicClaim], *, announced: Hashable = None
+    ) -> Accepted | Refused:
+        """A device has told its topics (again); `announced` is all that it told, if that is more than the topics."""
         others = {number: entry for number, entry in self._entries.items() if number != link}
         robot = find_robot(topics)
         if robot is not None:
@@ -81,7 +83,7 @@ class Directory:
             refusal = self._refusal(robot.name, address, others.values())
             if refusal is not None:
                 return refusal
-        entry = _Entry(address, robot, frozenset(name for name, _, _ in topics))
+        entry = _Entry(address, robot, announced or frozenset(topics))
         replaces = next((number for number, other in others.items() if other.identity == entry.identity), None)
         if replaces is not None:
             del self._entries[replaces]

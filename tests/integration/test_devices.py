@@ -1,0 +1,197 @@
+"""Devices on a running daemon: what they are told, what is heard of them, what others notice of their trouble."""
+
+import asyncio
+import struct
+import tracemalloc
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, LinkConfig
+from hostlink.errors import FrameTooLarge, UnknownTopic
+from hostlink.hub.message import Message
+from hostlink.protocol.control import Log, decode_parameter, encode_log, encode_parameter_request
+from hostlink.protocol.frame import Id, encode
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.waiting import eventually
+
+
+async def test_a_message_of_a_device_reaches_a_subscriber() -> None:
+    heard: asyncio.Queue[Message] = asyncio.Queue()
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        host.hub.topics.subscribe("robot_0/odometry", heard.put_nowait)
+        await device.send(pose(1.0, 2.0, 0.5))
+        message = await heard.get()
+    assert message.decoded == {"x": 1.0, "y": 2.0, "theta": 0.5}
+    assert message.json == b'{"x":1.0,"y":2.0,"theta":0.5}'
+    assert message.type_name == "geometry_msgs/Pose2D"
+
+
+async def test_a_message_of_a_program_reaches_the_device() -> None:
+    topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+    async with daemon() as host, fake_device(host.tcp, topics) as device:
+        host.hub.publish("/led", {"data": True}, source="test")
+        assert await device.frame(100) == b"\x01"
+
+
+async def test_messages_of_one_topic_keep_their_order_and_none_is_lost() -> None:
+    topics = [topic(Id.SUBSCRIBER, 100, "/steps", "std_msgs/Int32")]
+    async with daemon() as host, fake_device(host.tcp, topics) as device:
+        for number in range(10):
+            host.hub.publish("/steps", {"data": number}, source="test")
+        assert [struct.unpack("<i", await device.frame(100))[0] for _ in range(10)] == list(range(10))
+
+
+async def test_a_message_of_one_device_reaches_another_that_takes_it() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, [topic(Id.SUBSCRIBER, 100, "/alarm", "std_msgs/Bool")]) as listener,
+        fake_device(host.tcp, [topic(Id.PUBLISHER, 125, "/alarm", "std_msgs/Bool")]) as speaker,
+    ):
+        await speaker.send(encode(125, b"\x01"))
+        assert await listener.frame(100) == b"\x01"
+
+
+async def test_a_frame_over_the_device_buffer_is_refused_before_it_is_sent() -> None:
+    topics = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String", buffer_bytes=64)]
+    async with daemon() as host, fake_device(host.tcp, topics) as device:
+        with pytest.raises(FrameTooLarge, match="/text: frame of 112 bytes, the device takes 64"):
+            host.hub.publish("/text", {"data": "x" * 100}, source="test")
+        host.hub.publish("/text", {"data": "short"}, source="test")
+        assert await device.frame(100) == b"\x05\x00\x00\x00short"
+
+
+async def test_a_topic_that_nobody_has_is_named_with_those_that_are() -> None:
+    topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+    async with daemon() as host, fake_device(host.tcp, topics):
+        with pytest.raises(UnknownTopic, match="no topic named /lid; known: /led"):
+            host.hub.publish("/lid", {}, source="test")
+
+
+@pytest.mark.parametrize(
+    ("name", "ints", "floats", "strings"),
+    [("/gain", (7,), (), ()), ("pid", (), (24.0, 0.5), ()), ("/missing", (), (), ()), ("/mixed", (), (), ())],
+)
+async def test_parameters_are_always_answered(
+    name: str, ints: tuple[int, ...], floats: tuple[float, ...], strings: tuple[str, ...]
+) -> None:
+    config = Config(parameters={"gain": 7, "/pid": [24.0, 0.5], "mixed": [1, "a"]})
+    async with daemon(config) as host, fake_device(host.tcp, []) as device:
+        await device.send(encode(Id.PARAMETER, encode_parameter_request(name)))
+        assert decode_parameter(await device.frame(Id.PARAMETER)) == (ints, floats, strings)
+
+
+async def test_a_parameter_over_the_device_buffer_is_answered_with_none() -> None:
+    topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool", buffer_bytes=64)]
+    async with daemon(Config(parameters={"long": "x" * 100})) as host, fake_device(host.tcp, topics) as device:
+        await device.send(encode(Id.PARAMETER, encode_parameter_request("long")))
+        assert decode_parameter(await device.frame(Id.PARAMETER)) == ((), (), ())
+
+
+async def test_a_device_log_is_in_the_daemon_log_without_escape_codes() -> None:
+    with capture_logs() as lines:
+        async with daemon() as host, fake_device(host.tcp, []) as device:
+            await device.send(encode(Id.LOG, encode_log(Log(2, "warm \x1b[31m"))))
+            await eventually(lambda: any(line["event"] == "device.logged" for line in lines))
+    line = next(line for line in lines if line["event"] == "device.logged")
+    assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "warm ?[31m")
+
+
+async def test_a_wrong_md5_is_refused_and_named_and_the_other_topics_go_on() -> None:
+    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
+    with capture_logs() as lines:
+        async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:
+            await device.send(encode(126, b"\x01") + pose(1.0))
+            await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+            assert host.hub.topics.find_or_none("/odd") is None
+            assert (await host.get("/api/links"))["links"][0]["refused_frames"] == 1
+    reason = next(line["reason"] for line in lines if line["event"] == "topic.refused")
+    assert "0" * 32 in reason
+    assert "8b94c1b53db61fb6aed406028ad6332a" in reason
+
+
+async def test_a_type_that_nobody_defines_passes_as_bytes() -> None:
+    odd = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
+    heard: asyncio.Queue[Message] = asyncio.Queue()
+    async with daemon() as host, fake_device(host.tcp, [odd]) as device:
+        host.hub.topics.subscribe("/odd", heard.put_nowait)
+        await device.send(encode(125, b"raw"))
+        message = await heard.get()
+    assert (message.type_name, message.payload) == ("my_msgs/Odd", b"raw")
+
+
+async def test_a_silent_device_is_let_go() -> None:
+    config = Config(link=LinkConfig(idle_timeout_s=0.2))
+    with capture_logs() as lines:
+        async with daemon(config) as host, fake_device(host.tcp) as device:
+            await device.closed()
+    assert [line["reason"] for line in lines if line["event"] == "link.closed"] == ["idle"]
+
+
+STRING_OF_4_GB = struct.pack("<H", 125) + b"\xff\xff\xff\xff"
+NOT_UTF_8 = struct.pack("<H", 125) + b"".join(struct.pack("<I", 2) + b"\xff\xfe" for _ in range(3)) + bytes(4)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        bytes(range(256)) * 40,
+        b"\xff" * 5000,
+        b"\xff\xfe\xff\x7f\x81" + b"\x00" * 100,  # a header that claims 32767 bytes
+        encode(Id.PUBLISHER, STRING_OF_4_GB),
+        encode(Id.PUBLISHER, NOT_UTF_8),
+        encode(Id.LOG, b"\x09\xff\xff\xff\xff"),
+        encode(Id.PARAMETER, b"\xff\xff\xff\x7fabc"),
+        encode(99, b"") + encode(4711, b"x") + encode(100, b"to the host?"),
+        b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n",
+    ],
+    ids=["any bytes", "only FF", "32767", "4 GB string", "no UTF-8", "bad log", "bad parameter", "odd ids", "http"],
+)
+async def test_bad_bytes_cost_neither_their_device_nor_another(bad: bytes) -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("bad")) as device,
+        fake_device(host.tcp, robot_topics("good")) as other,
+    ):
+        tracemalloc.start()
+        for _ in range(20):
+            await device.send(bad)
+        await other.send(pose(3.0))
+        await eventually(lambda: host.hub.topics.find("/good/odometry").messages == 1)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        # Whatever false header the junk ends with, the next good frames are found inside what it claims.
+        await device.send(encode(Id.TIME, bytes(8)) + pose(4.0))
+        await eventually(lambda: host.hub.topics.find("/bad/odometry").messages == 1)
+        assert host.hub.crashes == 0
+    assert peak_bytes < 5_000_000
+
+
+async def test_a_device_that_publishes_before_it_was_asked_is_asked_once_and_then_understood() -> None:
+    async with daemon() as host, fake_device(host.tcp) as device:
+        for _ in range(30):
+            await device.send(pose(0.0))
+        await device.announce(robot_topics())
+        await device.send(pose(1.0))
+        await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+        assert (await host.get("/api/links"))["links"][0]["asks"] == 1
+
+
+async def test_protocol_1_is_named() -> None:
+    body = b"\x0a\x00\x08\x00" + bytes(8)
+    with capture_logs() as lines:
+        async with daemon() as host, fake_device(host.tcp) as device:
+            await device.send(b"\xff\xff" + body + bytes([255 - sum(body) % 256]))
+            await eventually(lambda: any(line["event"] == "protocol.version_1" for line in lines))
+
+
+async def test_a_hundred_reconnects_leave_nothing_behind() -> None:
+    async with daemon() as host:
+        for number in range(100):
+            async with fake_device(host.tcp, robot_topics()) as device:
+                await device.send(pose(float(number)))
+        await eventually(lambda: not host.hub.links())
+        tasks = [task for task in asyncio.all_tasks() if task.get_name().startswith("link")]
+        assert tasks == []
+        assert host.hub.topics.all() == []

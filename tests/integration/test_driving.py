@@ -1,0 +1,200 @@
+"""Velocity on a running daemon: every way in which a source of commands can vanish ends in zero."""
+
+import asyncio
+import contextlib
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import BadRequest, RobotHeld
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.waiting import eventually
+
+ZERO = (0.0, 0.0)
+CURVE = (0.2, 0.5)
+
+
+def drive(host: Daemon, owner: str = "test", *, priority: int = 50, velocity: tuple[float, float] = CURVE) -> None:
+    robot = host.hub.robots.find("robot_0")
+    wanted = Velocity(linear_x_m_s=velocity[0], angular_z_rad_s=velocity[1])
+    host.hub.robots.command(robot, wanted, owner=owner, priority=priority)
+
+
+async def greeted(device: FakeDevice) -> None:
+    """The zeros with which every session begins."""
+    assert [await device.velocity() for _ in range(3)] == [ZERO, ZERO, ZERO]
+
+
+async def test_the_first_velocity_of_a_session_is_zero() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host)
+        assert await device.velocity() == CURVE
+
+
+async def test_a_command_is_repeated_until_its_lease_ends_and_then_zero_three_times() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host)
+        sent = [await device.velocity()]
+        while sent[-1] != ZERO:
+            sent.append(await device.velocity())
+        assert 3 <= sent.count(CURVE) <= 7  # 0.5 s at 10 Hz
+        assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await device.velocity()
+
+
+async def test_a_client_that_leaves_stops_the_robot_at_once() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, "client 1")
+        assert await device.velocity() == CURVE
+        host.hub.leave("client 1")
+        assert await device.velocity() == ZERO
+
+
+async def test_anybody_may_stop() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, priority=100)
+        assert await device.velocity() == CURVE
+        status, _ = await host.rest("POST", "/api/robots/robot_0/stop")
+        assert status == 200
+        assert await device.velocity() == ZERO
+
+
+async def test_a_lower_priority_is_refused_and_a_higher_one_takes_over() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, "program")
+        with pytest.raises(RobotHeld, match="robot_0: program drives it with a higher priority"):
+            drive(host, "demo", priority=0)
+        drive(host, "teleop", priority=60, velocity=(0.1, 0.0))
+        assert await device.velocity_other_than(CURVE) == (0.1, 0.0)
+
+
+async def test_idle_zeros_of_another_source_do_not_stop_who_drives() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, "program")
+        drive(host, "idle page", velocity=ZERO)
+        assert await device.velocity() == CURVE
+        assert host.hub.robots.find("robot_0").gate.holder == "program"
+
+
+async def test_numbers_that_are_none_never_reach_a_robot() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        with pytest.raises(BadRequest, match="must be made of finite numbers"):
+            drive(host, velocity=(float("nan"), 0.0))
+        drive(host)
+        assert await device.velocity() == CURVE
+
+
+async def test_limits_scale_both_speeds_so_that_the_curve_stays() -> None:
+    config = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.21, max_wheel_m_s=0.3436)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, velocity=(-1.0, 2.0))
+        linear, angular = await device.velocity()
+    assert linear / angular == pytest.approx(-0.5)
+    assert abs(linear) + angular * 0.105 == pytest.approx(0.3436)
+
+
+async def test_a_device_cannot_drive_another_past_its_gate() -> None:
+    """A message on a velocity topic is a command, whoever sends it: here one device drives the other."""
+    remote = [robot_topics("robot_0")[1]._replace(kind=Id.PUBLISHER, topic_id=125)]
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        async with fake_device(host.tcp, remote) as sender:
+            twist = host.hub.catalog.message("geometry_msgs/Twist")
+            assert twist is not None
+            await sender.send(encode(125, twist.encode({"linear": {"x": 5.0}})))
+            assert await device.velocity() == (1.0, 0.0)  # the limit of a robot that nobody configured
+        assert await device.velocity_other_than((1.0, 0.0)) == ZERO
+
+
+async def test_a_robot_that_comes_back_is_not_sent_what_was_meant_before() -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await greeted(device)
+            drive(host)
+        await eventually(lambda: host.hub.robots.find("robot_0").link is None)
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await greeted(device)
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.3):
+                    await device.velocity()
+
+
+async def test_a_robot_that_comes_back_while_its_old_link_looks_alive_replaces_it_at_once() -> None:
+    with capture_logs() as lines:
+        async with daemon() as host, fake_device(host.tcp, robot_topics()) as old:
+            await greeted(old)
+            async with fake_device(host.tcp, robot_topics()) as new:
+                await old.closed()
+                await greeted(new)
+                drive(host)
+                assert await new.velocity() == CURVE
+                await new.send(pose(1.0))
+                await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+    assert next(line["reason"] for line in lines if line["event"] == "link.closed") == "replaced"
+
+
+async def test_two_robots_behind_one_address_live_side_by_side() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("robot_0")) as first,
+        fake_device(host.tcp, robot_topics("robot_1")) as second,
+    ):
+        await greeted(first)
+        await greeted(second)
+        drive(host)
+        assert await first.velocity() == CURVE
+        assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == ["robot_0", "robot_1"]
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await second.velocity()
+
+
+async def test_another_address_that_claims_a_robot_name_is_refused_and_told_what_to_configure() -> None:
+    with capture_logs() as lines:
+        async with daemon() as host, fake_device(host.tcp, robot_topics()) as owner:
+            await greeted(owner)
+            async with fake_device(host.tcp, local_host="127.0.0.2") as thief:
+                with contextlib.suppress(EOFError):  # refused before or after its time is answered
+                    await thief.announce(robot_topics())
+                await thief.closed()
+            drive(host)
+            assert await owner.velocity() == CURVE
+    reason = next(line["reason"] for line in lines if line["event"] == "link.refused")
+    assert '[robots.OTHER_NAME] address = "127.0.0.2"' in reason
+
+
+async def test_a_name_from_the_configuration() -> None:
+    config = Config(robots={"mower": RobotConfig(address="127.0.0.3")})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics(), local_host="127.0.0.3") as device:
+        await greeted(device)
+        assert host.hub.robots.find("mower").topics.velocity == "/robot_0/velocity_commands"
+
+
+async def test_the_daemon_stops_every_robot_and_then_silences_it() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host)
+        assert await device.velocity() == CURVE
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(host.hub.farewell())
+            frames = []
+            while not frames or frames[-1].topic_id != Id.STOP:
+                frames.append(await device.next())
+            await device.closed()
+    commands = [frame for frame in frames if frame.topic_id == 100]
+    assert len(commands) >= 3
+    assert all(frame.payload == bytes(48) for frame in commands[-3:])

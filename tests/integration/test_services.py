@@ -1,0 +1,141 @@
+"""Services both ways: one call in flight, a deadline, and an error for each thing that can go wrong."""
+
+import asyncio
+import struct
+from collections.abc import Mapping
+
+import pytest
+
+from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceTimeout, UnknownTopic
+from hostlink.hub.services import MAX_WAITING, Provider
+from hostlink.protocol.frame import Id, encode
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, topic
+from tests.support.waiting import eventually
+
+SET_LED = [
+    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/set_led", "std_srvs/SetBool"),
+    topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set_led", "std_srvs/SetBool"),
+]
+TOGGLE = [
+    topic(Id.SERVICE_CLIENT_PUBLISHER, 125, "/toggle", "std_srvs/SetBool"),
+    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 100, "/toggle", "std_srvs/SetBool"),
+]
+
+
+def answer(message: str, *, success: bool = True) -> bytes:
+    """The payload of a SetBool response."""
+    return bytes([success]) + struct.pack("<I", len(message)) + message.encode()
+
+
+async def test_a_program_calls_a_service_of_a_device() -> None:
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
+        call = tasks.create_task(host.hub.services.call("set_led", {"data": True}))
+        assert await device.frame(100) == b"\x01"
+        await device.send(encode(125, answer("on")))
+        assert await call == {"success": True, "message": "on"}
+
+
+async def test_calls_wait_for_their_turn_and_get_their_own_answers() -> None:
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
+        calls = [tasks.create_task(host.hub.services.call("/set_led", {"data": False})) for _ in range(3)]
+        for number in range(3):
+            await device.frame(100)
+            await device.send(encode(125, answer(f"{number}")))
+        assert [(await call)["message"] for call in calls] == ["0", "1", "2"]
+
+
+async def test_a_service_that_does_not_answer_has_a_deadline_and_its_late_answer_is_nobodys() -> None:
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
+        with pytest.raises(ServiceTimeout, match=r"/set_led: no answer within 0\.05 s"):
+            await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
+        async with asyncio.TaskGroup() as tasks:
+            call = tasks.create_task(host.hub.services.call("/set_led", {"data": False}))
+            assert await device.frame(100) == b"\x01"
+            await device.send(encode(125, answer("late")))
+            assert await device.frame(100) == b"\x00"
+            await device.send(encode(125, answer("mine")))
+            assert (await call)["message"] == "mine"
+
+
+async def test_an_answer_that_never_comes_does_not_block_the_next_call() -> None:
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
+        with pytest.raises(ServiceTimeout):
+            await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
+        assert await device.frame(100) == b"\x01"
+        async with asyncio.TaskGroup() as tasks:
+            call = tasks.create_task(host.hub.services.call("/set_led", {"data": False}, timeout_s=1.0))
+            assert await device.frame(100) == b"\x00"
+            await device.send(encode(125, answer("mine")))
+            assert (await call)["message"] == "mine"
+
+
+async def test_a_device_that_leaves_fails_its_calls_at_once() -> None:
+    async def call() -> None:
+        with pytest.raises(DeviceGone, match="/set_led: its device is not connected"):
+            await host.hub.services.call("/set_led", {"data": True}, timeout_s=60)
+
+    async with daemon() as host:
+        async with fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
+            tasks.create_task(call())
+            await device.frame(100)
+            device.hang_up()
+        await eventually(lambda: not host.hub.links())
+        with pytest.raises(UnknownTopic, match="no service named /set_led"):
+            await host.hub.services.call("/set_led", {"data": True})
+
+
+async def test_too_many_calls_are_refused() -> None:
+    async def outcome() -> str:
+        try:
+            await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.2)
+        except (DeviceBusy, ServiceTimeout) as error:
+            return type(error).__name__
+        return "answered"
+
+    async with daemon() as host, fake_device(host.tcp, SET_LED), asyncio.TaskGroup() as tasks:
+        calls = [tasks.create_task(outcome()) for _ in range(MAX_WAITING + 2)]
+        outcomes = [await call for call in calls]
+    assert outcomes == ["ServiceTimeout"] * (MAX_WAITING + 1) + ["DeviceBusy"]
+
+
+async def test_a_request_that_does_not_fit_is_refused_before_it_is_sent() -> None:
+    async with daemon() as host, fake_device(host.tcp, SET_LED):
+        with pytest.raises(BadRequest, match="dta"):
+            await host.hub.services.call("/set_led", {"dta": True})
+
+
+async def toggle(request: Mapping[str, object]) -> Mapping[str, object]:
+    return {"success": not request["data"], "message": "toggled"}
+
+
+async def test_a_device_calls_a_service_of_a_program() -> None:
+    async with daemon() as host, fake_device(host.tcp, TOGGLE) as device:
+        host.hub.services.provide(Provider("/toggle", "std_srvs/SetBool", "test", toggle))
+        await device.send(encode(125, b"\x00"))
+        assert await device.frame(100) == answer("toggled", success=True)
+
+
+async def test_a_device_calls_a_service_of_another_device() -> None:
+    server = [info._replace(name="/toggle") for info in SET_LED]
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, TOGGLE) as caller,
+        fake_device(host.tcp, server) as callee,
+    ):
+        await caller.send(encode(125, b"\x01"))
+        assert await callee.frame(100) == b"\x01"
+        await callee.send(encode(125, answer("from afar")))
+        assert await caller.frame(100) == answer("from afar")
+
+
+async def test_a_device_whose_call_fails_is_told_so_instead_of_waiting_for_ever() -> None:
+    async with daemon() as host, fake_device(host.tcp, TOGGLE) as device:
+        await device.send(encode(125, b"\x00"))
+        assert await device.frame(100) == answer("no service named /toggle", success=False)
+
+
+async def test_an_answer_that_nobody_asked_for_is_counted_and_harmless() -> None:
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
+        await device.send(encode(125, answer("unasked")))
+        await eventually(lambda: host.hub.services.of_device("/set_led").late_answers == 1)

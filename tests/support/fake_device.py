@@ -1,0 +1,118 @@
+"""FakeDevice: the device side of rosserial on a socket, as a script: it does what the test says, and nothing else."""
+
+import asyncio
+import contextlib
+import struct
+from collections.abc import AsyncIterator
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+
+CATALOG = Catalog()
+TIMEOUT_S = 5.0
+
+
+def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:
+    """An endpoint with the md5 that its type has."""
+    if kind in (Id.PUBLISHER, Id.SUBSCRIBER):
+        message = CATALOG.message(type_name)
+        assert message is not None, type_name
+        return TopicInfo(kind, topic_id, name, type_name, message.md5, buffer_bytes)
+    service = CATALOG.service(type_name)
+    assert service is not None, type_name
+    asks = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+    return TopicInfo(kind, topic_id, name, type_name, (service.request if asks else service.response).md5, buffer_bytes)
+
+
+def robot_topics(name: str = "robot_0") -> list[TopicInfo]:
+    """The paper's robot, as far as it takes to be one."""
+    return [
+        topic(Id.PUBLISHER, 125, f"/{name}/odometry", "geometry_msgs/Pose2D"),
+        topic(Id.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),
+        topic(Id.SUBSCRIBER, 101, f"/{name}/reset_odometry", "std_msgs/Empty"),
+    ]
+
+
+def pose(x: float, y: float = 0.0, theta: float = 0.0) -> bytes:
+    """A Pose2D on the odometry topic."""
+    return encode(125, struct.pack("<3d", x, y, theta))
+
+
+class FakeDevice:
+    """One connection of a device."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+        self._stream = FrameStream()
+        self._frames: list[Frame] = []
+
+    async def send(self, data: bytes) -> None:
+        """Send any bytes."""
+        self._writer.write(data)
+        await self._writer.drain()
+
+    async def announce(self, topics: list[TopicInfo]) -> None:
+        """Wait for the request for topics, and answer as a device does: the time first, then each topic."""
+        await self.frame(Id.PUBLISHER)
+        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
+        await self.send(encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
+        await self.frame(Id.TIME)
+
+    async def next(self) -> Frame:
+        """The next frame of any kind; the connection's end is an EOFError."""
+        async with asyncio.timeout(TIMEOUT_S):
+            while not self._frames:
+                data = await self._reader.read(65536)
+                if not data:
+                    raise EOFError("the host closed the connection")
+                self._frames += [item for item in self._stream.feed(data) if isinstance(item, Frame)]
+        return self._frames.pop(0)
+
+    async def frame(self, topic_id: int) -> bytes:
+        """The payload of the next frame with this id; others are passed over."""
+        while True:
+            frame = await self.next()
+            if frame.topic_id == topic_id:
+                return frame.payload
+
+    async def velocity(self) -> tuple[float, float]:
+        """The next velocity command: m/s, rad/s."""
+        twist = struct.unpack("<6d", await self.frame(100))
+        return twist[0], twist[5]
+
+    async def velocity_other_than(self, unwanted: tuple[float, float]) -> tuple[float, float]:
+        """The next velocity that differs from this one."""
+        while True:
+            velocity = await self.velocity()
+            if velocity != unwanted:
+                return velocity
+
+    def hang_up(self) -> None:
+        """Close this end."""
+        self._writer.close()
+
+    async def closed(self) -> None:
+        """Wait until the host has closed the connection."""
+        with contextlib.suppress(EOFError, ConnectionError):
+            while True:
+                await self.next()
+
+
+@contextlib.asynccontextmanager
+async def fake_device(
+    address: tuple[str, int], topics: list[TopicInfo] | None = None, *, local_host: str | None = None
+) -> AsyncIterator[FakeDevice]:
+    """A device that connects, announces its topics if it has any, and closes at the end of the block."""
+    local = None if local_host is None else (local_host, 0)
+    reader, writer = await asyncio.open_connection(*address, local_addr=local)
+    try:
+        device = FakeDevice(reader, writer)
+        if topics is not None:
+            await device.announce(topics)
+        yield device
+    finally:
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
