@@ -131,7 +131,7 @@ class RosbridgeClient:
         if not isinstance(priority, int) or not 0 <= priority <= MAX_PRIORITY:
             raise BadRequest(f"publish: priority must be a number from 0 to {MAX_PRIORITY}")
         self._hub.publish(
-            _text(request, "topic"), message, source=self.name, type_name=request.get("type", ""), priority=priority
+            _text(request, "topic"), message, source=self.name, type_name=_type_name(request), priority=priority
         )
 
     def _subscribe(self, request: dict[str, Any]) -> None:
@@ -144,7 +144,7 @@ class RosbridgeClient:
                 raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
             new = _Subscription(name, name)
             new.unsubscribe = self._hub.topics.subscribe(
-                name, lambda message: self._deliver(new, message), type_name=request.get("type") or ""
+                name, lambda message: self._deliver(new, message), type_name=_type_name(request)
             )
             subscription = self._subscriptions[name] = new
         subscription.wish(request.get("id"), interval_s, min(queue_length, MAX_SUBSCRIPTIONS))
@@ -239,6 +239,11 @@ def _text(request: dict[str, Any], key: str) -> str:
     if not isinstance(value, str) or not value:
         raise BadRequest(f"{request.get('op')}: {key} must be a text")
     return value
+
+
+def _type_name(request: dict[str, Any]) -> str:
+    """The type that a request names; clients leave it out, or empty, when the topic is known."""
+    return _text(request, "type") if request.get("type") else ""
 
 
 def _number(request: dict[str, Any], key: str, default: float = 0.0) -> float:

@@ -116,8 +116,9 @@ class Hub:
         """Stop every robot, tell every device to fall silent, end every link; bounded by FAREWELL_TIMEOUT_S."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL_TIMEOUT_S):
-                for _ in range(STOP_REPEATS):
-                    for robot in self.robots.all():
+                connected = [robot for robot in self.robots.all() if robot.link is not None]
+                for _ in range(STOP_REPEATS if connected else 0):
+                    for robot in connected:
                         self.robots.stop(robot)
                     await asyncio.sleep(STOP_INTERVAL_S)
                 for link in self.links():

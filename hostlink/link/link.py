@@ -75,6 +75,7 @@ class Link:
         except* OSError as broken:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
+            self._is_drained.set()  # nothing will leave any more
             await self._transport.aclose()
         return self._end or end
 

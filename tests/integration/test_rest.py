@@ -1,0 +1,108 @@
+"""The REST door: what a script gets, and what it is told when it asks for something else."""
+
+import io
+
+import pytest
+
+from hostlink.protocol.frame import Id
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.waiting import eventually
+
+
+async def test_a_robot_and_its_odometry() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await device.send(pose(1.0, 2.0, 0.5))
+        await eventually(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
+        robots = (await host.get("/api/robots"))["robots"]
+        robot = await host.get("/api/robots/robot_0")
+        odometry = await host.get("/api/robots/robot_0/odometry")
+    assert [each["name"] for each in robots] == ["robot_0"]
+    assert robot["connected"] is True
+    assert robot["velocity_topic"] == "/robot_0/velocity_commands"
+    assert odometry["pose"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
+    assert odometry["twist"] == {"linear_m_s": 0.0, "angular_rad_s": 0.0}
+    assert 0 <= odometry["age_s"] < 5
+    assert odometry["stamp_ns"] > 1_700_000_000_000_000_000
+
+
+async def test_velocity_stop_and_reset() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        status, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
+        assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "angular_rad_s": 0.5})
+        assert body["is_limited"] is False
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
+        assert (await host.rest("POST", "/api/robots/robot_0/stop"))[0] == 200
+        assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
+        assert (await host.rest("POST", "/api/robots/robot_0/odometry/reset"))[0] == 200
+        assert await device.frame(101) == b""
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "status", "kind"),
+    [
+        ("GET", "/api/robots/nobody", None, 404, "UnknownTopic"),
+        ("GET", "/api/robots/robot_0/odometry", None, 503, "DeviceGone"),
+        ("PUT", "/api/robots/nobody/velocity", b'{"linear": 0, "angular": 0}', 404, "UnknownTopic"),
+        ("PUT", "/api/robots/robot_0/velocity", b"", 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1}', 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0, "lateral": 1}', 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b'{"linear": "fast", "angular": 0}', 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b'{"linear": NaN, "angular": 0}', 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b"[" * 50_000, 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b"\xff\xfe", 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 1e999, "angular": 0}', 400, "BadRequest"),
+        ("GET", "/api/nothing", None, 404, "HTTP"),
+        ("DELETE", "/api/robots", None, 405, "HTTP"),
+        ("POST", "/api/robots/nobody/stop", None, 404, "UnknownTopic"),
+    ],
+)
+async def test_errors_are_json_with_a_reason(
+    method: str, path: str, body: bytes | None, status: int, kind: str
+) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        got, error = await host.rest(method, path, body)
+    assert (got, error["error"]["kind"]) == (status, kind)
+    assert error["error"]["reason"]
+
+
+async def test_a_body_without_end_is_refused() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        endless = io.BytesIO(b" " * 2_000_000)
+        async with host.session.put(host.url + "/api/robots/robot_0/velocity", data=endless) as response:
+            status, error = response.status, await response.json()
+    assert (status, error["error"]["kind"]) == (413, "HTTP")
+
+
+async def test_a_robot_that_left_is_known_and_cannot_be_driven() -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()):
+            assert (await host.rest("GET", "/readyz"))[0] == 200
+        await eventually(lambda: not host.hub.links())
+        status, error = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0}')
+        assert (status, error["error"]["kind"]) == (503, "DeviceGone")
+        assert (await host.get("/api/robots/robot_0"))["connected"] is False
+        assert await host.rest("GET", "/readyz") == (503, {"status": "not connected: robot_0"})
+
+
+async def test_links_and_topics_and_health() -> None:
+    topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+    async with daemon() as host, fake_device(host.tcp, topics):
+        link = (await host.get("/api/links"))["links"][0]
+        assert [each["name"] for each in link["topics"]] == ["/led"]
+        assert link["frames_from_device"] == 3
+        assert await host.get("/api/topics") == {
+            "topics": [{"name": "/led", "type": "std_msgs/Bool", "publishers": 0, "subscribers": 1, "messages": 0}]
+        }
+        assert (await host.get("/healthz"))["status"] == "alive"
+        assert await host.rest("GET", "/readyz") == (503, {"status": "not connected: no robot yet"})
+
+
+async def test_the_page_and_its_files() -> None:
+    async with daemon() as host:
+        for path, kind in (("/", "html"), ("/web/robots.js", "javascript"), ("/web/style.css", "css")):
+            async with host.session.get(host.url + path) as response:
+                assert (response.status, response.content_type.rpartition("/")[2]) == (200, kind)
+        async with host.session.get(host.url + "/") as response:
+            assert "default-src 'none'" in response.headers["Content-Security-Policy"]
+            assert "http" not in (await response.text()).replace("http-equiv", "")
