@@ -124,6 +124,8 @@ class Link:
                         self._deadline.reschedule(now_s + idle_timeout_s)
         except TimeoutError:
             return LinkEnd.IDLE
+        finally:
+            self._deadline = None
         return LinkEnd.PEER_CLOSED
 
     def _tell(self, found: list[Event]) -> None:

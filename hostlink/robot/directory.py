@@ -59,9 +59,9 @@ class _Entry:
 class Directory:
     """Knows devices by the numbers of their links.
 
-    A device is another's return when address and robot are the same; one that is no robot, when address and
-    all that it announced are. Robots of one name at two addresses are a mistake that only configuration can mend; a name that the
-    configuration gives to an address is nobody else's.
+    A device is another's return when address and robot are the same; one that is no robot, when address and all that
+    it announced are. Robots of one name at two addresses are a mistake that only configuration can mend; a name that
+    the configuration gives to an address is nobody else's.
     """
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
