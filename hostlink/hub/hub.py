@@ -138,6 +138,7 @@ class Hub:
         if device is not None:
             device.leave()
             self.robots.vanish(link)
+            self.robots.leave(str(link))  # a device may drive another
             self._directory.leave(link.number)
 
     # -- what devices say ---------------------------------------------------------------------------------------------

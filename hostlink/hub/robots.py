@@ -93,7 +93,7 @@ class Robots:
         if robot is None:
             robot = self._robots[name] = Robot(name, VelocityGate(name, self._limits(name)), topics, link)
         else:
-            self._by_velocity_topic.pop(resolve(robot.topics.velocity), None)
+            self._forget_topic(robot)
             robot.topics, robot.link = topics, link
         self._by_velocity_topic[resolve(topics.velocity)] = robot
         if robot.unsubscribe is not None:
@@ -112,7 +112,7 @@ class Robots:
                 if robot.unsubscribe is not None:
                     robot.unsubscribe()
                     robot.unsubscribe = None
-                self._by_velocity_topic.pop(resolve(robot.topics.velocity), None)
+                self._forget_topic(robot)
                 log.warning("robot.gone", robot=robot.name)
 
     def command(self, robot: Robot, velocity: Velocity, *, owner: str, priority: int = PROGRAM_PRIORITY) -> Velocity:
@@ -120,7 +120,8 @@ class Robots:
         if robot.link is None:
             raise DeviceGone(robot.name)
         limited = robot.gate.command(owner, velocity, priority=priority, now_s=_now_s())
-        self._step(robot, is_news=True)
+        if robot.gate.holder in (owner, None):  # another's idle zero changes nothing, so it is no news for the device
+            self._step(robot, is_news=True)
         self._wake.set()
         return limited
 
@@ -149,6 +150,11 @@ class Robots:
             else:
                 self._wake.clear()
                 await self._wake.wait()
+
+    def _forget_topic(self, robot: Robot) -> None:
+        topic = resolve(robot.topics.velocity)
+        if self._by_velocity_topic.get(topic) is robot:
+            del self._by_velocity_topic[topic]
 
     def _step(self, robot: Robot, *, is_news: bool = False) -> None:
         was_held_by = robot.gate.holder

@@ -1,0 +1,86 @@
+"""hostlink as a process of its own, as its users run it."""
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+HOSTLINK = str(Path(sys.executable).parent / "hostlink")
+TIMEOUT_S = 20.0
+
+
+@dataclass
+class Process:
+    """A running `hostlink serve`; its log is read as it comes."""
+
+    child: asyncio.subprocess.Process
+    tcp: tuple[str, int] = ("", 0)
+    url: str = ""
+    log: list[dict[str, Any]] = field(default_factory=list)
+
+    async def read_log(self, until: str) -> dict[str, Any]:
+        """The first line of this event from here on."""
+        assert self.child.stderr is not None
+        async with asyncio.timeout(TIMEOUT_S):
+            while line := await self.child.stderr.readline():
+                self.log.append(json.loads(line))
+                if self.log[-1]["event"] == until:
+                    return self.log[-1]
+        raise EOFError(f"the daemon ended without {until}: {self.log}")
+
+    async def end(self, number: signal.Signals) -> int:
+        """Send a signal; returns the exit status."""
+        self.child.send_signal(number)
+        async with asyncio.timeout(TIMEOUT_S):
+            return await self.child.wait()
+
+
+@contextlib.asynccontextmanager
+async def serve(*arguments: str) -> AsyncIterator[Process]:
+    """`hostlink serve` on free ports, killed at the end of the block if it still runs."""
+    child = await asyncio.create_subprocess_exec(
+        HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments, stderr=asyncio.subprocess.PIPE
+    )
+    process = Process(child)
+    try:
+        started = await process.read_log("daemon.started")
+        host, _, port = started["tcp"].rpartition(":")
+        process.tcp, process.url = (host, int(port)), started["api"]
+        yield process
+    finally:
+        if child.returncode is None:
+            child.kill()
+        await child.communicate()
+
+
+async def run(*arguments: str, input_text: str = "") -> tuple[int, str, str]:
+    """Run a hostlink command to its end: (status, what it printed, what it complained)."""
+    child = await asyncio.create_subprocess_exec(
+        HOSTLINK, *arguments,
+        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+        env={**os.environ, "COLUMNS": "200", "NO_COLOR": "1"},
+    )  # fmt: skip
+    async with asyncio.timeout(TIMEOUT_S):
+        out, err = await child.communicate(input_text.encode())
+    assert child.returncode is not None
+    return child.returncode, out.decode(), err.decode()
+
+
+@contextlib.asynccontextmanager
+async def simulated(address: tuple[str, int], *arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """`hostlink sim` against this daemon, for the length of the block."""
+    child = await asyncio.create_subprocess_exec(
+        HOSTLINK, "sim", "--connect", "{}:{}".format(*address), *arguments, stderr=asyncio.subprocess.PIPE
+    )
+    try:
+        yield child
+    finally:
+        if child.returncode is None:
+            child.terminate()
+        await child.communicate()

@@ -1,0 +1,107 @@
+"""The commands that talk to a running daemon, as a person and as a program use them."""
+
+import asyncio
+import json
+import signal
+
+import pytest
+
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.process import HOSTLINK, run, serve, simulated
+
+LED = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+TRIGGER = [
+    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
+    topic(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/trigger", "std_srvs/Trigger"),
+]
+
+
+async def test_topics_echo_pub_and_call() -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, LED + TRIGGER) as device, asyncio.TaskGroup() as tasks:
+        status, out, _ = await run("topics", "--json", "--url", daemon.url)
+        assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/led"])
+
+        listening = tasks.create_task(run("echo", "/led", "--count", "1", "--json", "--url", daemon.url))
+        while json.loads((await run("topics", "--json", "--url", daemon.url))[1])[0]["subscribers"] < 2:
+            continue
+        assert await run("pub", "/led", '{"data": true}', "--url", daemon.url) == (0, "", "1 sent\n")
+        assert await device.frame(100) == b"\x01"
+        assert await listening == (0, '{"data": true}\n', "")
+
+        calling = tasks.create_task(run("call", "/trigger", "--url", daemon.url))
+        await device.frame(101)
+
+        await device.send(encode(125, b"\x01\x02\x00\x00\x00ok"))
+        assert await calling == (0, '{"success": true, "message": "ok"}\n', "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["pub", "/nope", "{}"], "no topic named /nope; known: /led"),
+        (["pub", "/led", '{"dta": true}'], "dta"),
+        (["pub", "/led", "{}", "--type", "std_msgs/Int32"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
+        (["call", "/nope"], "no service named /nope"),
+    ],
+)
+async def test_a_refusal_is_one_line_and_status_1(arguments: list[str], complaint: str) -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, LED):
+        status, out, err = await run(*arguments, "--url", daemon.url)
+    assert (status, out) == (1, "")
+    assert complaint in err
+    assert len(err.splitlines()) == 1
+
+
+async def drive_with_pub(url: str, device: FakeDevice) -> asyncio.subprocess.Process:
+    twist = '{"linear": {"x": 0.2}}'
+    child = await asyncio.create_subprocess_exec(
+        HOSTLINK,
+        "pub",
+        "/robot_0/velocity_commands",
+        twist,
+        "--count",
+        "0",
+        "--url",
+        url,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+    return child
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+async def test_a_program_that_ends_in_any_way_stops_the_robot(number: signal.Signals) -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
+        child = await drive_with_pub(daemon.url, device)
+        child.send_signal(number)
+        async with asyncio.timeout(0.6):
+            assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+        await child.communicate()
+
+
+async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
+    child = await asyncio.create_subprocess_exec(
+        HOSTLINK, "demo", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0",
+        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    assert child.stdout is not None
+    lines = []
+    async with asyncio.timeout(30):
+        while not any("driven by demo" in line and "x  +0.0" not in line for line in lines):
+            lines.append((await child.stdout.readline()).decode())
+            assert lines[-1], "the demo ended by itself"
+    child.send_signal(signal.SIGINT)
+    _, err = await child.communicate()
+    assert child.returncode == 0
+    assert lines[0].startswith("hostlink runs: http://127.0.0.1:")
+    assert err == b""
+
+
+async def test_a_fleet_is_seen_by_name() -> None:
+    async with serve() as daemon, simulated(daemon.tcp, "--robots", "3", "--first", "4"):
+        for _ in range(3):
+            await daemon.read_log("robot.appeared")
+        _, out, _ = await run("topics", "--url", daemon.url)
+    for number in (4, 5, 6):
+        assert f"/robot_{number}/odometry" in out

@@ -1,0 +1,187 @@
+"""The daemon as a process: signals, ports that are taken, a real roslibpy program, a serial device, a fleet."""
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+import termios
+import time
+import tty
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.frame import Id
+from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.run import run_over_streams
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.process import run, serve, simulated
+
+ZERO = (0.0, 0.0)
+PROGRAM = Path(__file__).parent.parent / "support" / "program.py"
+
+
+async def put_velocity(url: str, linear: float, angular: float) -> None:
+    async with (
+        aiohttp.ClientSession() as session,
+        session.put(f"{url}/api/robots/robot_0/velocity", json={"linear": linear, "angular": angular}) as response,
+    ):
+        assert response.status == 200, await response.text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_second(number: signal.Signals) -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
+        await put_velocity(daemon.url, 0.2, 0.5)
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
+        began_s = time.monotonic()
+        daemon.child.send_signal(number)
+        assert await device.velocity_other_than((0.2, 0.5)) == ZERO
+        after = []
+        while not after or after[-1].topic_id != Id.STOP:
+            after.append(await device.next())
+        assert await daemon.child.wait() == 0
+        assert time.monotonic() - began_s < 1.0
+    assert {frame.payload for frame in after if frame.topic_id == 100} <= {bytes(48)}
+
+
+async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
+    """kill -9: no farewell; the robot's own watchdog is what stops it."""
+    async with serve() as daemon, asyncio.TaskGroup() as tasks:
+        robot = SimulatedRobot("robot_0", Catalog())
+        reader, writer = await asyncio.open_connection(*daemon.tcp)
+        running = tasks.create_task(run_over_streams(robot, reader, writer))
+        await daemon.read_log("robot.appeared")
+        while robot.speed_m_s < 0.05:
+            await put_velocity(daemon.url, 0.3, 0.0)
+            await asyncio.sleep(0.1)
+        daemon.child.kill()
+        await daemon.child.wait()
+        await running
+    assert robot.device.is_configured  # it has not noticed yet, and will not for 11 s
+    spins = [robot.turn(time.monotonic() + turn / 30) for turn in range(30)]
+    assert spins.count(None) >= 15
+    assert robot.speed_m_s < 0.01
+
+
+async def test_a_roslibpy_program_drives_the_simulated_robot_and_reads_it_back() -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await daemon.read_log("robot.appeared")
+        host, port = daemon.url.removeprefix("http://").split(":")
+        program = await asyncio.create_subprocess_exec(
+            sys.executable, str(PROGRAM), host, port, "robot_0",
+            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        async with asyncio.timeout(40):
+            out, err = await program.communicate()
+        assert program.returncode == 0, err.decode()
+        stopped = await daemon.read_log("robot.stopped")
+    seen = json.loads(out)
+    assert seen["count"] > 5
+    assert seen["last"]["x"] - seen["first"]["x"] > 0.05
+    assert abs(seen["last"]["y"]) < 0.05
+    assert stopped["robot"] == "robot_0"
+
+
+async def test_a_serial_device_does_the_same() -> None:
+    """The simulated robot on one end of a pseudo terminal, the daemon on the other."""
+    ours, theirs = os.openpty()
+    for end in (ours, theirs):
+        tty.setraw(end, termios.TCSANOW)
+    path = os.ttyname(theirs)
+    robot = SimulatedRobot("robot_0", Catalog())
+    async with (
+        serve("--serial", f"{path}@57600") as daemon,
+        streams_of(ours) as (reader, writer),
+        asyncio.TaskGroup() as tasks,
+    ):
+        running = tasks.create_task(run_over_streams(robot, reader, writer))
+        appeared = await daemon.read_log("robot.appeared")
+        assert appeared["peer"] == path
+        while robot.pose.x_m < 0.05:
+            await put_velocity(daemon.url, 0.3, 0.0)
+            await asyncio.sleep(0.1)
+        url = f"{daemon.url}/api/robots/robot_0/odometry"
+        async with aiohttp.ClientSession() as session, session.get(url) as found:
+            assert (await found.json())["pose"]["x_m"] > 0.0
+        assert await daemon.end(signal.SIGTERM) == 0
+        running.cancel()
+    os.close(theirs)
+
+
+@contextlib.asynccontextmanager
+async def streams_of(descriptor: int) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    """The controlling end of a pseudo terminal as streams; takes the descriptor over."""
+    loop = asyncio.get_running_loop()
+    reader = asyncio.StreamReader()
+    protocol = asyncio.StreamReaderProtocol(reader)
+    reading, _ = await loop.connect_read_pipe(lambda: protocol, os.fdopen(descriptor, "rb", 0))
+    pipe = os.fdopen(os.dup(descriptor), "wb", 0)
+    writing, flow = await loop.connect_write_pipe(lambda: asyncio.StreamReaderProtocol(asyncio.StreamReader()), pipe)
+    try:
+        yield reader, asyncio.StreamWriter(writing, flow, None, loop)
+    finally:
+        reading.close()
+        writing.close()
+        await asyncio.sleep(0)  # both close in the loop's next turn
+
+
+async def test_ten_robots_at_once() -> None:
+    async with serve() as daemon, simulated(daemon.tcp, "--robots", "10"):
+        for _ in range(10):
+            await daemon.read_log("robot.appeared")
+        async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots") as found:
+            robots = (await found.json())["robots"]
+    assert sorted(robot["name"] for robot in robots) == [f"robot_{number}" for number in range(10)]
+    assert all(robot["connected"] for robot in robots)
+
+
+async def test_a_port_that_is_taken_is_one_line_and_status_2() -> None:
+    async with serve() as daemon:
+        taken = "{}:{}".format(*daemon.tcp)
+        status, _, complaint = await run("serve", "--listen", taken, "--api", "127.0.0.1:0")
+        assert status == 2
+        assert complaint.splitlines()[-1].startswith(f"hostlink: TCP {taken}: is in use")
+        status, _, complaint = await run(
+            "serve", "--listen", "127.0.0.1:0", "--api", daemon.url.removeprefix("http://")
+        )
+        assert status == 2
+        assert "choose another port with --api" in complaint
+
+
+async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
+    async with serve("--serial", "/dev/ttyNONE") as daemon:
+        waiting = await daemon.read_log("serial.waiting")
+        assert "no such port" in waiting["reason"]
+        assert await daemon.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "complaint"),
+    [
+        (["serve", "--listen", "nonsense"], 2, "hostlink: --listen: 'nonsense' is not HOST:PORT"),
+        (["serve", "--serial", "/dev/x@fast"], 2, "hostlink: --serial: '/dev/x@fast' is not PORT or PORT@BAUD"),
+        (["serve", "--config", "/none.toml"], 2, "hostlink: /none.toml: No such file or directory"),
+        (["serve", "--log-level", "loud"], 2, "hostlink: --log-level: loud is none of debug, info, warning, error"),
+        (["inspect", "/none.jsonl"], 1, "hostlink: /none.jsonl: No such file or directory"),
+        (
+            ["topics", "--url", "http://127.0.0.1:1"],
+            1,
+            "hostlink: no hostlink at http://127.0.0.1:1: is `hostlink serve`",
+        ),
+        (["teleop", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
+        (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is no JSON"),
+        (["call", "/x", "[]"], 2, "hostlink: REQUEST: must be a JSON object"),
+        (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: dvorak is none of original, twist"),
+    ],
+)
+async def test_wrong_words_on_the_command_line(arguments: list[str], status: int, complaint: str) -> None:
+    got, out, err = await run(*arguments)
+    assert (got, out) == (status, "")
+    assert err.splitlines()[-1].startswith(complaint)
+    assert "Traceback" not in err
