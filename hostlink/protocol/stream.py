@@ -129,7 +129,7 @@ class FrameStream:
                 return
             at = buffer.find(SYNC, self._searched - base)
             if at < 0:
-                self._searched = base + len(buffer) - buffer.endswith(SYNC[:1])
+                self._searched = max(self._searched, base + len(buffer) - buffer.endswith(SYNC[:1]))
                 return
             if at + HEADER.size > len(buffer):
                 self._searched = base + at

@@ -1,0 +1,12 @@
+"""How much the property tests try: HYPOTHESIS_PROFILE=fuzz is fifty times the usual."""
+
+import os
+
+from hypothesis import HealthCheck, settings
+
+_EXAMPLES = 100
+_COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+
+settings.register_profile("default", max_examples=_EXAMPLES, **_COMMON)
+settings.register_profile("fuzz", max_examples=_EXAMPLES * 50, **_COMMON)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))

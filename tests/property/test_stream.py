@@ -1,0 +1,81 @@
+"""STYLE's invariants of the stream, for every way in which a line can be cut, merged and damaged."""
+
+from collections.abc import Iterable
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.protocol.frame import Frame
+from hostlink.protocol.stream import FrameStream, Skipped
+from tests.support.strategies import damaged, frames, noise, split, wire_of
+
+LIMIT_BYTES = 1024
+
+
+def joined(reads: Iterable[bytes]) -> tuple[list[Frame | bytes], int]:
+    """Frames and what was skipped between them in one piece each; and what is pending."""
+    stream = FrameStream(limit_bytes=LIMIT_BYTES)
+    found: list[Frame | bytes] = []
+    for read in reads:
+        for event in stream.feed(read):
+            if isinstance(event, Frame):
+                found.append(event)
+            elif found and isinstance(found[-1], bytes):
+                found[-1] += event.data
+            else:
+                found.append(event.data)
+    return found, stream.pending_bytes
+
+
+lines = st.lists(noise | frames.map(wire_of), max_size=12).map(b"".join)
+
+
+@given(st.lists(frames, max_size=10), st.data())
+def test_what_is_encoded_is_decoded(sent: list[Frame], data: st.DataObject) -> None:
+    wire = b"".join(map(wire_of, sent))
+    found, pending = joined(split(wire, data))
+    assert found == sent
+    assert pending == 0
+
+
+@given(lines, st.data())
+def test_every_split_gives_the_same_events(wire: bytes, data: st.DataObject) -> None:
+    assert joined(split(wire, data)) == joined([wire])
+
+
+@given(lines, st.data())
+def test_every_damage_gives_the_same_events_byte_by_byte(wire: bytes, data: st.DataObject) -> None:
+    line = damaged(wire, data)
+    assert joined(bytes([byte]) for byte in line) == joined([line])
+
+
+@given(lines, st.data())
+def test_no_byte_is_lost(wire: bytes, data: st.DataObject) -> None:
+    line = damaged(wire, data)
+    stream = FrameStream(limit_bytes=LIMIT_BYTES)
+    seen = b""
+    for read in split(line, data):
+        for event in stream.feed(read):
+            seen += event.data if isinstance(event, Skipped) else wire_of(event)
+    assert len(seen) + stream.pending_bytes == len(line)
+    assert line.startswith(seen)
+    assert stream.pending_bytes <= LIMIT_BYTES + 8
+    while stream.pending_bytes:
+        for event in stream.give_up():
+            seen += event.data if isinstance(event, Skipped) else wire_of(event)
+    assert seen == line
+
+
+@given(st.binary(max_size=40).map(lambda junk: junk.replace(b"\xff", b"")), frames, st.data())
+def test_junk_without_a_sync_never_costs_the_frame_after_it(junk: bytes, frame: Frame, data: st.DataObject) -> None:
+    found, pending = joined(split(junk + wire_of(frame), data))
+    assert found == ([junk] if junk else []) + [frame]
+    assert pending == 0
+
+
+@given(lines, st.lists(frames, min_size=1, max_size=5))
+def test_intact_frames_after_any_mess_are_found_when_enough_of_them_come(wire: bytes, sent: list[Frame]) -> None:
+    """A false header that swallows a frame can do so once: the frames behind what it claims are all there."""
+    flood = b"".join(map(wire_of, sent)) * (LIMIT_BYTES // 8)
+    found, _ = joined([wire + flood])
+    assert all(frame in found for frame in sent)

@@ -1,0 +1,149 @@
+"""Bytes to frames: a table of what a line may carry."""
+
+import time
+
+import pytest
+
+from hostlink.protocol.frame import Frame, encode
+from hostlink.protocol.stream import FrameStream, Rejection, Skipped
+
+A, B = Frame(125, b"first"), Frame(126, b"second")
+WIRE_A, WIRE_B = encode(*A), encode(*B)
+
+
+def events(stream: FrameStream, *reads: bytes) -> list[Frame | Skipped]:
+    return [event for read in reads for event in stream.feed(read)]
+
+
+def frames(stream: FrameStream, *reads: bytes) -> list[Frame]:
+    return [event for event in events(stream, *reads) if isinstance(event, Frame)]
+
+
+@pytest.mark.parametrize(
+    "reads",
+    [
+        [WIRE_A + WIRE_B],
+        [WIRE_A, WIRE_B],
+        [bytes([byte]) for byte in WIRE_A + WIRE_B],
+        [WIRE_A[:3], WIRE_A[3:] + WIRE_B],
+    ],
+    ids=["merged", "apart", "bytes", "in a header"],
+)
+def test_frames_however_they_are_cut(reads: list[bytes]) -> None:
+    stream = FrameStream()
+    assert events(stream, *reads) == [A, B]
+    assert stream.pending_bytes == 0
+
+
+@pytest.mark.parametrize(
+    "junk",
+    [
+        b"x",
+        b"\xff",
+        b"\xff\xff",
+        b"\xff\xfe",
+        b"\xff\xfe\xff",
+        WIRE_B[:5],
+        WIRE_B[:-1],
+        b"\xff\xfe\x00\x01\xfe\x7d\x00abc",
+    ],
+    ids=["text", "FF", "two FF", "sync", "two syncs", "half a header", "cut frame", "claims 256 bytes"],
+)
+def test_a_good_frame_is_not_lost_to_what_stands_before_it(junk: bytes) -> None:
+    stream = FrameStream()
+    assert events(stream, junk + WIRE_A) == [Skipped(junk), A]
+
+
+def test_a_damaged_payload_costs_its_frame_and_no_other() -> None:
+    stream = FrameStream()
+    broken = bytearray(WIRE_A)
+    broken[9] ^= 1
+    found = events(stream, bytes(broken) + WIRE_B)
+    assert found[-1] == B
+    assert b"".join(event.data for event in found if isinstance(event, Skipped)) == broken
+    assert stream.rejected == {Rejection.CHECKSUM: 1}
+
+
+def test_a_frame_inside_a_false_one_is_there_at_once() -> None:
+    """A damaged length claims more than ever comes: the next frame does not wait for it."""
+    stream = FrameStream()
+    false_header = b"\xff\xfe\xe8\x03\x14\x7d\x00"
+    assert frames(stream, false_header + WIRE_A) == [A]
+
+
+def test_how_a_frame_inside_a_frame_is_cut_changes_nothing() -> None:
+    outer = encode(130, b"xx" + WIRE_A + b"yy")
+    whole = frames(FrameStream(), outer)
+    assert whole == frames(FrameStream(), *[bytes([byte]) for byte in outer]) == [A]
+
+
+def test_false_headers_in_one_another() -> None:
+    stream = FrameStream()
+    liar = b"\xff\xfe\x20\x00\xdf"
+    assert frames(stream, liar * 5 + WIRE_A + liar + WIRE_B) == [A, B]
+
+
+def test_a_claim_over_the_limit_is_no_header() -> None:
+    stream = FrameStream(limit_bytes=100)
+    big = encode(125, bytes(101))
+    assert frames(stream, big + WIRE_A) == [A]
+    assert stream.rejected[Rejection.TOO_LONG] == 1
+    stream.limit_bytes = 101
+    assert frames(stream, big) == [Frame(125, bytes(101))]
+
+
+def test_a_size_that_the_type_cannot_have_is_damage() -> None:
+    fixed = {125: 24}
+    stream = FrameStream(fixed_bytes=fixed)
+    assert frames(stream, WIRE_A + WIRE_B) == [B]
+    assert stream.rejected == {Rejection.WRONG_SIZE: 1}
+    fixed[125] = 5
+    assert frames(stream, WIRE_A) == [A]
+
+
+def test_what_a_frame_changes_holds_for_the_next_one_of_the_same_read() -> None:
+    fixed: dict[int, int] = {}
+    stream = FrameStream(fixed_bytes=fixed)
+    found = []
+    for event in stream.feed(WIRE_B + WIRE_A):
+        found.append(event)
+        fixed[125] = 24
+    assert found[0] == B
+    assert A not in found
+
+
+def test_a_frame_that_stays_incomplete_is_given_up_and_read_again() -> None:
+    stream = FrameStream()
+    assert events(stream, b"\xff\xfe\x10\x00\xef\x7d\x00" + WIRE_A[:6]) == []
+    assert list(stream.give_up()) == [Skipped(b"\xff\xfe\x10\x00\xef\x7d\x00")]
+    assert events(stream, WIRE_A[6:]) == [A]
+    assert stream.rejected == {Rejection.INCOMPLETE: 1}
+
+
+def test_there_may_be_nothing_to_give_up() -> None:
+    stream = FrameStream()
+    assert list(stream.give_up()) == []
+    assert stream.rejected == {}
+
+
+def test_half_a_sync_is_given_up_too() -> None:
+    stream = FrameStream()
+    assert events(stream, b"\xff") == []
+    assert list(stream.give_up()) == [Skipped(b"\xff")]
+
+
+@pytest.mark.parametrize("limit_bytes", [1024, 65535])
+def test_work_is_linear_in_bytes_made_of_headers(limit_bytes: int) -> None:
+    """Crafted bytes cost time in proportion, and none of the memory that their headers claim."""
+
+    def seconds(count: int) -> float:
+        stream = FrameStream(limit_bytes=limit_bytes)
+        wire = b"\xff\xfe\x00\x04\xfb\x7d\x00" * count
+        began = time.process_time()
+        for at in range(0, len(wire), 65536):
+            for _ in stream.feed(wire[at : at + 65536]):
+                pass
+        return time.process_time() - began
+
+    seconds(1000)
+    assert seconds(20_000) < 8 * max(seconds(5_000), 0.01)
