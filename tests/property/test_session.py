@@ -1,0 +1,82 @@
+"""STYLE's invariants of the session: any bytes at any time, and it is still there for a good device."""
+
+import contextlib
+import itertools
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.errors import HostlinkError
+from hostlink.protocol import events
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
+from hostlink.protocol.session import Session
+from tests.support.strategies import damaged, frames, noise, topic_infos, wire_of
+
+GOOD = [
+    TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m", 512),
+    TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m", 512),
+]
+TIME = encode(Id.TIME, bytes(8))
+SIZES = {"geometry_msgs/Pose2D": 24, "geometry_msgs/Twist": 48}
+
+infos = topic_infos.map(lambda info: encode(info.kind, encode_topic_info(info)))
+controls = st.builds(encode, st.integers(0, 12), st.binary(max_size=30))
+lines = st.lists(st.one_of(noise, frames.map(wire_of), infos, controls, st.just(TIME)), max_size=6).map(b"".join)
+
+
+@given(st.lists(st.tuples(lines, st.floats(0.0, 3.0)), max_size=15), st.data())
+def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], data: st.DataObject) -> None:
+    session = Session(check=lambda info: SIZES.get(info.type))
+    now_s = 0.0
+    asked_at_s = [now_s for event in session.open(now_s=now_s) if isinstance(event, events.TopicsAsked)]
+    for line, pause_s in story:
+        for event in session.receive(damaged(line, data), now_s=now_s):
+            asked_at_s += [now_s] * isinstance(event, events.TopicsAsked)
+        until_s = now_s + pause_s
+        ticks = 0
+        while (deadline_s := session.deadline_s()) <= until_s:
+            now_s = max(now_s, deadline_s)
+            for event in session.tick(now_s=now_s):
+                asked_at_s += [now_s] * isinstance(event, events.TopicsAsked)
+            ticks += 1
+            assert ticks < 2000, "a deadline that a tick does not move"
+        now_s = until_s
+        for info in session.topics:
+            sends_only_what_the_device_can_take(session, info, now_s)
+    assert all(later - earlier >= 1.0 for earlier, later in itertools.pairwise(asked_at_s))
+    comes_back(session, now_s)
+
+
+def sends_only_what_the_device_can_take(session: Session, info: TopicInfo, now_s: float) -> None:
+    known = {known.topic_id: known for known in session.topics}
+    with contextlib.suppress(HostlinkError):  # refused, or sent: then it must fit
+        session.publish(info.name, bytes(SIZES.get(info.type, 5)))
+    while (frame := session.take(now_s=now_s, wall_ns=0)) is not None:
+        topic_id = int.from_bytes(frame[5:7], "little")
+        if topic_id >= 100:
+            assert known[topic_id].is_to_device
+            assert len(frame) <= known[topic_id].buffer_bytes or known[topic_id].buffer_bytes <= 0
+
+
+def comes_back(session: Session, now_s: float) -> None:
+    """A device that answers the next request for topics works, whatever was before."""
+    asked = False
+    for _ in range(2000):
+        now_s += 0.01
+        while (frame := session.take(now_s=now_s, wall_ns=0)) is not None:
+            asked = asked or frame == TOPICS_REQUEST
+        if asked:
+            break
+        session.tick(now_s=now_s)
+    assert asked, "it never asked again"
+    told = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in GOOD) + TIME
+    # Junk that waits for its end may hide one answer; it is given up, and then the next one is heard.
+    found = session.receive(told, now_s=now_s) + session.receive(encode(125, bytes(24)), now_s=now_s)
+    if not any(isinstance(event, events.MessageReceived) and event.topic == GOOD[0] for event in found):
+        for _ in range(3):
+            now_s += 2.5
+            session.tick(now_s=now_s)
+        found = session.receive(told + encode(125, bytes(24)), now_s=now_s)
+    assert any(isinstance(event, events.MessageReceived) and event.topic == GOOD[0] for event in found)
+    session.publish("/velocity", bytes(48))

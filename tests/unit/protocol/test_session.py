@@ -1,0 +1,310 @@
+"""The host's side of one device: what it asks, answers, refuses and forgets. Times are virtual."""
+
+import itertools
+
+import pytest
+
+from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
+from hostlink.protocol import events
+from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, encode_parameter_request, encode_topic_info
+from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, MAX_SAME_ASKS, Session
+from hostlink.protocol.stream import FrameStream
+
+SIZES = {"std_msgs/Bool": 1, "geometry_msgs/Pose2D": 24}
+TIME = encode(Id.TIME, bytes(8))
+ODOMETRY = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m", 512)
+LED = TopicInfo(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool", "m", 64)
+TEXT = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 64)
+
+
+def wire(*infos: TopicInfo) -> bytes:
+    return b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
+
+
+def check(info: TopicInfo) -> int | None:
+    if info.md5 == "wrong":
+        raise WrongType(info.name, "md5 right", "md5 wrong")
+    return SIZES.get(info.type)
+
+
+class Host:
+    """A session and its clock."""
+
+    def __init__(self, *infos: TopicInfo) -> None:
+        self.session = Session(check=check)
+        self.now_s = 100.0
+        self.events = self.session.open(now_s=self.now_s)
+        if infos:
+            self.hear(TIME + wire(*infos) + TIME)
+            self.sent()
+
+    def hear(self, data: bytes, *, after_s: float = 0.01) -> list[events.Event]:
+        self.now_s += after_s
+        self.events = self.session.receive(data, now_s=self.now_s)
+        return self.events
+
+    def wait(self, seconds: float) -> list[events.Event]:
+        """Tick whenever the session wants it."""
+        until_s = self.now_s + seconds
+        self.events = []
+        while (deadline_s := self.session.deadline_s()) <= until_s:
+            assert deadline_s > self.now_s - 1e-9
+            self.now_s = max(self.now_s, deadline_s)
+            self.events += self.session.tick(now_s=self.now_s)
+        self.now_s = until_s
+        return self.events
+
+    def sent(self) -> list[Frame]:
+        stream, found = FrameStream(), []
+        while (data := self.session.take(now_s=self.now_s, wall_ns=5)) is not None:
+            found += [item for item in stream.feed(data) if isinstance(item, Frame)]
+        return found
+
+    def asks(self) -> list[str]:
+        return [event.reason for event in self.events if isinstance(event, events.TopicsAsked)]
+
+
+def test_it_asks_for_topics_at_once() -> None:
+    host = Host()
+    assert host.asks() == ["connected"]
+    assert host.session.take(now_s=host.now_s, wall_ns=0) == TOPICS_REQUEST
+
+
+def test_without_an_answer_it_asks_again_every_two_seconds() -> None:
+    host = Host()
+    host.wait(10.0)
+    assert host.asks() == ["no_answer"] * 5
+
+
+def test_topics_are_known_after_a_frame_of_another_kind_or_half_a_second() -> None:
+    host = Host()
+    assert host.hear(wire(ODOMETRY, LED)) == []
+    assert host.wait(0.4) == []
+    assert host.wait(0.2) == [events.TopicsNegotiated((LED, ODOMETRY), is_changed=True, gap_at=None)]
+    host = Host()
+    assert host.hear(wire(ODOMETRY) + TIME)[0] == events.TopicsNegotiated((ODOMETRY,), is_changed=True, gap_at=None)
+
+
+def test_a_message_of_a_known_topic() -> None:
+    host = Host(ODOMETRY)
+    assert host.hear(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+
+
+def test_a_message_of_the_wrong_size_is_damage() -> None:
+    host = Host(ODOMETRY)
+    assert host.hear(encode(125, bytes(23))) == []
+    assert host.session.rejected == {"wrong_size": 1}
+    assert host.session.counts.skipped_bytes == 31
+
+
+def test_the_time_is_answered_first_with_the_clock_of_the_moment_of_sending() -> None:
+    host = Host(ODOMETRY, LED)
+    host.session.publish("/led", b"\x01")
+    assert host.hear(TIME) == [events.TimeRequested()]
+    assert host.sent() == [Frame(Id.TIME, bytes.fromhex("00000000 05000000")), Frame(100, b"\x01")]
+
+
+def test_an_unknown_id_is_asked_about_at_most_once_a_second_and_three_times() -> None:
+    host = Host(ODOMETRY)
+    asked_at_s = []
+    for _ in range(1000):
+        host.hear(encode(140, b"?"))
+        if host.asks():
+            asked_at_s.append(host.now_s)
+            host.hear(TIME + wire(ODOMETRY) + TIME)
+    assert len(asked_at_s) == MAX_SAME_ASKS
+    assert all(later - earlier >= 1.0 for earlier, later in itertools.pairwise(asked_at_s))
+    assert host.session.counts.unknown_ids == 1000
+
+
+def test_frames_before_the_answer_do_not_ask_twice() -> None:
+    host = Host()
+    for _ in range(20):
+        host.hear(encode(125, bytes(24)))
+    host.hear(TIME + wire(ODOMETRY) + TIME)
+    host.wait(3.0)
+    assert host.session.counts.asks == 1
+
+
+@pytest.mark.parametrize(
+    ("infos", "gap_at"),
+    [
+        ([ODOMETRY, LED._replace(topic_id=101)], 100),
+        ([ODOMETRY, LED, TEXT._replace(topic_id=102)], 101),
+        ([ODOMETRY, ODOMETRY._replace(topic_id=127, name="/b")], 126),
+    ],
+)
+def test_a_gap_in_the_ids_is_asked_about_until_it_is_clear_that_it_stays(infos: list[TopicInfo], gap_at: int) -> None:
+    host = Host(*infos)
+    assert [event.gap_at for event in host.events if isinstance(event, events.TopicsNegotiated)] == [gap_at]
+    asks = 0
+    for _ in range(10):
+        host.wait(1.2)
+        if "gap" in host.asks():
+            asks += 1
+            host.hear(TIME + wire(*infos) + TIME)
+    assert asks == MAX_SAME_ASKS
+
+
+def test_damage_during_a_negotiation_is_asked_about() -> None:
+    host = Host()
+    host.hear(wire(ODOMETRY) + b"junk" + wire(LED) + TIME)
+    host.wait(1.1)
+    assert host.asks() == ["damaged"]
+    host.hear(wire(ODOMETRY, LED) + TIME)
+    host.wait(1.1)
+    assert host.asks() == []
+
+
+def test_five_seconds_without_a_time_request_are_asked_about() -> None:
+    host = Host(ODOMETRY)
+    for _ in range(3):
+        host.wait(2.5)
+        assert host.asks() == []
+        host.hear(TIME)
+    host.wait(5.1)
+    assert host.asks() == ["no_time_requests"]
+
+
+def test_a_second_negotiation_replaces_the_first() -> None:
+    host = Host(ODOMETRY, LED)
+    other = ODOMETRY._replace(name="/battery", type="std_msgs/Float32")
+    found = host.hear(TIME + wire(other) + TIME)
+    assert events.TopicsNegotiated((other,), is_changed=True, gap_at=None) in found
+    assert host.hear(encode(125, b"1234")) == [events.MessageReceived(other, b"1234")]
+    with pytest.raises(UnknownTopic, match="no topic named /led"):
+        host.session.publish("/led", b"\x01")
+
+
+def test_a_negotiation_that_changes_ids_forgets_what_waits_for_the_old_ones() -> None:
+    host = Host(ODOMETRY, LED)
+    host.session.publish("/led", b"\x01")
+    host.hear(wire(ODOMETRY, TEXT._replace(topic_id=100)) + TIME)
+    assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
+
+
+def test_the_same_topics_again_change_nothing() -> None:
+    host = Host(ODOMETRY, LED)
+    found = host.hear(TIME + wire(ODOMETRY, LED) + TIME)
+    assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [False]
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload", "error", "text"),
+    [
+        ("/nope", b"", UnknownTopic, "no topic named /nope; known: /led, /text"),
+        ("/odometry", bytes(24), UnknownTopic, "no topic named /odometry; known: /led, /text"),
+        ("/led", b"\x01\x02", WrongType, "/led: wanted std_msgs/Bool of 1 bytes, got 2 bytes"),
+        ("/text", bytes(57), FrameTooLarge, "/text: frame of 65 bytes, the device takes 64"),
+    ],
+)
+def test_what_a_device_could_not_take_is_refused_before_it_is_queued(
+    topic: str, payload: bytes, error: type[Exception], text: str
+) -> None:
+    host = Host(ODOMETRY, LED, TEXT)
+    with pytest.raises(error) as caught:
+        host.session.publish(topic, payload)
+    assert str(caught.value) == text
+    assert host.sent() == []
+
+
+def test_a_device_that_announces_no_buffer_has_the_usual_one() -> None:
+    host = Host(TEXT._replace(topic_id=100, buffer_bytes=0))
+    host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 8))
+    with pytest.raises(FrameTooLarge):
+        host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 7))
+
+
+def test_a_refused_topic_is_told_and_its_messages_are_nobodys() -> None:
+    host = Host()
+    wrong = LED._replace(md5="wrong")
+    found = host.hear(wire(ODOMETRY, wrong, TEXT) + TIME)
+    assert [(event.topic, str(event.reason)) for event in found if isinstance(event, events.TopicRefused)] == [
+        (wrong, "/led: wanted md5 right, got md5 wrong")
+    ]
+    assert host.session.topics == (TEXT, ODOMETRY)
+    with pytest.raises(WrongType):
+        host.session.publish("/led", b"\x01")
+    assert host.hear(encode(100, b"\x01")) == []
+    assert host.session.counts.refused_frames == 1
+
+
+def test_services_in_both_directions() -> None:
+    server = [
+        TopicInfo(Id.SERVICE_SERVER_PUBLISHER, 125, "/set", "std_srvs/SetBool", "m", 512),
+        TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set", "std_srvs/SetBool", "m", 512),
+    ]
+    client = [
+        TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "std_srvs/SetBool", "m", 512),
+        TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "std_srvs/SetBool", "m", 512),
+    ]
+    host = Host(*server, *client)
+    host.session.call("/set", b"request")
+    host.session.answer("/ask", b"response")
+    assert host.sent() == [Frame(100, b"request"), Frame(101, b"response")]
+    assert host.hear(encode(125, b"yes") + encode(126, b"?")) == [
+        events.ServiceResponded(server[0], b"yes"),
+        events.ServiceRequested(client[0], b"?"),
+    ]
+    with pytest.raises(UnknownTopic, match="no service named /ask"):
+        host.session.call("/ask", b"")
+
+
+def test_parameters_and_logs() -> None:
+    host = Host(LED)
+    assert host.hear(
+        encode(Id.PARAMETER, encode_parameter_request("/gain")) + encode(Id.LOG, encode_log(Log(2, "hot")))
+    ) == [
+        events.ParameterRequested("/gain"),
+        events.DeviceLogged(2, "hot"),
+    ]
+    host.session.answer_parameter("/gain", Parameter(ints=(7,)))
+    assert host.sent() == [Frame(Id.PARAMETER, bytes.fromhex("01000000 07000000 00000000 00000000"))]
+    with pytest.raises(FrameTooLarge, match="parameter /long: frame of 124 bytes, the device takes 64"):
+        host.session.answer_parameter("/long", Parameter(strings=("x" * 100,)))
+
+
+@pytest.mark.parametrize(
+    "frame", [encode(Id.LOG, b""), encode(Id.PARAMETER, b"\x01"), encode(42, b""), encode(0, b"x")]
+)
+def test_control_frames_that_make_no_sense_are_counted(frame: bytes) -> None:
+    host = Host(LED)
+    assert host.hear(frame) == []
+    assert host.session.counts.malformed == 1
+
+
+def test_a_frame_of_a_device_with_an_id_that_only_the_host_may_use() -> None:
+    host = Host(LED)
+    assert host.hear(encode(100, b"\x01")) == []
+    assert host.session.counts.refused_frames == 1
+
+
+def test_protocol_1_is_recognised_once() -> None:
+    host = Host()
+    body = b"\x0a\x00\x08\x00" + bytes(8)
+    line = b"\xff\xff" + body + bytes([255 - sum(body) % 256])
+    found = [event for _ in range(3) for event in host.hear(line)]
+    assert found == [events.Protocol1Recognised()]
+
+
+def test_a_frame_that_stalls_is_given_up() -> None:
+    host = Host(ODOMETRY)
+    host.hear(b"\xff\xfe\x18\x00\xe7\x7d\x00half")
+    host.wait(2.5)
+    assert host.session.counts.skipped_bytes == 11
+    assert host.hear(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+
+
+def test_a_larger_announced_buffer_lets_larger_frames_in() -> None:
+    big = TopicInfo(Id.PUBLISHER, 125, "/image", "sensor_msgs/Image", "m", 5000)
+    host = Host(big)
+    assert host.hear(encode(125, bytes(4000))) == [events.MessageReceived(big, bytes(4000))]
+
+
+def test_stop_is_the_last_frame() -> None:
+    host = Host(ODOMETRY, LED)
+    host.session.publish("/led", b"\x00", is_urgent=True)
+    host.session.stop()
+    assert [frame.topic_id for frame in host.sent()] == [100, Id.STOP]
+    assert host.session.replaced == 0
