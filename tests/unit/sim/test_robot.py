@@ -1,0 +1,147 @@
+"""The simulated robot: ROBOT.md's numbers, its watchdog, and odometry against what the wheels truly did."""
+
+import math
+
+import pytest
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.frame import TOPICS_REQUEST, Frame, encode
+from hostlink.protocol.stream import FrameStream
+from hostlink.sim.controller import LEFT_GAINS, MinimumJerk, WheelController, motor_output
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.drive_train import DriveTrain
+from hostlink.sim.robot import LOOP_S, SimulatedRobot
+
+CATALOG = Catalog()
+
+
+class Track:
+    """A robot on a line without delay, driven for a while."""
+
+    def __init__(self) -> None:
+        self.robot = SimulatedRobot("robot_0", CATALOG, device=SimulatedDevice(baud=None))
+        self.now_s = 0.0
+        self.robot.device.from_host.send(TOPICS_REQUEST, 0.0)
+        self.frames: list[Frame] = []
+        self.drive(0.0, 0.0, 0.2)
+
+    def drive(self, linear: float, angular: float, seconds: float, *, is_told: bool = True) -> None:
+        twist = CATALOG.message("geometry_msgs/Twist")
+        assert twist is not None
+        payload = twist.encode({"linear": {"x": linear}, "angular": {"z": angular}})
+        for turn in range(round(seconds / LOOP_S)):
+            if is_told and turn % 3 == 0:
+                self.robot.device.from_host.send(encode(100, payload), self.now_s)
+            assert self.robot.turn(self.now_s) is None
+            self.now_s += LOOP_S
+            sent = self.robot.device.to_host.take(self.now_s)
+            self.frames += [item for item in FrameStream().feed(sent) if isinstance(item, Frame)]
+
+
+def test_it_reaches_the_speed_that_it_is_told_and_its_odometry_says_so() -> None:
+    track = Track()
+    track.drive(0.2, 0.0, 10.0)
+    assert track.robot.speed_m_s == pytest.approx(0.2, rel=0.1)
+    truth_m = sum(wheel.rolled_ticks for wheel in track.robot.wheels) / 2 * track.robot.drive.metres_per_tick
+    assert track.robot.pose.x_m == pytest.approx(truth_m, abs=0.005)
+    assert abs(track.robot.pose.y_m) < 0.02
+
+
+def test_a_turn_to_the_left_is_positive() -> None:
+    track = Track()
+    track.drive(0.15, 0.5, 5.0)
+    assert 0.5 < track.robot.pose.theta_rad < math.pi
+    assert track.robot.pose.y_m > 0.05
+
+
+def test_backwards_is_backwards() -> None:
+    track = Track()
+    track.drive(-0.2, 0.0, 5.0)
+    assert track.robot.pose.x_m < -0.3
+
+
+def test_it_stops_within_0_6_s_of_the_last_command() -> None:
+    track = Track()
+    track.drive(0.3, 0.0, 5.0)
+    track.drive(0.0, 0.0, 0.6, is_told=False)
+    assert [control.pwm for control in track.robot.controllers] == [0, 0]
+    track.drive(0.0, 0.0, 0.4, is_told=False)
+    assert abs(track.robot.speed_m_s) < 0.01
+
+
+def test_a_zero_command_stops_it_at_once() -> None:
+    track = Track()
+    track.drive(0.3, 0.0, 5.0)
+    track.drive(0.0, 0.0, 0.1)
+    assert [control.pwm for control in track.robot.controllers] == [0, 0]
+
+
+def test_it_publishes_at_ten_hertz() -> None:
+    track = Track()
+    track.frames.clear()
+    track.drive(0.1, 0.0, 3.0)
+    assert sum(frame.topic_id == 125 for frame in track.frames) == 30
+    assert sum(frame.topic_id == 126 for frame in track.frames) == 30
+
+
+def test_reset_makes_the_present_place_the_origin() -> None:
+    track = Track()
+    track.drive(0.2, 0.0, 3.0)
+    track.robot.device.from_host.send(encode(101, b""), track.now_s)
+    track.drive(0.0, 0.0, LOOP_S)
+    assert abs(track.robot.pose.x_m) < 0.02
+
+
+def test_gains_by_message() -> None:
+    track = Track()
+    vector = CATALOG.message("geometry_msgs/Vector3")
+    assert vector is not None
+    track.robot.device.from_host.send(encode(103, vector.encode({"x": 1.0, "y": 2.0, "z": 3.0})), track.now_s)
+    track.drive(0.0, 0.0, LOOP_S)
+    gains = track.robot.controllers[1].gains
+    assert (gains.kp, gains.ki, gains.kd) == (1.0, 2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "pwm"), [(0, 0), (10, 0), (11, 700), (700, 700), (701, 701), (4095, 4095), (5000, 4095), (-11, -700)]
+)
+def test_the_dead_band(wanted: float, pwm: int) -> None:
+    assert motor_output(wanted) == pwm
+
+
+def test_minimum_jerk_takes_its_time_and_ends_where_it_should() -> None:
+    curve = MinimumJerk()
+    curve.aim(100.0)
+    values = [curve.step(0.1) for _ in range(20)]  # 0.018 s a tick/s: 1.8 s
+    assert values == sorted(values)
+    assert values[8] == pytest.approx(50.0)
+    assert values[17] == pytest.approx(100.0)
+    assert values[19] == 100.0
+
+
+def test_minimum_jerk_without_a_change_is_there_at_once() -> None:
+    curve = MinimumJerk()
+    curve.aim(0.0)
+    assert curve.step(0.1) == 0.0
+
+
+def test_the_encoder_keeps_its_sign_until_the_wheel_has_stopped() -> None:
+    """Told to reverse at full speed, a wheel rolls on; its ticks still count forwards."""
+    control, wheel = WheelController(LEFT_GAINS), DriveTrain()
+    rolled = 0.0
+    for turn in range(300):
+        control.aim(250.0 if turn < 200 else -250.0)
+        rolled += control.step(wheel.step(control.pwm, LOOP_S), LOOP_S)
+    assert rolled == pytest.approx(wheel.rolled_ticks, abs=12)
+
+
+def test_the_drive_train_does_not_depend_on_the_length_of_its_steps() -> None:
+    coarse, fine = DriveTrain(), DriveTrain()
+    ticks = coarse.step(2000, 1.0), sum(fine.step(2000, 0.01) for _ in range(100))
+    assert coarse.speed_ticks_s == pytest.approx(fine.speed_ticks_s)
+    assert abs(ticks[0] - ticks[1]) <= 1
+
+
+def test_stiction_holds_a_wheel_below_its_least_pwm() -> None:
+    wheel = DriveTrain()
+    assert wheel.step(300, 1.0) == 0
