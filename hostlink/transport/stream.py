@@ -12,6 +12,7 @@ class StreamTransport:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, peer: str, address: str) -> None:
         self.peer, self.address = peer, address
         self._reader, self._writer = reader, writer
+        self._is_closed = False
         writer.transport.set_write_buffer_limits(high=0)
 
     async def receive(self) -> bytes:
@@ -25,6 +26,9 @@ class StreamTransport:
 
     async def aclose(self) -> None:
         """Let what was sent leave, but do not wait for a dead peer."""
+        if self._is_closed:  # a close that was given up cannot be waited for again
+            return
+        self._is_closed = True
         self._writer.close()
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
