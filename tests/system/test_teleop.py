@@ -1,0 +1,187 @@
+"""Teleop in a real terminal (tmux): it drives while a key is held, and on every way out the robot stops."""
+
+import asyncio
+import contextlib
+import os
+import shutil
+import signal
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import aiohttp
+import pytest
+
+from tests.support.process import HOSTLINK, Process, serve, simulated
+
+PATIENCE_S = 15.0
+LOOK_S = 0.1
+STOP_S = 1.5  # the lease, and a wheel that rolls out
+
+
+class Screen:
+    """A tmux session of its own with a shell in it."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    async def tmux(self, *arguments: str) -> str:
+        child = await asyncio.create_subprocess_exec(
+            "tmux", "-L", self._name, *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+        )
+        out, _ = await child.communicate()
+        return out.decode()
+
+    async def keys(self, *names: str) -> None:
+        await self.tmux("send-keys", "-t", "main", *names)
+
+    async def text(self) -> str:
+        return await self.tmux("capture-pane", "-p", "-t", "main")
+
+    async def shows(self, text: str) -> str:
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                seen = await self.text()
+                if text in seen:
+                    return seen
+                await asyncio.sleep(LOOK_S)
+
+    async def process(self, name: str) -> int:
+        """The process with this command line in the screen."""
+        shell = (await self.tmux("list-panes", "-t", "main", "-F", "#{pane_pid}")).strip()
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                child = await asyncio.create_subprocess_exec(
+                    "pgrep", "-P", shell, "-f", name, stdout=asyncio.subprocess.PIPE
+                )
+                out, _ = await child.communicate()
+                if out.strip():
+                    return int(out.split()[0])
+                await asyncio.sleep(LOOK_S)
+
+
+@contextlib.asynccontextmanager
+async def screen() -> AsyncIterator[Screen]:
+    assert shutil.which("tmux"), "tmux is not installed: `make test` does it, or sudo apt-get install tmux"
+    made = Screen(f"hostlink-{os.getpid()}")
+    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", "-x", "100", "-y", "24", "bash", "--norc")
+    try:
+        yield made
+    finally:
+        await made.tmux("kill-server")
+
+
+@contextlib.asynccontextmanager
+async def driving(layout: str = "original") -> AsyncIterator[tuple[Process, Screen]]:
+    """A daemon, a simulated robot, and teleop on its screen."""
+    async with serve() as daemon, simulated(daemon.tcp), screen() as terminal:
+        await daemon.read_log("robot.appeared")
+        await terminal.keys(f"{HOSTLINK} teleop --url {daemon.url} --layout {layout}", "Enter")
+        await terminal.shows("hostlink teleop   robot_0   connected")
+        yield daemon, terminal
+
+
+async def robot(daemon: Process) -> dict[str, Any]:
+    async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
+        seen: dict[str, Any] = await response.json()
+        return seen
+
+
+async def until(daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, within_s: float = PATIENCE_S) -> None:
+    async with asyncio.timeout(within_s):
+        while True:
+            if is_so(await robot(daemon)):
+                return
+            await asyncio.sleep(LOOK_S)
+
+
+def is_driven(seen: dict[str, Any]) -> bool:
+    return seen["odometry"] is not None and seen["odometry"]["twist"]["linear_m_s"] > 0.03
+
+
+def stands(seen: dict[str, Any]) -> bool:
+    return seen["holder"] is None and abs(seen["odometry"]["twist"]["linear_m_s"]) < 0.01
+
+
+async def hold(terminal: Screen, daemon: Process, key: str) -> None:
+    """Press a key again and again, as a keyboard repeats it, until the robot moves."""
+    async with asyncio.timeout(PATIENCE_S):
+        while not is_driven(await robot(daemon)):
+            await terminal.keys(key)
+            await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize(("layout", "key"), [("original", "w"), ("original", "Up"), ("twist", "i")])
+async def test_a_held_key_drives_and_a_released_one_stops(layout: str, key: str) -> None:
+    async with driving(layout) as (daemon, terminal):
+        await hold(terminal, daemon, key)
+        assert "driven by client" in await terminal.shows("asked     +0.20 m/s")
+        await until(daemon, stands, within_s=STOP_S)
+        await terminal.shows("driven by nobody")
+
+
+@pytest.mark.parametrize("key", ["Space", "k", "p"])
+async def test_a_stop_key_stops_at_once(key: str) -> None:
+    async with driving() as (daemon, terminal):
+        await hold(terminal, daemon, "w")
+        await terminal.keys(key)
+        await until(daemon, lambda seen: seen["velocity"]["linear_m_s"] == 0.0, within_s=0.5)
+
+
+@pytest.mark.parametrize("way", ["C-c", "TERM", "HUP", "KILL", "close"])
+async def test_every_way_out_stops_the_robot(way: str) -> None:
+    async with driving() as (daemon, terminal):
+        process = await terminal.process("hostlink teleop")
+        await hold(terminal, daemon, "w")
+        if way == "close":
+            await terminal.tmux("kill-session", "-t", "main")
+        elif way == "C-c":
+            await terminal.keys("C-c")
+        else:
+            os.kill(process, getattr(signal, f"SIG{way}"))
+        await until(daemon, stands, within_s=STOP_S)
+
+
+@pytest.mark.parametrize("way", ["C-c", "TERM"])
+async def test_the_terminal_is_as_it_was(way: str) -> None:
+    async with driving() as (daemon, terminal):
+        process = await terminal.process("hostlink teleop")
+        await hold(terminal, daemon, "w")
+        if way == "C-c":
+            await terminal.keys("C-c")
+        else:
+            os.kill(process, signal.SIGTERM)
+        await terminal.shows("bash-")  # the prompt is back
+        await terminal.keys("stty -a | tr ' ;' '\\n\\n' | grep -cx -e icanon -e echo", "Enter")
+        assert "\n2\n" in await terminal.shows("\n2\n")
+
+
+async def test_suspending_stops_the_robot_and_coming_back_drives_again() -> None:
+    async with driving() as (daemon, terminal):
+        await hold(terminal, daemon, "w")
+        await terminal.keys("C-z")
+        await until(daemon, stands, within_s=STOP_S)
+        await terminal.shows("Stopped")
+        await terminal.keys("fg", "Enter")
+        await terminal.shows("speeds")
+        assert stands(await robot(daemon))
+        await hold(terminal, daemon, "w")
+
+
+async def test_a_daemon_that_goes_away_is_said_and_what_was_held_does_not_move_the_robot_later() -> None:
+    async with driving() as (daemon, terminal):
+        await hold(terminal, daemon, "w")
+        daemon.child.kill()
+        assert "Ctrl-C ends" in await terminal.shows("the robot stops by itself; trying again")
+        await terminal.keys("C-c")
+
+
+async def test_without_a_terminal_it_says_so() -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await daemon.read_log("robot.appeared")
+        child = await asyncio.create_subprocess_exec(
+            HOSTLINK, "teleop", "--url", daemon.url, stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        _, err = await child.communicate()
+    assert child.returncode == 2
+    assert err.decode().startswith("hostlink: teleop: needs a terminal for its keys")

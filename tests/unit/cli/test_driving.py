@@ -1,0 +1,129 @@
+"""Keys and time to velocity: USERS.md, section D, row by row."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.cli.driving import GRACE_S, HOLD_S, LAYOUTS, ZEROS, Driving
+from hostlink.cli.keys import Action, Key
+
+V, W = 0.2, 0.8
+
+
+def driving(layout: str = "original") -> Driving:
+    return Driving(layout=layout, linear_m_s=V, angular_rad_s=W)
+
+
+@pytest.mark.parametrize(
+    ("key", "velocity"),
+    [
+        ("q", (V, W)), ("w", (V, 0)), ("e", (V, -W)), ("a", (0, W)), ("d", (0, -W)), ("z", (-V, -W)), ("x", (-V, 0)),
+        ("c", (-V, W)), ("i", (V, 0)), (",", (-V, 0)), ("j", (0, W)), ("l", (0, -W)), ("o", (V, -W)), (".", (-V, W)),
+        ("up", (V, 0)), ("down", (-V, 0)), ("left", (0, W)), ("right", (0, -W)),
+    ],
+)  # fmt: skip
+def test_the_original_map_with_the_usual_keys_of_the_field(key: str, velocity: tuple[float, float]) -> None:
+    made = driving()
+    made.take(Key(key), 0.0)
+    assert made.velocity(0.1) == velocity
+
+
+@pytest.mark.parametrize(("key", "velocity"), [("u", (V, W)), ("i", (V, 0)), ("m", (-V, -W)), (".", (-V, W))])
+def test_the_map_of_teleop_twist_keyboard(key: str, velocity: tuple[float, float]) -> None:
+    made = driving("twist")
+    made.take(Key(key), 0.0)
+    assert made.velocity(0.1) == velocity
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_speed_key_moves_nothing_and_holds_for_the_key_that_is_held(layout: str) -> None:
+    made = driving(layout)
+    speed = "t" if layout == "original" else "q"
+    made.take(Key(speed), 0.0)
+    assert made.velocity(0.0) == (0.0, 0.0)
+    made.take(Key("i"), 0.0)
+    assert made.velocity(0.1) == pytest.approx((V * 1.1, 0))
+
+
+def test_speeds_stay_within_reason() -> None:
+    made = driving()
+    for _ in range(100):
+        made.take(Key("t"), 0.0)
+    assert (made.linear_m_s, made.angular_rad_s) == (1.0, 4.0)
+    for _ in range(100):
+        made.take(Key("b"), 0.0)
+    assert (made.linear_m_s, made.angular_rad_s) == (0.01, 0.05)
+
+
+def test_a_tap_lasts_until_a_repeat_could_have_come_and_a_held_key_as_long_as_it_repeats() -> None:
+    made = driving()
+    made.take(Key("w"), 0.0)
+    assert made.velocity(GRACE_S - 0.01) == (V, 0)
+    made.take(Key("w"), GRACE_S - 0.01)
+    now_s = GRACE_S
+    while now_s < 3.0:
+        made.take(Key("w"), now_s)
+        now_s += 0.033
+    assert made.velocity(now_s) == (V, 0)
+    assert made.velocity(now_s + HOLD_S) == (0.0, 0.0)
+
+
+def test_a_release_stops_at_once_where_the_terminal_tells() -> None:
+    made = driving()
+    made.take(Key("w"), 0.0)
+    made.take(Key("w", Action.RELEASED), 0.05)
+    assert made.velocity(0.05) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("key", ["space", "k", "s", "5", "escape", "\ufffd", "sequence 5~"])
+def test_every_key_without_a_meaning_stops(key: str) -> None:
+    made = driving()
+    made.take(Key("w"), 0.0)
+    made.take(Key(key), 0.1)
+    assert made.velocity(0.1) == (0.0, 0.0)
+
+
+def test_keys_add_up() -> None:
+    made = driving()
+    made.take(Key("up"), 0.0)
+    made.take(Key("left"), 0.1)
+    assert made.velocity(0.1) == (V, W)
+    made.take(Key("down"), 0.1)
+    assert made.velocity(0.1) == (0.0, W)
+
+
+def test_it_sends_at_ten_hertz_then_three_zeros_then_nothing() -> None:
+    made = driving()
+    made.take(Key("w"), 0.0)
+    sent = [(tick / 100, velocity) for tick in range(200) if (velocity := made.due(tick / 100)) is not None]
+    moving = [at_s for at_s, velocity in sent if velocity == (V, 0.0)]
+    zeros = [at_s for at_s, velocity in sent if velocity == (0.0, 0.0)]
+    assert len(moving) == 6
+    assert len(zeros) == ZEROS
+    assert zeros[0] == pytest.approx(GRACE_S)
+    assert not made.is_ending
+
+
+def test_it_is_silent_until_a_key_is_pressed() -> None:
+    made = driving()
+    assert [made.due(tick / 10) for tick in range(20)] == [None] * 20
+
+
+keys = st.builds(Key, st.sampled_from([*"qweadzxctbynumijlok,.", "up", "space", "?"]), st.sampled_from(Action))
+
+
+@given(st.lists(st.tuples(keys, st.floats(0.0, 1.0)), max_size=40), st.sampled_from(sorted(LAYOUTS)))
+def test_after_any_keys_the_robot_stands_when_none_comes(story: list[tuple[Key, float]], layout: str) -> None:
+    made = driving(layout)
+    now_s = 0.0
+    for key, pause_s in story:
+        made.take(key, now_s)
+        linear, angular = made.velocity(now_s)
+        assert abs(linear) <= 1.0
+        assert abs(angular) <= 4.0
+        now_s += pause_s
+    now_s += GRACE_S
+    assert made.velocity(now_s) == (0.0, 0.0)
+    sent = [made.due(now_s + tick / 50) for tick in range(50)]
+    assert {velocity for velocity in sent if velocity is not None} <= {(0.0, 0.0)}
+    assert sent[-1] is None
