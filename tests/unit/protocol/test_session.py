@@ -302,6 +302,14 @@ def test_a_larger_announced_buffer_lets_larger_frames_in() -> None:
     assert host.hear(encode(125, bytes(4000))) == [events.MessageReceived(big, bytes(4000))]
 
 
+def test_a_paced_device_is_waited_for() -> None:
+    session = Session(check=check, uart_bytes_s=960)
+    session.open(now_s=0.0)
+    assert session.wait_s(0.0) == 0.0
+    assert session.take(now_s=0.0, wall_ns=0) == TOPICS_REQUEST
+    assert session.wait_s(0.0) is None
+
+
 def test_stop_is_the_last_frame() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x00", is_urgent=True)

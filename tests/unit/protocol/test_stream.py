@@ -54,6 +54,11 @@ def test_a_good_frame_is_not_lost_to_what_stands_before_it(junk: bytes) -> None:
     assert events(stream, junk + WIRE_A) == [Skipped(junk), A]
 
 
+@pytest.mark.parametrize("payload", [b"ab\xff\xfecd", b"\xff\xfe\x01\x00\xfe\x7d\x00x?", b"\xff\xfe\x00\x10\xef"])
+def test_a_payload_may_hold_what_looks_like_the_start_of_a_frame(payload: bytes) -> None:
+    assert events(FrameStream(), encode(125, payload) + WIRE_B) == [Frame(125, payload), B]
+
+
 def test_a_damaged_payload_costs_its_frame_and_no_other() -> None:
     stream = FrameStream()
     broken = bytearray(WIRE_A)
