@@ -14,7 +14,7 @@ from hostlink.protocol.control import Log, decode_parameter, encode_log, encode_
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
-from tests.support.waiting import eventually
+from tests.support.waiting import expect
 
 
 async def test_a_message_of_a_device_reaches_a_subscriber() -> None:
@@ -93,7 +93,7 @@ async def test_a_device_log_is_in_the_daemon_log_without_escape_codes() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, []) as device:
             await device.send(encode(Id.LOG, encode_log(Log(2, "warm \x1b[31m"))))
-            await eventually(lambda: any(line["event"] == "device.logged" for line in lines))
+            await expect(lambda: any(line["event"] == "device.logged" for line in lines))
     line = next(line for line in lines if line["event"] == "device.logged")
     assert (line["log_level"], line["level_name"], line["text"]) == ("warning", "warn", "warm ?[31m")
 
@@ -103,7 +103,7 @@ async def test_a_wrong_md5_is_refused_and_named_and_the_other_topics_go_on() -> 
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:
             await device.send(encode(126, b"\x01") + pose(1.0))
-            await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+            await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
             assert host.hub.topics.find_or_none("/odd") is None
             assert (await host.get("/api/links"))["links"][0]["refused_frames"] == 1
     reason = next(line["reason"] for line in lines if line["event"] == "topic.refused")
@@ -158,12 +158,12 @@ async def test_bad_bytes_cost_neither_their_device_nor_another(bad: bytes) -> No
         for _ in range(20):
             await device.send(bad)
         await other.send(pose(3.0))
-        await eventually(lambda: host.hub.topics.find("/good/odometry").messages == 1)
+        await expect(lambda: host.hub.topics.find("/good/odometry").messages == 1)
         peak_bytes = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         # Whatever false header the junk ends with, the next good frames are found inside what it claims.
         await device.send(encode(Id.TIME, bytes(8)) + pose(4.0))
-        await eventually(lambda: host.hub.topics.find("/bad/odometry").messages == 1)
+        await expect(lambda: host.hub.topics.find("/bad/odometry").messages == 1)
         assert host.hub.crashes == 0
     assert peak_bytes < 5_000_000
 
@@ -174,7 +174,7 @@ async def test_a_device_that_publishes_before_it_was_asked_is_asked_once_and_the
             await device.send(pose(0.0))
         await device.announce(robot_topics())
         await device.send(pose(1.0))
-        await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
         assert (await host.get("/api/links"))["links"][0]["asks"] == 1
 
 
@@ -183,7 +183,7 @@ async def test_protocol_1_is_named() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp) as device:
             await device.send(b"\xff\xff" + body + bytes([255 - sum(body) % 256]))
-            await eventually(lambda: any(line["event"] == "protocol.version_1" for line in lines))
+            await expect(lambda: any(line["event"] == "protocol.version_1" for line in lines))
 
 
 async def test_a_hundred_reconnects_leave_nothing_behind() -> None:
@@ -191,7 +191,7 @@ async def test_a_hundred_reconnects_leave_nothing_behind() -> None:
         for number in range(100):
             async with fake_device(host.tcp, robot_topics()) as device:
                 await device.send(pose(float(number)))
-        await eventually(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links())
         tasks = [task for task in asyncio.all_tasks() if task.get_name().startswith("link")]
         assert tasks == []
         assert host.hub.topics.all() == []

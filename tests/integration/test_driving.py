@@ -12,7 +12,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
-from tests.support.waiting import eventually
+from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
 CURVE = (0.2, 0.5)
@@ -125,7 +125,7 @@ async def test_a_robot_that_comes_back_is_not_sent_what_was_meant_before() -> No
         async with fake_device(host.tcp, robot_topics()) as device:
             await greeted(device)
             drive(host)
-        await eventually(lambda: host.hub.robots.find("robot_0").link is None)
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
         async with fake_device(host.tcp, robot_topics()) as device:
             await greeted(device)
             with pytest.raises(TimeoutError):
@@ -143,7 +143,7 @@ async def test_a_robot_that_comes_back_while_its_old_link_looks_alive_replaces_i
                 drive(host)
                 assert await new.velocity() == CURVE
                 await new.send(pose(1.0))
-                await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+                await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
     assert next(line["reason"] for line in lines if line["event"] == "link.closed") == "replaced"
 
 

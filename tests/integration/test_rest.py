@@ -7,13 +7,13 @@ import pytest
 from hostlink.protocol.frame import Id
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
-from tests.support.waiting import eventually
+from tests.support.waiting import expect
 
 
 async def test_a_robot_and_its_odometry() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await device.send(pose(1.0, 2.0, 0.5))
-        await eventually(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
         robots = (await host.get("/api/robots"))["robots"]
         robot = await host.get("/api/robots/robot_0")
         odometry = await host.get("/api/robots/robot_0/odometry")
@@ -78,7 +78,7 @@ async def test_a_robot_that_left_is_known_and_cannot_be_driven() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()):
             assert (await host.rest("GET", "/readyz"))[0] == 200
-        await eventually(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links())
         status, error = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0}')
         assert (status, error["error"]["kind"]) == (503, "DeviceGone")
         assert (await host.get("/api/robots/robot_0"))["connected"] is False

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
-from tests.support.waiting import eventually
+from tests.support.waiting import expect
 
 TIMEOUT_S = 5.0
 
@@ -42,14 +42,14 @@ async def client(host: Daemon, *, level: str = "error") -> AsyncIterator[Client]
 
 
 async def subscribed(host: Daemon, name: str) -> None:
-    await eventually(lambda: host.hub.topics.find(name).subscribers)
+    await expect(lambda: host.hub.topics.find(name).subscribers)
 
 
 @pytest.mark.parametrize("name", ["/robot_0/odometry", "robot_0/odometry"])
 async def test_a_message_comes_under_the_name_that_the_client_used(name: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.say(op="subscribe", topic=name)
-        await eventually(lambda: len(host.hub.topics.find(name).subscribers) == 2)  # the robot's own odometry too
+        await expect(lambda: len(host.hub.topics.find(name).subscribers) == 2)  # the robot's own odometry too
         await device.send(pose(1.0, 2.0, 0.5))
         assert await program.hear() == {"op": "publish", "topic": name, "msg": {"x": 1.0, "y": 2.0, "theta": 0.5}}
 
@@ -90,7 +90,7 @@ async def test_programs_talk_to_each_other_without_a_device() -> None:
 async def test_a_throttled_subscription_gets_the_newest_that_waited() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.say(op="subscribe", topic="/robot_0/odometry", throttle_rate=200, queue_length=1)
-        await eventually(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
+        await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         for number in range(5):
             await device.send(pose(float(number)))
         assert [(await program.hear())["msg"]["x"] for _ in range(2)] == [0.0, 4.0]
@@ -101,11 +101,11 @@ async def test_unsubscribe_by_id_and_whole() -> None:
         for number in ("a", "b"):
             await program.say(op="subscribe", id=number, topic="/robot_0/odometry")
         await program.say(op="unsubscribe", id="a", topic="/robot_0/odometry")
-        await eventually(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
+        await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         await device.send(pose(1.0))
         assert (await program.hear())["msg"]["x"] == 1.0
         await program.say(op="unsubscribe", topic="/robot_0/odometry")
-        await eventually(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 1)
+        await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 1)
 
 
 async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> None:
@@ -203,9 +203,9 @@ async def test_a_client_that_never_reads_costs_the_robot_nothing() -> None:
         host.session.ws_connect(host.url) as stuck,
     ):
         await stuck.send_str('{"op": "subscribe", "topic": "/robot_0/odometry"}')
-        await eventually(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
+        await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         for number in range(3000):
             await device.send(pose(float(number)))
         await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
-        await eventually(lambda: host.hub.topics.find("/robot_0/odometry").messages == 3000)
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 3000)

@@ -11,7 +11,7 @@ from hostlink.hub.services import MAX_WAITING, Provider
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, topic
-from tests.support.waiting import eventually
+from tests.support.waiting import expect
 
 SET_LED = [
     topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/set_led", "std_srvs/SetBool"),
@@ -80,7 +80,7 @@ async def test_a_device_that_leaves_fails_its_calls_at_once() -> None:
             tasks.create_task(call())
             await device.frame(100)
             device.hang_up()
-        await eventually(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links())
         with pytest.raises(UnknownTopic, match="no service named /set_led"):
             await host.hub.services.call("/set_led", {"data": True})
 
@@ -138,4 +138,4 @@ async def test_a_device_whose_call_fails_is_told_so_instead_of_waiting_for_ever(
 async def test_an_answer_that_nobody_asked_for_is_counted_and_harmless() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
         await device.send(encode(125, answer("unasked")))
-        await eventually(lambda: host.hub.services.of_device("/set_led").late_answers == 1)
+        await expect(lambda: host.hub.services.of_device("/set_led").late_answers == 1)

@@ -147,6 +147,8 @@ async def test_closing_twice_is_once(pair: object) -> None:
     async with pair() as (transport, _):  # type: ignore[operator]
         await transport.aclose()
         await transport.aclose()
+        with contextlib.suppress(OSError):
+            assert await transport.receive() == b""
 
 
 async def send_without_end(transport: Transport) -> None:

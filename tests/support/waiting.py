@@ -7,7 +7,7 @@ TIMEOUT_S = 5.0
 LOOK_S = 0.005
 
 
-async def eventually(is_so: Callable[[], object], *, timeout_s: float = TIMEOUT_S) -> None:
+async def expect(is_so: Callable[[], object], *, timeout_s: float = TIMEOUT_S) -> None:
     """Return as soon as `is_so()` is true; TimeoutError when it never is. An error of it counts as not yet."""
     async with asyncio.timeout(timeout_s):
         while True:

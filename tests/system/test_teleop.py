@@ -86,7 +86,7 @@ async def robot(daemon: Process) -> dict[str, Any]:
         return seen
 
 
-async def until(daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, within_s: float = PATIENCE_S) -> None:
+async def expect(daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, within_s: float = PATIENCE_S) -> None:
     async with asyncio.timeout(within_s):
         while True:
             if is_so(await robot(daemon)):
@@ -115,7 +115,7 @@ async def test_a_held_key_drives_and_a_released_one_stops(layout: str, key: str)
     async with driving(layout) as (daemon, terminal):
         await hold(terminal, daemon, key)
         assert "driven by client" in await terminal.shows("asked     +0.20 m/s")
-        await until(daemon, stands, within_s=STOP_S)
+        await expect(daemon, stands, within_s=STOP_S)
         await terminal.shows("driven by nobody")
 
 
@@ -124,7 +124,7 @@ async def test_a_stop_key_stops_at_once(key: str) -> None:
     async with driving() as (daemon, terminal):
         await hold(terminal, daemon, "w")
         await terminal.keys(key)
-        await until(daemon, lambda seen: seen["velocity"]["linear_m_s"] == 0.0, within_s=0.5)
+        await expect(daemon, lambda seen: seen["velocity"]["linear_m_s"] == 0.0, within_s=0.5)
 
 
 @pytest.mark.parametrize("way", ["C-c", "TERM", "HUP", "KILL", "close"])
@@ -138,7 +138,7 @@ async def test_every_way_out_stops_the_robot(way: str) -> None:
             await terminal.keys("C-c")
         else:
             os.kill(process, getattr(signal, f"SIG{way}"))
-        await until(daemon, stands, within_s=STOP_S)
+        await expect(daemon, stands, within_s=STOP_S)
 
 
 @pytest.mark.parametrize("way", ["C-c", "TERM"])
@@ -159,7 +159,7 @@ async def test_suspending_stops_the_robot_and_coming_back_drives_again() -> None
     async with driving() as (daemon, terminal):
         await hold(terminal, daemon, "w")
         await terminal.keys("C-z")
-        await until(daemon, stands, within_s=STOP_S)
+        await expect(daemon, stands, within_s=STOP_S)
         await terminal.shows("Stopped")
         await terminal.keys("fg", "Enter")
         await terminal.shows("speeds")
