@@ -1,0 +1,14 @@
+// Copy to settings.h and fill in. settings.h is not committed: it holds the password of the WiFi.
+#pragma once
+
+#include "src/settings_type.h"
+
+inline hostlink::Settings settings() {
+  hostlink::Settings s;
+  s.wifi_name = "my-network";
+  s.wifi_password = "";
+  s.server = "192.168.1.10";
+  // s.is_uart_swapped = true;        // UART on GPIO15 and GPIO13: see "Boot noise" in firmware/README.md
+  // s.update_password = "choose";    // allow updates over the air while no host is connected
+  return s;
+}

@@ -1,0 +1,78 @@
+// Cuts a byte stream into pieces that may leave in one write: whole rosserial frames, or bytes that are none.
+// Owns the bytes between two ports and nothing else: no clock, no port. Order is kept, and no byte is lost or
+// added, except what restart(), drop_oldest() and the forget_ calls say and count.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace hostlink {
+
+// How long bytes may wait for the rest of their frame.
+struct Hold {
+  uint32_t quiet_ms;    // since the last byte came
+  uint32_t longest_ms;  // since the frame began, however slowly its bytes drip in
+};
+
+class FrameAssembler {
+ public:
+  static const size_t kOverheadBytes = 8;
+  static const size_t kPayloadBytesMax = 1024;  // a header that claims more is not believed
+  static const size_t kFrameBytesMax = kPayloadBytesMax + kOverheadBytes;
+  static const size_t kCapacityBytes = 2 * kFrameBytesMax;  // so a full buffer always holds a whole piece
+
+  explicit FrameAssembler(const Hold& hold) : hold_(hold) {}
+
+  // Forget everything; then swallow what comes up to the first frame header or a quiet period, whichever is first.
+  void restart(uint32_t now_ms);
+
+  // Takes as many bytes as there is room for, and says how many.
+  size_t put(const uint8_t* bytes, size_t count, uint32_t now_ms);
+  size_t room_bytes() const { return kCapacityBytes - size_bytes_; }
+  size_t size_bytes() const { return size_bytes_; }
+
+  // How many bytes from head() on may leave now in one write of at most limit_bytes; frames are not cut.
+  size_t ready_bytes(size_t limit_bytes, uint32_t now_ms);
+  const uint8_t* head() const { return bytes_; }
+  // The first count bytes have left. Cut inside a frame, its rest is ready at once.
+  void take(size_t count);
+
+  // Whether a frame with this id begins within the first count bytes, which are ready.
+  bool has_frame(uint16_t topic_id, size_t count) const;
+
+  // Each forgets bytes and returns how many. What has begun to leave is never forgotten.
+  size_t drop_oldest();        // the oldest piece
+  size_t forget_incomplete();  // the frame at the end that has not come whole
+  size_t forget_unstarted();   // all
+
+  uint32_t swallowed_bytes() const { return swallowed_bytes_; }  // by restart(), since the start
+
+ private:
+  struct Piece {
+    size_t bytes;
+    bool is_frame;
+    bool is_whole;
+  };
+
+  bool could_start_frame(size_t at) const;
+  size_t claimed_bytes(size_t at) const;
+  bool has_good_checksum(size_t at, size_t frame_bytes) const;
+  Piece piece_at(size_t at) const;
+  bool has_waited_enough(size_t at, uint32_t now_ms);
+  void align();
+  void erase(size_t at, size_t count);
+
+  const Hold hold_;
+  uint8_t bytes_[kCapacityBytes] = {};
+  size_t size_bytes_ = 0;
+  size_t started_bytes_ = 0;     // rest of a frame of which the first part has left
+  size_t waiting_at_ = 0;        // where the piece that is waited for begins
+  uint32_t waiting_since_ms_ = 0;
+  bool is_waiting_ = false;
+  bool is_aligned_ = true;
+  uint32_t last_put_ms_ = 0;
+  size_t unaligned_bytes_ = 0;   // swallowed since restart()
+  uint32_t swallowed_bytes_ = 0;
+};
+
+}  // namespace hostlink

@@ -1,0 +1,86 @@
+// The bridge between the device's UART and the host's TCP port: decides when to connect, what may pass, when a link is dead.
+// Owns the two buffers and the state; the shell owns the ports and makes the connection when it is asked to.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "backoff.h"
+#include "frame_assembler.h"
+#include "ports.h"
+
+namespace hostlink {
+
+enum class LinkState : uint8_t { kJoining, kWaiting, kConnected };
+
+enum class LinkEnd : uint8_t { kWifiLost, kPeerClosed, kWriteStalled, kHostSilent, kCount };
+
+struct Counters {
+  uint32_t from_device_bytes = 0;            // forwarded
+  uint32_t to_device_bytes = 0;
+  uint32_t from_device_dropped_bytes = 0;    // oldest frames, because the network did not take them
+  uint32_t from_device_discarded_bytes = 0;  // came while no link was up, or was not sent when it ended
+  uint32_t to_device_discarded_bytes = 0;    // was not delivered when a link ended
+  uint32_t links = 0;
+  uint32_t refused = 0;
+  uint32_t ends[static_cast<size_t>(LinkEnd::kCount)] = {};
+};
+
+/*
+  state      event                                 next
+  joining    WiFi is up                            waiting, the first attempt at once
+  joining    kRejoin_ms without WiFi               joining, asks the WiFi to join anew
+  waiting    WiFi is gone                          joining
+  waiting    attempt due, connect() succeeds       connected, both buffers empty
+  waiting    attempt due, connect() fails          waiting, backoff doubled
+  connected  WiFi gone, peer closed, write stalled waiting (joining if there is no WiFi)
+             for kWriteStalled_ms, or no byte from
+             the host kHostSilent_ms after the
+             device asked for the time
+*/
+class Passthrough {
+ public:
+  static const uint32_t kRejoin_ms = 20000;
+  static const uint32_t kWriteStalled_ms = 2000;
+  static const uint32_t kHostSilent_ms = 6000;  // a device asks every 2.5 s and falls silent after 11 s
+
+  Passthrough(Uart& uart, Network& network, uint32_t seed);
+
+  // Whether the shell should call Network::connect() now and report to connection_tried().
+  bool wants_connection(uint32_t now_ms) const;
+  void connection_tried(bool is_connected, uint32_t now_ms);
+
+  // One turn of the loop: check the link, move bytes both ways.
+  void step(uint32_t now_ms);
+
+  LinkState state() const { return state_; }
+  const Counters& counters() const { return counters_; }
+  uint32_t swallowed_bytes() const { return from_device_.swallowed_bytes(); }
+
+ private:
+  void step_joining(uint32_t now_ms);
+  void step_connected(uint32_t now_ms);
+  bool read_host(uint32_t now_ms);
+  void write_device(uint32_t now_ms);
+  void read_device(uint32_t now_ms);
+  bool write_host(uint32_t now_ms);
+  void end_link(LinkEnd end, uint32_t now_ms);
+  void retry_in(uint32_t delay_ms, uint32_t now_ms);
+  void discard_from_device();
+
+  Uart& uart_;
+  Network& network_;
+  Backoff backoff_;
+  FrameAssembler from_device_;
+  FrameAssembler to_device_;
+  Counters counters_;
+  LinkState state_ = LinkState::kJoining;
+  uint32_t state_since_ms_ = 0;
+  uint32_t retry_after_ms_ = 0;
+  uint32_t stalled_since_ms_ = 0;
+  uint32_t asked_since_ms_ = 0;
+  bool is_stalled_ = false;
+  bool is_asked_ = false;
+};
+
+}  // namespace hostlink
