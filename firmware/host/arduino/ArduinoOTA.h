@@ -1,0 +1,15 @@
+// Stand-in for ArduinoOTA: nobody ever asks for an update here.
+#pragma once
+
+class ArduinoOTAClass {
+ public:
+  void setHostname(const char*) {}
+  void setPassword(const char*) {}
+  void begin(bool uses_mdns = true) { has_mdns_ = uses_mdns; }
+  void handle() {}
+
+ private:
+  bool has_mdns_ = true;
+};
+
+inline ArduinoOTAClass ArduinoOTA;

@@ -1,0 +1,52 @@
+// The ESP8266 as far as its sketch can tell: time, a paced UART, a radio, a watchdog. One thread: the hardware catches up
+// whenever the sketch calls into the core, and the sketch sleeps only where the real core lets the SDK run.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "radio.h"
+#include "uart_line.h"
+
+namespace standin {
+
+struct Options {
+  std::string uart = "listen:0";  // listen:PORT, connect:HOST:PORT or pty
+  std::string server = "127.0.0.1";
+  uint16_t server_port = 11411;
+  unsigned boot_noise_bytes = 0;  // what the ROM's messages look like at another baud rate
+  bool is_uart_paced = true;
+  bool is_uart_swapped = false;
+  bool waits_for_device = false;  // power comes when the other end of the UART is there
+  RadioOptions radio;
+};
+
+class Machine {
+ public:
+  void power_up(const Options& options);
+  int64_t now_us() const;
+  // What the core does in yield() and delay(): feed the watchdog, let the hardware run, rest until something happens.
+  void rest(int64_t limit_us);
+  void delay(int64_t duration_us);
+  void advance();
+  std::string stats() const;
+
+  Options options;
+  UartLine uart;
+  Radio radio;
+
+ private:
+  void wait_for_device();
+  void take_signals();
+  void take_commands();
+  void obey(const std::string& command);
+
+  int64_t started_us_ = 0;
+  std::string typed_;
+  bool has_stdin_ = true;
+};
+
+Machine& machine();
+
+}  // namespace standin
