@@ -34,7 +34,7 @@ demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo
 
 test: $(VENV)/.dev
-	@tools/require.sh tmux
+	@tools/require.sh tmux cmake g++
 	$(BIN)/python -m pytest
 
 check: $(VENV)/.dev

@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -136,12 +137,11 @@ class Bridge:
 
 
 class Sketch:
-    """The native process; its UART is a TCP port."""
+    """A native process; its UART is a TCP port."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
         self.uart_port = int(self._read()["port"])
-        self.pid = process.pid
 
     def _read(self) -> dict[str, int]:
         assert self._process.stdout is not None
@@ -156,15 +156,33 @@ class Sketch:
         self._process.stdin.flush()
         return self._read()
 
+    def signal(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def crash(self) -> tuple[int, str]:
+        """Wait for its end: exit status and what it said."""
+        _, errors = self._process.communicate(timeout=20)
+        return self._process.returncode, errors
+
+    def stop(self) -> None:
+        """Sanitizers and the watchdog end it with another status."""
+        self._process.terminate()
+        assert self._process.wait(10) == 0
+
+
+@contextmanager
+def running(program: str, server_port: int, *options: str) -> Iterator[Sketch]:
+    command = [build() / program, "--server", f"127.0.0.1:{server_port}", *options]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            yield Sketch(process)
+        finally:
+            process.kill()
+
 
 @contextmanager
 def running_sketch(server_port: int, *options: str) -> Iterator[Sketch]:
-    command = [build() / "esp8266_native", "--server", f"127.0.0.1:{server_port}", *options]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    with process:
-        try:
-            yield Sketch(process)
-            process.terminate()
-            assert process.wait(10) == 0  # sanitizers and the watchdog end it otherwise
-        finally:
-            process.kill()
+    with running("esp8266_native", server_port, *options) as sketch:
+        yield sketch
+        sketch.stop()

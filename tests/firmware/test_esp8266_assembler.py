@@ -1,10 +1,13 @@
 """Laws of the frame assembler: order, no loss, whole frames, nothing stale, nothing held."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.protocol.frame import encode
 from tests.firmware.esp8266 import Assembler
+
+pytestmark = pytest.mark.usefixtures("esp8266_built")
 
 frames = st.builds(encode, st.integers(0, 300), st.binary(max_size=120) | st.binary(min_size=900, max_size=1024))
 noise = st.binary(max_size=60) | st.lists(st.sampled_from([0xFF, 0xFE, 0, 1, 254, 255]), max_size=30).map(bytes)

@@ -9,6 +9,7 @@
 #include <atomic>
 #include <csignal>
 #include <cstdio>
+#include <cstdlib>
 #include <ctime>
 
 namespace standin {
@@ -96,6 +97,7 @@ void Machine::rest(int64_t limit_us) {
   const timespec limit{rest_us / 1000000, rest_us % 1000000 * 1000};
   ppoll(polled.data(), polled.size(), &limit, nullptr);
   if (has_stdin_ && polled.back().revents != 0) take_commands();
+  if (answer_at_us_ != 0 && now_us() >= answer_at_us_) answer();
   advance();
 }
 
@@ -130,6 +132,7 @@ void Machine::take_commands() {
 }
 
 void Machine::obey(const std::string& command) {
+  int64_t pause_us = 0;
   if (command == "wifi down") radio.set_up(false, now_us());
   else if (command == "wifi up") radio.set_up(true, now_us());
   else if (command == "radio mute") radio.set_mute(true);
@@ -137,7 +140,13 @@ void Machine::obey(const std::string& command) {
   else if (command == "connect refuse") radio.dialling = Dialling::kRefuse;
   else if (command == "connect hang") radio.dialling = Dialling::kHang;
   else if (command == "connect normal") radio.dialling = Dialling::kNormal;
+  else if (command.compare(0, 5, "wait ") == 0) pause_us = std::atoll(command.c_str() + 5) * 1000;
   else if (command != "stats") std::printf("{\"event\": \"command.unknown\"}\n");
+  answer_at_us_ = now_us() + pause_us;
+}
+
+void Machine::answer() {
+  answer_at_us_ = 0;
   std::printf("%s\n", stats().c_str());
   std::fflush(stdout);
 }
@@ -147,10 +156,10 @@ std::string Machine::stats() const {
   std::snprintf(text, sizeof text,
                 "{\"event\": \"stats\", \"uart_received_bytes\": %llu, \"uart_overflowed_bytes\": %llu, "
                 "\"uart_transmitted_bytes\": %llu, \"uart_lost_bytes\": %llu, \"wifi_begins\": %u, \"connects\": %u, "
-                "\"tcp_writes\": %llu}",
+                "\"tcp_writes\": %llu, \"closed_in_silence\": %zu}",
                 static_cast<unsigned long long>(uart.received_bytes), static_cast<unsigned long long>(uart.overflowed_bytes),
                 static_cast<unsigned long long>(uart.transmitted_bytes), static_cast<unsigned long long>(uart.lost_bytes),
-                radio.begins, radio.connects, static_cast<unsigned long long>(radio.sent_writes));
+                radio.begins, radio.connects, static_cast<unsigned long long>(radio.sent_writes), radio.closed_in_silence());
   return text;
 }
 

@@ -41,10 +41,12 @@ class Machine {
   void take_signals();
   void take_commands();
   void obey(const std::string& command);
+  void answer();
 
   int64_t started_us_ = 0;
   std::string typed_;
   bool has_stdin_ = true;
+  int64_t answer_at_us_ = 0;  // 0: no command waits for its answer
 };
 
 Machine& machine();

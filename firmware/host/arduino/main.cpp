@@ -20,7 +20,8 @@ constexpr char kUsage[] =
     "  --wait-for-device    power up when the other end of the UART is there\n"
     "  --swap               UART on GPIO15 and GPIO13\n"
     "  --join-ms N --connect-ms N --send-buffer N --write-limit N   how unkind the radio is\n"
-    "commands on stdin: wifi up|down, radio mute|clear, connect normal|refuse|hang, stats; SIGUSR1, SIGUSR2: WiFi down, up\n";
+    "commands on stdin: wifi up|down, radio mute|clear, connect normal|refuse|hang, wait MS, stats; each is\n"
+    "answered with a line of counters. SIGUSR1, SIGUSR2: WiFi down, up\n";
 
 standin::Options parse(int argc, char** argv) {
   standin::Options options;

@@ -69,6 +69,8 @@ class Radio {
   std::shared_ptr<Connection> adopt(int fd);
   void bury(int fd) { ghosts_.push_back(fd); }  // closed in silence: the peer goes on believing in it
 
+  size_t closed_in_silence() const { return ghosts_.size(); }
+
   unsigned begins = 0;
   unsigned connects = 0;
   uint64_t sent_writes = 0;
