@@ -16,10 +16,14 @@ size_t move_all(Bytes& from, uint8_t* to, size_t limit) { return test::move_out(
 }  // namespace
 
 extern "C" {
-FrameAssembler* assembler_new(uint32_t quiet_ms, uint32_t longest_ms) { return new FrameAssembler({quiet_ms, longest_ms}); }
+FrameAssembler* assembler_new(uint32_t quiet_ms, uint32_t longest_ms) {
+  return new FrameAssembler({quiet_ms, longest_ms});
+}
 void assembler_delete(FrameAssembler* a) { delete a; }
 void assembler_restart(FrameAssembler* a, uint32_t now_ms) { a->restart(now_ms); }
-size_t assembler_put(FrameAssembler* a, const uint8_t* bytes, size_t count, uint32_t now_ms) { return a->put(bytes, count, now_ms); }
+size_t assembler_put(FrameAssembler* a, const uint8_t* bytes, size_t count, uint32_t now_ms) {
+  return a->put(bytes, count, now_ms);
+}
 size_t assembler_size(FrameAssembler* a) { return a->size_bytes(); }
 size_t assembler_capacity() { return FrameAssembler::kCapacityBytes; }
 size_t assembler_ready(FrameAssembler* a, size_t limit, uint32_t now_ms) { return a->ready_bytes(limit, now_ms); }

@@ -68,7 +68,13 @@ class MemoryNetwork : public hostlink::Network {
 inline Bytes frame(uint16_t topic_id, const Bytes& payload) {
   const auto size = static_cast<uint16_t>(payload.size());
   const auto low = [](unsigned value) { return static_cast<uint8_t>(value); };
-  Bytes bytes = {0xff, 0xfe, low(size), low(size >> 8), low(255 - (low(size) + low(size >> 8)) % 256), low(topic_id), low(topic_id >> 8)};
+  Bytes bytes = {0xff,
+                 0xfe,
+                 low(size),
+                 low(size >> 8),
+                 low(255 - (low(size) + low(size >> 8)) % 256),
+                 low(topic_id),
+                 low(topic_id >> 8)};
   bytes.insert(bytes.end(), payload.begin(), payload.end());
   unsigned sum = 0;
   for (size_t i = 5; i < bytes.size(); ++i) sum += bytes[i];

@@ -1,4 +1,5 @@
-// libFuzzer: any bytes at any times through the assembler. Order kept, nothing lost or added, memory bounded, nothing held.
+// libFuzzer: any bytes at any times through the assembler. Order kept, nothing lost or added, memory bounded, nothing
+// held.
 #include <cstdlib>
 
 #include "esp8266_board.h"

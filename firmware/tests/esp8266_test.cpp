@@ -174,9 +174,11 @@ struct Rig {
   Passthrough passthrough{uart, network, 1};
   uint32_t now_ms = 0xfffff000u;
 
+  size_t device_room = 128;
+
   void turn(uint32_t after_ms = 1) {
     now_ms += after_ms;
-    uart.room = 128;
+    uart.room = device_room;
     passthrough.step(now_ms);
     if (passthrough.wants_connection(now_ms)) passthrough.connection_tried(network.connect(), now_ms);
   }
@@ -226,11 +228,28 @@ void half_a_command_never_reaches_the_device() {
   rig.link();
   rig.network.from_host = kPose + part(kTwist, 0, 30);
   rig.turns(2);
-  rig.network.connected = false;
+  rig.network.joined = rig.network.connected = false;
   rig.turns(3000);
-  CHECK(rig.passthrough.state() == LinkState::kConnected);
+  CHECK(rig.passthrough.state() == LinkState::kJoining);
   CHECK(rig.uart.to_device == kPose);
   CHECK(rig.passthrough.counters().to_device_discarded_bytes == 30);
+}
+
+void a_new_link_begins_with_nothing_of_the_old_one_but_a_started_frame() {
+  Rig rig;
+  rig.link();
+  rig.network.from_host = kPose + kTwist;
+  rig.device_room = 10;
+  rig.turn();
+  rig.device_room = 0;
+  rig.network.connected = false;
+  rig.turns(2);
+  rig.link();
+  rig.network.from_host = kTwist + kPose;
+  rig.device_room = 128;
+  rig.turns(2);
+  CHECK(rig.uart.to_device == kPose + kTwist + kPose);
+  CHECK(rig.passthrough.counters().to_device_discarded_bytes == kTwist.size());
 }
 
 void what_came_while_the_link_was_down_is_not_sent() {
@@ -324,7 +343,8 @@ void the_led_says_the_state() {
   CHECK(hostlink::is_led_lit(LinkState::kWaiting, 400) && !hostlink::is_led_lit(LinkState::kWaiting, 500));
 }
 
-#define TEST(name) {#name, name}
+#define TEST(name) \
+  { #name, name }
 const std::pair<const char*, std::function<void()>> kTests[] = {
     TEST(a_frame_leaves_when_it_is_whole),
     TEST(whole_frames_leave_together_and_the_rest_waits),
@@ -344,6 +364,7 @@ const std::pair<const char*, std::function<void()>> kTests[] = {
     TEST(it_asks_for_a_new_join_after_20_s),
     TEST(frames_pass_both_ways_each_in_one_write),
     TEST(half_a_command_never_reaches_the_device),
+    TEST(a_new_link_begins_with_nothing_of_the_old_one_but_a_started_frame),
     TEST(what_came_while_the_link_was_down_is_not_sent),
     TEST(last_words_of_a_host_that_closes_reach_the_device),
     TEST(a_network_that_takes_nothing_ends_the_link_after_2_s),

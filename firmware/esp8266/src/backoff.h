@@ -1,4 +1,5 @@
-// How long to wait before the next attempt: doubles up to a limit, with jitter, so that a fleet does not come back in step.
+// How long to wait before the next attempt: doubles up to a limit, with jitter, so that a fleet does not come back in
+// step.
 #pragma once
 
 #include <stdint.h>

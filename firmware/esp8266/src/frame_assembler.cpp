@@ -12,8 +12,8 @@ const size_t FrameAssembler::kCapacityBytes;
 namespace {
 const uint8_t kSync = 0xff;
 const uint8_t kVersion = 0xfe;
-const size_t kHeaderBytes = 5;       // sync, version, length, checksum of the length
-const size_t kNoiseBytes = 64;       // bytes that are no frame leave at this size without waiting for more
+const size_t kHeaderBytes = 5;           // sync, version, length, checksum of the length
+const size_t kNoiseBytes = 64;           // bytes that are no frame leave at this size without waiting for more
 const size_t kUnalignedBytesMax = 1024;  // noise at power-up is shorter: who sends more does not speak in frames
 
 size_t least(size_t a, size_t b) { return a < b ? a : b; }

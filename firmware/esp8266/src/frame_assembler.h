@@ -65,13 +65,13 @@ class FrameAssembler {
   const Hold hold_;
   uint8_t bytes_[kCapacityBytes] = {};
   size_t size_bytes_ = 0;
-  size_t started_bytes_ = 0;     // rest of a frame of which the first part has left
-  size_t waiting_at_ = 0;        // where the piece that is waited for begins
+  size_t started_bytes_ = 0;  // rest of a frame of which the first part has left
+  size_t waiting_at_ = 0;     // where the piece that is waited for begins
   uint32_t waiting_since_ms_ = 0;
   bool is_waiting_ = false;
   bool is_aligned_ = true;
   uint32_t last_put_ms_ = 0;
-  size_t unaligned_bytes_ = 0;   // swallowed since restart()
+  size_t unaligned_bytes_ = 0;  // swallowed since restart()
   uint32_t swallowed_bytes_ = 0;
 };
 

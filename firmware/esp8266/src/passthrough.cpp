@@ -70,7 +70,8 @@ void Passthrough::step_connected(uint32_t now_ms) {
   const bool has_read = read_host(now_ms);
   if (!network_.is_joined()) return end_link(LinkEnd::kWifiLost, now_ms);
   // What a host said before it closed still counts: a stop, for one.
-  if (!has_read && to_device_.room_bytes() > 0 && !network_.is_connected()) return end_link(LinkEnd::kPeerClosed, now_ms);
+  if (!has_read && to_device_.room_bytes() > 0 && !network_.is_connected())
+    return end_link(LinkEnd::kPeerClosed, now_ms);
   read_device(now_ms);
   if (!write_host(now_ms)) return end_link(LinkEnd::kWriteStalled, now_ms);
   if (is_asked_ && now_ms - asked_since_ms_ >= kHostSilent_ms) end_link(LinkEnd::kHostSilent, now_ms);

@@ -1,5 +1,5 @@
-// The bridge between the device's UART and the host's TCP port: decides when to connect, what may pass, when a link is dead.
-// Owns the two buffers and the state; the shell owns the ports and makes the connection when it is asked to.
+// The bridge between the device's UART and the host's TCP port: decides when to connect, what may pass, when a link is
+// dead. Owns the two buffers and the state; the shell owns the ports and makes the connection when it is asked to.
 #pragma once
 
 #include <stddef.h>
@@ -16,7 +16,7 @@ enum class LinkState : uint8_t { kJoining, kWaiting, kConnected };
 enum class LinkEnd : uint8_t { kWifiLost, kPeerClosed, kWriteStalled, kHostSilent, kCount };
 
 struct Counters {
-  uint32_t from_device_bytes = 0;            // forwarded
+  uint32_t from_device_bytes = 0;  // forwarded
   uint32_t to_device_bytes = 0;
   uint32_t from_device_dropped_bytes = 0;    // oldest frames, because the network did not take them
   uint32_t from_device_discarded_bytes = 0;  // came while no link was up, or was not sent when it ended

@@ -11,8 +11,8 @@ struct Settings {
   const char* server = "";  // name or address of the computer that runs hostlink
   uint16_t server_port = 11411;
   uint32_t uart_baud = 38400;
-  bool is_uart_swapped = false;   // UART on GPIO15 (TX) and GPIO13 (RX), where the boot messages do not go
-  const char* name = "hostlink";  // in the router's list, and for updates over the air
+  bool is_uart_swapped = false;      // UART on GPIO15 (TX) and GPIO13 (RX), where the boot messages do not go
+  const char* name = "hostlink";     // in the router's list, and for updates over the air
   const char* update_password = "";  // updates over the air: none with an empty password
 };
 

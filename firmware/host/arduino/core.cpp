@@ -73,9 +73,12 @@ size_t HardwareSerial::readBytes(uint8_t* buffer, size_t length) {
   const uint32_t since = millis();
   while (count < length) {
     const int byte = read();
-    if (byte >= 0) buffer[count++] = static_cast<uint8_t>(byte);
-    else if (millis() - since >= kReadLimit_ms) break;
-    else yield();
+    if (byte >= 0)
+      buffer[count++] = static_cast<uint8_t>(byte);
+    else if (millis() - since >= kReadLimit_ms)
+      break;
+    else
+      yield();
   }
   return count;
 }
@@ -142,7 +145,8 @@ int WiFiClient::connect(const char* host, uint16_t port) {
   int fd = -1;
   int result = -1;
   while (result < 0 && millis() - since < timeout_ms_) {
-    const bool reaches = machine().radio.has_air(machine().now_us()) && machine().radio.dialling != standin::Dialling::kHang;
+    const bool reaches =
+        machine().radio.has_air(machine().now_us()) && machine().radio.dialling != standin::Dialling::kHang;
     if (fd < 0 && reaches) fd = open_socket(host, port);
     if (fd >= 0) result = dialled(fd);
     if (result < 0) delay(1);
@@ -202,8 +206,10 @@ bool WiFiClient::stop(unsigned int limit_ms) {
   if (connection_->fd() >= 0) {
     const bool is_heard = machine().radio.has_air(machine().now_us());
     const int fd = connection_->release();
-    if (is_heard) ::close(fd);
-    else machine().radio.bury(fd);
+    if (is_heard)
+      ::close(fd);
+    else
+      machine().radio.bury(fd);
   }
   connection_.reset();
   return true;

@@ -15,8 +15,9 @@
 namespace standin {
 
 namespace {
-constexpr int64_t kTurn_us = 1000;        // the longest rest of a loop that has nothing to do
-constexpr int kWatchdogTicks = 4;         // of 250 ms of processor time: waiting for a late scheduler is not the sketch's fault
+constexpr int64_t kTurn_us = 1000;  // the longest rest of a loop that has nothing to do
+constexpr int kWatchdogTicks =
+    4;  // of 250 ms of processor time: waiting for a late scheduler is not the sketch's fault
 std::atomic<int> ticks_since_yield{0};
 volatile std::sig_atomic_t wifi_signal = 0;
 volatile std::sig_atomic_t end_signal = 0;
@@ -133,15 +134,24 @@ void Machine::take_commands() {
 
 void Machine::obey(const std::string& command) {
   int64_t pause_us = 0;
-  if (command == "wifi down") radio.set_up(false, now_us());
-  else if (command == "wifi up") radio.set_up(true, now_us());
-  else if (command == "radio mute") radio.set_mute(true);
-  else if (command == "radio clear") radio.set_mute(false);
-  else if (command == "connect refuse") radio.dialling = Dialling::kRefuse;
-  else if (command == "connect hang") radio.dialling = Dialling::kHang;
-  else if (command == "connect normal") radio.dialling = Dialling::kNormal;
-  else if (command.compare(0, 5, "wait ") == 0) pause_us = std::atoll(command.c_str() + 5) * 1000;
-  else if (command != "stats") std::printf("{\"event\": \"command.unknown\"}\n");
+  if (command == "wifi down")
+    radio.set_up(false, now_us());
+  else if (command == "wifi up")
+    radio.set_up(true, now_us());
+  else if (command == "radio mute")
+    radio.set_mute(true);
+  else if (command == "radio clear")
+    radio.set_mute(false);
+  else if (command == "connect refuse")
+    radio.dialling = Dialling::kRefuse;
+  else if (command == "connect hang")
+    radio.dialling = Dialling::kHang;
+  else if (command == "connect normal")
+    radio.dialling = Dialling::kNormal;
+  else if (command.compare(0, 5, "wait ") == 0)
+    pause_us = std::atoll(command.c_str() + 5) * 1000;
+  else if (command != "stats")
+    std::printf("{\"event\": \"command.unknown\"}\n");
   answer_at_us_ = now_us() + pause_us;
 }
 
@@ -153,13 +163,14 @@ void Machine::answer() {
 
 std::string Machine::stats() const {
   char text[512];
-  std::snprintf(text, sizeof text,
-                "{\"event\": \"stats\", \"uart_received_bytes\": %llu, \"uart_overflowed_bytes\": %llu, "
-                "\"uart_transmitted_bytes\": %llu, \"uart_lost_bytes\": %llu, \"wifi_begins\": %u, \"connects\": %u, "
-                "\"tcp_writes\": %llu, \"closed_in_silence\": %zu}",
-                static_cast<unsigned long long>(uart.received_bytes), static_cast<unsigned long long>(uart.overflowed_bytes),
-                static_cast<unsigned long long>(uart.transmitted_bytes), static_cast<unsigned long long>(uart.lost_bytes),
-                radio.begins, radio.connects, static_cast<unsigned long long>(radio.sent_writes), radio.closed_in_silence());
+  std::snprintf(
+      text, sizeof text,
+      "{\"event\": \"stats\", \"uart_received_bytes\": %llu, \"uart_overflowed_bytes\": %llu, "
+      "\"uart_transmitted_bytes\": %llu, \"uart_lost_bytes\": %llu, \"wifi_begins\": %u, \"connects\": %u, "
+      "\"tcp_writes\": %llu, \"closed_in_silence\": %zu}",
+      static_cast<unsigned long long>(uart.received_bytes), static_cast<unsigned long long>(uart.overflowed_bytes),
+      static_cast<unsigned long long>(uart.transmitted_bytes), static_cast<unsigned long long>(uart.lost_bytes),
+      radio.begins, radio.connects, static_cast<unsigned long long>(radio.sent_writes), radio.closed_in_silence());
   return text;
 }
 

@@ -1,5 +1,5 @@
-// The ESP8266 as far as its sketch can tell: time, a paced UART, a radio, a watchdog. One thread: the hardware catches up
-// whenever the sketch calls into the core, and the sketch sleeps only where the real core lets the SDK run.
+// The ESP8266 as far as its sketch can tell: time, a paced UART, a radio, a watchdog. One thread: the hardware catches
+// up whenever the sketch calls into the core, and the sketch sleeps only where the real core lets the SDK run.
 #pragma once
 
 #include <cstdint>

@@ -2,6 +2,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
+#include <functional>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -15,7 +16,8 @@ void loop();
 namespace {
 constexpr char kUsage[] =
     "usage: esp8266_native [--uart listen:PORT|connect:HOST:PORT|pty] [--server HOST:PORT]\n"
-    "  --unpaced            bytes pass the UART as fast as they come (default: 10 bits a byte at the sketch's baud rate)\n"
+    "  --unpaced            bytes pass the UART as fast as they come (default: 10 bits a byte at the sketch's baud "
+    "rate)\n"
     "  --boot-noise N       N bytes of garbage on the UART at power-up\n"
     "  --wait-for-device    power up when the other end of the UART is there\n"
     "  --swap               UART on GPIO15 and GPIO13\n"
@@ -23,32 +25,39 @@ constexpr char kUsage[] =
     "commands on stdin: wifi up|down, radio mute|clear, connect normal|refuse|hang, wait MS, stats; each is\n"
     "answered with a line of counters. SIGUSR1, SIGUSR2: WiFi down, up\n";
 
+void set_server(standin::Options& options, const std::string& where) {
+  const size_t colon = where.rfind(':');
+  if (colon == std::string::npos) throw std::runtime_error("not HOST:PORT: " + where);
+  options.server = where.substr(0, colon);
+  options.server_port = static_cast<uint16_t>(std::stoul(where.substr(colon + 1)));
+}
+
 standin::Options parse(int argc, char** argv) {
+  using Value = const std::string&;
   standin::Options options;
-  const std::map<std::string, bool*> flags = {
-      {"--wait-for-device", &options.waits_for_device}, {"--swap", &options.is_uart_swapped}};
+  standin::RadioOptions& radio = options.radio;
+  const auto number = [](Value value) { return static_cast<unsigned>(std::stoul(value)); };
+  const std::map<std::string, std::function<void()>> flags = {
+      {"--unpaced", [&] { options.is_uart_paced = false; }},
+      {"--wait-for-device", [&] { options.waits_for_device = true; }},
+      {"--swap", [&] { options.is_uart_swapped = true; }}};
+  const std::map<std::string, std::function<void(Value)>> settings = {
+      {"--uart", [&](Value value) { options.uart = value; }},
+      {"--server", [&](Value value) { set_server(options, value); }},
+      {"--boot-noise", [&](Value value) { options.boot_noise_bytes = number(value); }},
+      {"--join-ms", [&](Value value) { radio.join_ms = number(value); }},
+      {"--connect-ms", [&](Value value) { radio.connect_ms = number(value); }},
+      {"--send-buffer", [&](Value value) { radio.send_buffer_bytes = number(value); }},
+      {"--write-limit", [&](Value value) { radio.write_limit_bytes = number(value); }}};
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
-    if (const auto flag = flags.find(name); flag != flags.end()) {
-      *flag->second = true;
-      continue;
+    if (flags.count(name) > 0) {
+      flags.at(name)();
+    } else if (settings.count(name) > 0 && i + 1 < argc) {
+      settings.at(name)(argv[++i]);
+    } else {
+      throw std::runtime_error("unknown, or without a value: " + name);
     }
-    if (name == "--unpaced") {
-      options.is_uart_paced = false;
-      continue;
-    }
-    if (i + 1 == argc) throw std::runtime_error("unknown, or without a value: " + name);
-    const std::string value = argv[++i];
-    if (name == "--uart") options.uart = value;
-    else if (name == "--boot-noise") options.boot_noise_bytes = static_cast<unsigned>(std::stoul(value));
-    else if (name == "--join-ms") options.radio.join_ms = static_cast<unsigned>(std::stoul(value));
-    else if (name == "--connect-ms") options.radio.connect_ms = static_cast<unsigned>(std::stoul(value));
-    else if (name == "--send-buffer") options.radio.send_buffer_bytes = std::stoul(value);
-    else if (name == "--write-limit") options.radio.write_limit_bytes = std::stoul(value);
-    else if (const size_t colon = value.rfind(':'); name == "--server" && colon != std::string::npos) {
-      options.server = value.substr(0, colon);
-      options.server_port = static_cast<uint16_t>(std::stoul(value.substr(colon + 1)));
-    } else throw std::runtime_error("unknown: " + name + " " + value);
   }
   return options;
 }

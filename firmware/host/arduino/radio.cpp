@@ -41,8 +41,8 @@ void Connection::receive() {
       continue;
     }
     if (count < 0 && (errno == EAGAIN || errno == EINTR)) return;
-    is_open_ = false;                    // as the core does: closed while bytes of the peer still wait
-    if (count < 0) received_.clear();    // a reset takes them away
+    is_open_ = false;                  // as the core does: closed while bytes of the peer still wait
+    if (count < 0) received_.clear();  // a reset takes them away
   }
 }
 

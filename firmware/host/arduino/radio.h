@@ -11,7 +11,7 @@ namespace standin {
 
 struct RadioOptions {
   unsigned join_ms = 100;
-  unsigned connect_ms = 20;      // what a connect() takes at least
+  unsigned connect_ms = 20;  // what a connect() takes at least
   size_t send_buffer_bytes = 2920;
   size_t write_limit_bytes = 0;  // what one write() takes at most; 0: what the send buffer takes
 };

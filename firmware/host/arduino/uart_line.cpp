@@ -168,8 +168,9 @@ void UartLine::send(int64_t now_us) {
 }
 
 void UartLine::put_on_wire(const std::vector<uint8_t>& bytes) {
-  const ssize_t written = fd_ < 0 ? -1 : is_pty_ ? ::write(fd_, bytes.data(), bytes.size())
-                                                 : ::send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL);
+  const ssize_t written = fd_ < 0   ? -1
+                          : is_pty_ ? ::write(fd_, bytes.data(), bytes.size())
+                                    : ::send(fd_, bytes.data(), bytes.size(), MSG_NOSIGNAL);
   const size_t count = written > 0 ? static_cast<size_t>(written) : 0;
   transmitted_bytes += count;
   lost_bytes += bytes.size() - count;
