@@ -38,6 +38,11 @@ standin::Options parse(int argc, char** argv) {
   standin::RadioOptions& radio = options.radio;
   const auto number = [](Value value) { return static_cast<unsigned>(std::stoul(value)); };
   const std::map<std::string, std::function<void()>> flags = {
+      {"--help",
+       [] {
+         std::fputs(kUsage, stdout);
+         std::exit(0);
+       }},
       {"--unpaced", [&] { options.is_uart_paced = false; }},
       {"--wait-for-device", [&] { options.waits_for_device = true; }},
       {"--swap", [&] { options.is_uart_swapped = true; }}};
