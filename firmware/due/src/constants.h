@@ -1,0 +1,46 @@
+// The robot's numbers (ROBOT.md): the fallback where the host has no parameter of that name.
+#pragma once
+
+#include <stdint.h>
+
+namespace hostlink {
+
+const float kWheelRadiusM = 0.045f;
+const float kWheelSeparationM = 0.210f;  // wheel to wheel
+const float kTicksPerTurn = 230.4f;
+const float kTopSpeedTicksS = 280.0f;
+
+const int16_t kPwmMax = 4095;    // 12 bit
+const int16_t kPwmNothing = 10;  // up to here the motor is off
+const int16_t kPwmLeast = 700;   // the least that turns a wheel
+
+const float kFilterWeight = 0.1f;      // of the newest speed
+const float kSecondsPerTick = 0.018f;  // of minimum jerk, for each tick/s of change
+const float kStandingTicksS = 5.0f;    // slower than this a wheel has come to rest
+
+const uint32_t kLoopUs = 33333;   // 30 Hz
+const uint8_t kPublishEvery = 3;  // turns: 10 Hz
+const uint32_t kCommandTimeoutMs = 500;
+const uint32_t kParameterTimeoutMs = 1000;
+
+struct Gains {
+  float kp;
+  float ki;
+  float kd;
+  float feedback;
+};
+
+inline Gains make_gains(float kp, float ki, float kd, float feedback) {
+  Gains gains = {kp, ki, kd, feedback};
+  return gains;
+}
+
+const float kFeedback = 0.05f;
+inline Gains left_gains() { return make_gains(23.0f, 36.0f, 0.1f, kFeedback); }  // table 1 of the paper
+inline Gains right_gains() { return make_gains(24.0f, 35.0f, 0.1f, kFeedback); }
+
+inline float clamp(float value, float low, float high) {  // Arduino's macros evaluate their arguments twice
+  return value < low ? low : (value > high ? high : value);
+}
+
+}  // namespace hostlink

@@ -1,0 +1,32 @@
+// The kinematics of a differential drive, and odometry by tick counts (ROBOT.md). Metres, radians, seconds.
+#pragma once
+
+#include "constants.h"
+
+namespace hostlink {
+
+struct Pose {
+  double x_m;  // doubles here only: a sum of many small steps
+  double y_m;
+  double theta_rad;  // in (-pi, pi]
+};
+
+class Drive {
+ public:
+  void set_wheel_radius(float radius_m) { radius_m_ = radius_m; }
+  void set_separation(float separation_m) { separation_m_ = separation_m; }
+  void set_top_speed(float ticks_s) { top_speed_ticks_s_ = ticks_s; }
+  float metres_per_tick() const;
+
+  // Wheel speeds that give this body velocity; both slowed together so that the faster one keeps the limit.
+  void wheel_speeds(float linear_m_s, float angular_rad_s, float& left_ticks_s, float& right_ticks_s) const;
+  // The pose after the wheels rolled this far, along the arc of a circle.
+  Pose integrate(const Pose& pose, float left_ticks, float right_ticks) const;
+
+ private:
+  float radius_m_ = kWheelRadiusM;
+  float separation_m_ = kWheelSeparationM;
+  float top_speed_ticks_s_ = kTopSpeedTicksS;
+};
+
+}  // namespace hostlink

@@ -1,0 +1,27 @@
+// The payloads that the robot reads and writes. float64 is 8 bytes on the wire on every board, also where double has 4.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace hostlink {
+
+const size_t kFloat64Bytes = 8;
+const size_t kTwistBytes = 6 * kFloat64Bytes;
+const size_t kPose2DBytes = 3 * kFloat64Bytes;
+const size_t kVector3Bytes = 3 * kFloat64Bytes;
+
+const char kTwistType[] = "geometry_msgs/Twist";
+const char kTwistMd5[] = "9f195f881246fdfa2798d1d3eebca84a";
+const char kPose2DType[] = "geometry_msgs/Pose2D";
+const char kPose2DMd5[] = "938fa65709584ad8e77d238529be13b8";
+const char kVector3Type[] = "geometry_msgs/Vector3";
+const char kVector3Md5[] = "4a842b65f413084dc2b10fb484ea7f17";
+const char kEmptyType[] = "std_msgs/Empty";
+const char kEmptyMd5[] = "d41d8cd98f00b204e9800998ecf8427e";
+
+// A float64 of the wire, rounded towards zero to a float; what a float cannot hold becomes infinite or zero.
+float read_float64(const uint8_t* bytes);
+void write_float64(uint8_t* bytes, float value);
+
+}  // namespace hostlink

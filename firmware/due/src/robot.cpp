@@ -1,0 +1,159 @@
+#include "robot.h"
+
+#include "messages.h"
+
+namespace hostlink {
+
+namespace {
+
+const uint8_t kInfo = 1;
+const float kLongestStepS = 0.2f;  // a loop that was away does not integrate the time that it missed
+const char* const kParameters[] = {"wheel_radius", "wheel_separation", "gains_left", "gains_right", "top_speed"};
+const uint8_t kParameterCount = sizeof kParameters / sizeof kParameters[0];
+
+bool is_sane(float value, float most) { return value > 0.0f && value <= most; }  // NaN is not
+
+}  // namespace
+
+Robot::Robot(Hal& hal, const char* name, Retry retry)
+    : hal_(hal), ns_(name), node_(hal, retry), left_(left_gains()), right_(right_gains()) {}
+
+void Robot::setup() {
+  odometry_id_ = node_.advertise(ns_, "odometry", kPose2DType, kPose2DMd5);
+  plot_id_ = node_.advertise(ns_, "plot_data", kTwistType, kTwistMd5);
+  node_.subscribe(ns_, "velocity_commands", kTwistType, kTwistMd5, kTwistBytes, &Robot::take_velocity, this);
+  node_.subscribe(ns_, "reset_odometry", kEmptyType, kEmptyMd5, 0, &Robot::take_reset, this);
+  node_.subscribe(ns_, "pid_tune_l", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_left_gains, this);
+  node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_right_gains, this);
+  hal_.drive(0, 0);
+  hal_.ticks(left_edges_, right_edges_);
+  turned_at_us_ = hal_.micros();
+}
+
+void Robot::loop() {
+  node_.spin();
+  const uint32_t waited_us = hal_.micros() - turned_at_us_;
+  if (waited_us < kLoopUs) return;
+  turned_at_us_ += waited_us < 2 * kLoopUs ? kLoopUs : waited_us;  // steady, but nothing is caught up
+  turn(clamp(static_cast<float>(waited_us) * 1e-6f, 1e-3f, kLongestStepS));
+}
+
+void Robot::turn(float dt_s) {
+  greet();
+  const bool is_stale = hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs;
+  if (!is_commanded_ || is_stale || !node_.is_configured()) stop();
+  uint32_t left_edges = 0;
+  uint32_t right_edges = 0;
+  hal_.ticks(left_edges, right_edges);
+  const int32_t left_ticks = left_.step(left_edges - left_edges_, dt_s);
+  const int32_t right_ticks = right_.step(right_edges - right_edges_, dt_s);
+  left_edges_ = left_edges;
+  right_edges_ = right_edges;
+  hal_.drive(left_.pwm(), right_.pwm());
+  pose_ = drive_.integrate(pose_, static_cast<float>(left_ticks), static_cast<float>(right_ticks));
+  if (++turns_ == kPublishEvery) {
+    turns_ = 0;
+    publish();
+  }
+}
+
+void Robot::stop() {
+  is_commanded_ = false;
+  left_.halt();
+  right_.halt();
+}
+
+// Once configured: say so, and ask for what may be set, one after the other and never waiting.
+void Robot::greet() {
+  const bool is_configured = node_.is_configured();
+  if (is_configured && !was_configured_) {
+    node_.log(kInfo, "robot is ready");
+    asking_ = 1;
+    node_.ask_parameter(ns_, kParameters[0], &Robot::take_parameter, this);
+    asked_at_ms_ = hal_.millis();
+  } else if (is_configured && asking_ != 0 && hal_.millis() - asked_at_ms_ > kParameterTimeoutMs) {
+    use_parameter(nullptr, 0);  // no answer: the constants hold
+  }
+  was_configured_ = is_configured;
+}
+
+void Robot::use_parameter(const float* values, size_t count) {
+  switch (asking_) {
+    case 1:
+      if (count == 1 && is_sane(values[0], 1.0f)) drive_.set_wheel_radius(values[0]);
+      break;
+    case 2:
+      if (count == 1 && is_sane(values[0], 5.0f)) drive_.set_separation(values[0]);
+      break;
+    case 3:
+    case 4:
+      if (count == 3)
+        (asking_ == 3 ? left_ : right_).pid().tune(make_gains(values[0], values[1], values[2], kFeedback));
+      break;
+    case 5:
+      if (count == 1 && is_sane(values[0], kTopSpeedTicksS)) drive_.set_top_speed(values[0]);
+      break;
+    default:
+      return;
+  }
+  asking_ = asking_ < kParameterCount ? static_cast<uint8_t>(asking_ + 1) : static_cast<uint8_t>(0);
+  if (asking_ == 0) return;
+  node_.ask_parameter(ns_, kParameters[asking_ - 1], &Robot::take_parameter, this);
+  asked_at_ms_ = hal_.millis();
+}
+
+void Robot::publish() {
+  uint8_t pose[kPose2DBytes];
+  write_float64(pose, static_cast<float>(pose_.x_m));
+  write_float64(pose + kFloat64Bytes, static_cast<float>(pose_.y_m));
+  write_float64(pose + 2 * kFloat64Bytes, static_cast<float>(pose_.theta_rad));
+  node_.publish(odometry_id_, pose, sizeof pose);
+  const float plot[6] = {left_.speed_ticks_s(),     right_.speed_ticks_s(),     static_cast<float>(left_.pwm()),
+                         left_.set_point_ticks_s(), right_.set_point_ticks_s(), static_cast<float>(right_.pwm())};
+  uint8_t twist[kTwistBytes];
+  for (size_t i = 0; i < 6; ++i) write_float64(twist + i * kFloat64Bytes, plot[i]);
+  node_.publish(plot_id_, twist, sizeof twist);
+}
+
+void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
+  Robot& robot = *static_cast<Robot*>(self);
+  const float linear_m_s = read_float64(payload);
+  const float angular_rad_s = read_float64(payload + 5 * kFloat64Bytes);
+  const bool is_number = linear_m_s - linear_m_s == 0.0f && angular_rad_s - angular_rad_s == 0.0f;
+  if (!is_number) {
+    robot.stop();
+    return;
+  }
+  float left_ticks_s = 0.0f;
+  float right_ticks_s = 0.0f;
+  robot.drive_.wheel_speeds(linear_m_s, angular_rad_s, left_ticks_s, right_ticks_s);
+  robot.left_.aim(left_ticks_s);
+  robot.right_.aim(right_ticks_s);
+  robot.is_commanded_ = true;
+  robot.commanded_at_ms_ = robot.hal_.millis();
+}
+
+void Robot::take_reset(void* self, const uint8_t*, size_t) {
+  const Pose origin = {0.0, 0.0, 0.0};
+  static_cast<Robot*>(self)->pose_ = origin;
+}
+
+void Robot::take_left_gains(void* self, const uint8_t* payload, size_t) {
+  tune(static_cast<Robot*>(self)->left_, payload);
+}
+
+void Robot::take_right_gains(void* self, const uint8_t* payload, size_t) {
+  tune(static_cast<Robot*>(self)->right_, payload);
+}
+
+void Robot::tune(Wheel& wheel, const uint8_t* payload) {
+  const float feedback = wheel.pid().gains().feedback;
+  wheel.pid().tune(make_gains(read_float64(payload), read_float64(payload + kFloat64Bytes),
+                              read_float64(payload + 2 * kFloat64Bytes), feedback));
+}
+
+void Robot::take_parameter(void* self, const float* values, size_t count) {
+  static_cast<Robot*>(self)->use_parameter(values, count);
+}
+
+}  // namespace hostlink

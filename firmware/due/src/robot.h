@@ -1,0 +1,59 @@
+// Robot: the paper's robot over a Hal: its topics, its 30 Hz loop, and what stops it. Every state of loop() either
+// feeds the motors or stops them.
+#pragma once
+
+#include <stdint.h>
+
+#include "drive.h"
+#include "hal.h"
+#include "node_handle.h"
+#include "wheel.h"
+
+namespace hostlink {
+
+class Robot {
+ public:
+  explicit Robot(Hal& hal, const char* name = "/robot_0/", Retry retry = Retry::kKeepState);
+
+  void setup();
+  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second.
+  void loop();
+
+  const Pose& pose() const { return pose_; }
+  NodeHandle& node() { return node_; }
+
+ private:
+  static void take_velocity(void* self, const uint8_t* payload, size_t size);
+  static void take_reset(void* self, const uint8_t* payload, size_t size);
+  static void take_left_gains(void* self, const uint8_t* payload, size_t size);
+  static void take_right_gains(void* self, const uint8_t* payload, size_t size);
+  static void take_parameter(void* self, const float* values, size_t count);
+
+  void turn(float dt_s);
+  void stop();
+  void greet();
+  void use_parameter(const float* values, size_t count);
+  void publish();
+  static void tune(Wheel& wheel, const uint8_t* payload);
+
+  Hal& hal_;
+  const char* ns_;
+  NodeHandle node_;
+  Drive drive_;
+  Wheel left_;
+  Wheel right_;
+  Pose pose_ = {0.0, 0.0, 0.0};
+  uint16_t odometry_id_ = 0;
+  uint16_t plot_id_ = 0;
+  uint32_t turned_at_us_ = 0;
+  uint32_t commanded_at_ms_ = 0;
+  bool is_commanded_ = false;
+  uint32_t left_edges_ = 0;
+  uint32_t right_edges_ = 0;
+  uint8_t turns_ = 0;
+  bool was_configured_ = false;
+  uint8_t asking_ = 0;  // the parameter that is asked for, 0: none
+  uint32_t asked_at_ms_ = 0;
+};
+
+}  // namespace hostlink
