@@ -1,0 +1,220 @@
+"""Builds the Due's firmware for the PC and loads it, with a board whose every input a test sets."""
+
+import ctypes
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+
+from hostlink.protocol.frame import Frame
+from hostlink.protocol.stream import FrameStream
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ROOT / "firmware" / "due" / "src"
+LIBRARY = ROOT / "build" / "due_abi" / "libdue_abi.so"
+FLAGS = [
+    "-std=c++11",
+    "-pedantic-errors",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wshadow",
+    "-Wdouble-promotion",
+    "-Werror",
+]
+SANITIZER = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
+OUT_BYTES = 65536
+
+_U8P, _F, _P, _SIZE = ctypes.c_char_p, ctypes.c_float, ctypes.c_void_p, ctypes.c_size_t
+_SIGNATURES = {
+    "node_new": (_P, ctypes.c_int),
+    "node_delete": (None, _P),
+    "node_feed": (None, _P, _U8P, _SIZE),
+    "node_room": (None, _P, _SIZE),
+    "node_spin": (ctypes.c_uint32, _P, ctypes.c_uint64),
+    "node_sent": (_SIZE, _P, _U8P, _SIZE),
+    "node_heard": (_SIZE, _P, _U8P, _SIZE),
+    "node_configured": (ctypes.c_int, _P),
+    "node_publish": (ctypes.c_int, _P, ctypes.c_uint16, _U8P, _SIZE),
+    "node_log": (None, _P, ctypes.c_uint8, _U8P),
+    "node_ask": (None, _P, _U8P),
+    "node_parameter": (_SIZE, _P, ctypes.POINTER(_F), _SIZE),
+    "node_dropped_from_host": (ctypes.c_uint32, _P),
+    "node_dropped_to_host": (ctypes.c_uint32, _P),
+    "node_refused": (ctypes.c_uint32, _P),
+    "robot_new": (_P, ctypes.c_int),
+    "robot_delete": (None, _P),
+    "robot_feed": (None, _P, _U8P, _SIZE),
+    "robot_loop": (None, _P, ctypes.c_uint64, ctypes.c_uint32, ctypes.c_uint32),
+    "robot_sent": (_SIZE, _P, _U8P, _SIZE),
+    "robot_left_pwm": (ctypes.c_int, _P),
+    "robot_right_pwm": (ctypes.c_int, _P),
+    "robot_pose": (None, _P, ctypes.POINTER(ctypes.c_double)),
+    "jerk_new": (_P,),
+    "jerk_delete": (None, _P),
+    "jerk_aim": (None, _P, _F),
+    "jerk_step": (_F, _P, _F),
+    "pid_new": (_P, _F, _F, _F, _F),
+    "pid_delete": (None, _P),
+    "pid_step": (_F, _P, _F, _F, _F),
+    "wheel_new": (_P,),
+    "wheel_delete": (None, _P),
+    "wheel_aim": (None, _P, _F),
+    "wheel_step": (ctypes.c_int32, _P, ctypes.c_uint32, _F),
+    "wheel_pwm": (ctypes.c_int, _P),
+    "wheel_speed": (_F, _P),
+    "pwm_of": (ctypes.c_int, _F),
+    "wheel_speeds": (None, _F, _F, ctypes.POINTER(_F)),
+    "integrate": (None, ctypes.POINTER(ctypes.c_double), _F, _F),
+    "from_float64": (_F, _U8P),
+    "to_float64": (None, _U8P, _F),
+}
+
+
+class Retry(IntEnum):
+    """The policies of NodeHandle, by their numbers in node_handle.h."""
+
+    NONE = 0
+    PAPER = 1
+    KEEP_STATE = 2
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Compile with every warning and undefined behaviour as an error, and load."""
+    LIBRARY.parent.mkdir(parents=True, exist_ok=True)
+    objects = []
+    for source in sorted(SOURCES.glob("*.cpp")):
+        objects.append(LIBRARY.parent / f"{source.stem}.o")
+        _run("g++", *FLAGS, *SANITIZER, "-O1", "-g", "-fPIC", "-c", source, "-o", objects[-1])
+    abi = ROOT / "firmware" / "tests" / "due_abi.cpp"
+    _run("g++", "-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", abi, *objects, "-o", LIBRARY)
+    loaded = ctypes.CDLL(str(LIBRARY))
+    for name, (result, *arguments) in _SIGNATURES.items():
+        function = getattr(loaded, name)
+        function.restype, function.argtypes = result, arguments
+    return loaded
+
+
+def _run(*command: object) -> None:
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def _taken(take: Callable[[int, object, int], int], handle: int) -> bytes:
+    out = ctypes.create_string_buffer(OUT_BYTES)
+    size = take(handle, out, OUT_BYTES)
+    return out.raw[:size]
+
+
+class Node:
+    """A NodeHandle that sends /odometry (id 125) and takes /velocity (100, 48 bytes) and /led (101, 1 byte)."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+
+    def feed(self, data: bytes) -> None:
+        library().node_feed(self._handle, data, len(data))
+
+    def room(self, size: int) -> None:
+        library().node_room(self._handle, size)
+
+    def spin(self, now_s: float) -> float | None:
+        """As SimulatedDevice.spin: None when the turn is done, else the seconds to wait."""
+        wait_ms = library().node_spin(self._handle, round(now_s * 1e6))
+        return wait_ms / 1000 if wait_ms else None
+
+    def sent(self) -> bytes:
+        return _taken(library().node_sent, self._handle)
+
+    def heard(self) -> list[bytes]:
+        data = _taken(library().node_heard, self._handle)
+        out_of: list[bytes] = []
+        while data:
+            size = int.from_bytes(data[:2], "little")
+            out_of.append(data[2 : 2 + size])
+            data = data[2 + size :]
+        return out_of
+
+    @property
+    def is_configured(self) -> bool:
+        return bool(library().node_configured(self._handle))
+
+    def publish(self, topic_id: int, payload: bytes) -> bool:
+        return bool(library().node_publish(self._handle, topic_id, payload, len(payload)))
+
+    def log(self, level: int, text: str) -> None:
+        library().node_log(self._handle, level, text.encode())
+
+    def ask(self, name: str) -> None:
+        library().node_ask(self._handle, name.encode())
+
+    def parameter(self) -> list[float]:
+        values = (ctypes.c_float * 16)()
+        count = library().node_parameter(self._handle, values, len(values))
+        return list(values)[:count]
+
+    @property
+    def dropped_from_host(self) -> int:
+        return int(library().node_dropped_from_host(self._handle))
+
+    @property
+    def dropped_to_host(self) -> int:
+        return int(library().node_dropped_to_host(self._handle))
+
+    @property
+    def refused(self) -> int:
+        return int(library().node_refused(self._handle))
+
+
+class Robot:
+    """The whole firmware on a board without hardware."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+
+    def feed(self, data: bytes) -> None:
+        library().robot_feed(self._handle, data, len(data))
+
+    def loop(self, now_s: float, left_ticks: int, right_ticks: int) -> None:
+        library().robot_loop(self._handle, round(now_s * 1e6), left_ticks % 2**32, right_ticks % 2**32)
+
+    def sent(self) -> list[Frame]:
+        data = _taken(library().robot_sent, self._handle)
+        return [item for item in FrameStream().feed(data) if isinstance(item, Frame)]
+
+    @property
+    def pwm(self) -> tuple[int, int]:
+        return library().robot_left_pwm(self._handle), library().robot_right_pwm(self._handle)
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        values = (ctypes.c_double * 3)()
+        library().robot_pose(self._handle, values)
+        return values[0], values[1], values[2]
+
+
+@contextmanager
+def made(kind: str, *arguments: float) -> Iterator[int]:
+    """A C++ object by its handle, for the length of the block."""
+    handle = getattr(library(), f"{kind}_new")(*arguments)
+    try:
+        yield handle
+    finally:
+        getattr(library(), f"{kind}_delete")(handle)
+
+
+@contextmanager
+def node(retry: Retry = Retry.KEEP_STATE) -> Iterator[Node]:
+    """A NodeHandle for the length of the block."""
+    with made("node", retry) as handle:
+        yield Node(handle)
+
+
+@contextmanager
+def robot(retry: Retry = Retry.KEEP_STATE) -> Iterator[Robot]:
+    """A robot for the length of the block."""
+    with made("robot", retry) as handle:
+        yield Robot(handle)

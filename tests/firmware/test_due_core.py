@@ -1,0 +1,170 @@
+"""The Due's arithmetic, with the numbers of ROBOT.md, and against hostlink's own robot and simulator."""
+
+import ctypes
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.sim import controller
+from tests.firmware.due import library, made
+
+DRIVE = DifferentialDrive()
+LOOP_S = 1 / 30
+speeds = st.floats(-300.0, 300.0, width=32)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "pwm"),
+    [
+        (0, 0), (10, 0), (11, 700), (700, 700), (701, 701), (4095, 4095), (5000, 4095), (-10, 0), (-11, -700),
+        (-5000, -4095), (math.nan, 0), (math.inf, 4095), (-math.inf, -4095),
+    ],
+)  # fmt: skip
+def test_the_pwm_map(wanted: float, pwm: int) -> None:
+    assert library().pwm_of(wanted) == pwm
+
+
+def test_minimum_jerk_is_at_its_ends_when_it_should_be() -> None:
+    with made("jerk") as jerk:
+        library().jerk_aim(jerk, 100.0)  # 0.018 s a tick/s: 1.8 s
+        values = [library().jerk_step(jerk, 0.1) for _ in range(20)]
+    assert values == sorted(values)
+    assert values[0] < 1.0
+    assert values[8] == pytest.approx(50.0, abs=0.01)
+    assert values[18:] == [100.0, 100.0]
+
+
+def test_minimum_jerk_without_a_way_to_go_is_there() -> None:
+    with made("jerk") as jerk:
+        library().jerk_aim(jerk, 0.0)
+        assert library().jerk_step(jerk, 0.1) == 0.0
+
+
+@given(st.lists(st.tuples(speeds, st.integers(1, 40)), max_size=6))
+def test_minimum_jerk_is_that_of_the_simulator(story: list[tuple[float, int]]) -> None:
+    twin = controller.MinimumJerk()
+    with made("jerk") as jerk:
+        for target, turns in story:
+            library().jerk_aim(jerk, target)
+            twin.aim(target)
+            for _ in range(turns):
+                value = library().jerk_step(jerk, LOOP_S)
+                assert math.isfinite(value)
+                assert value == pytest.approx(twin.step(LOOP_S), abs=0.05)
+
+
+def test_the_integral_does_not_wind_up_against_the_limit() -> None:
+    """Ten seconds against a wheel that is held, then the set-point turns: the output follows in a tenth of a second."""
+    with made("pid", 23.0, 36.0, 0.0, 0.0) as pid:
+        for _ in range(300):
+            assert library().pid_step(pid, 250.0, 0.0, LOOP_S) == 4095.0
+        outputs = [library().pid_step(pid, -50.0, 0.0, LOOP_S) for _ in range(3)]
+    assert outputs[-1] < 0.0
+
+
+def test_the_derivative_has_the_right_sign() -> None:
+    with made("pid", 0.0, 0.0, 1.0, 0.0) as pid:
+        library().pid_step(pid, 0.0, 0.0, 0.1)
+        assert library().pid_step(pid, 10.0, 0.0, 0.1) == pytest.approx(100.0)
+        assert library().pid_step(pid, 5.0, 0.0, 0.1) == pytest.approx(-50.0)
+
+
+def test_the_feedback_term_takes_a_part_of_the_last_output() -> None:
+    with made("pid", 1.0, 0.0, 0.0, 0.5) as pid:
+        assert library().pid_step(pid, 100.0, 0.0, 0.1) == pytest.approx(100.0)
+        assert library().pid_step(pid, 100.0, 0.0, 0.1) == pytest.approx(100.0 - 0.5 * 100.0 / 4095 * 280)
+
+
+def test_the_filter_takes_a_tenth_of_what_is_new() -> None:
+    with made("wheel") as wheel:
+        seen = []
+        for _ in range(3):
+            library().wheel_step(wheel, 10, 0.1)
+            seen.append(library().wheel_speed(wheel))
+    assert seen == pytest.approx([10.0, 19.0, 27.1])
+
+
+@given(st.lists(st.tuples(st.sampled_from([0.0, 50.0, 200.0, -50.0, -250.0]), st.integers(1, 60)), max_size=5))
+def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]]) -> None:
+    """The same set-points and the same edges: the same PWM, but for what a float loses."""
+    from hostlink.sim.drive_train import DriveTrain  # noqa: PLC0415 - the plant, beside its use
+
+    twin, plant = controller.WheelController(controller.LEFT_GAINS), DriveTrain()
+    with made("wheel") as wheel:
+        for target, turns in story:
+            library().wheel_aim(wheel, target)
+            twin.aim(target)
+            for _ in range(turns):
+                edges = plant.step(twin.pwm, LOOP_S)
+                rolled = library().wheel_step(wheel, edges, LOOP_S)
+                assert rolled == twin.step(edges, LOOP_S)
+                assert library().wheel_pwm(wheel) == pytest.approx(twin.pwm, abs=40)
+
+
+@given(st.floats(-2.0, 2.0, width=32), st.floats(-10.0, 10.0, width=32))
+def test_inverse_kinematics(linear: float, angular: float) -> None:
+    out = (ctypes.c_float * 2)()
+    library().wheel_speeds(linear, angular, out)
+    left, right = (speed / DRIVE.metres_per_tick for speed in DRIVE.wheel_speeds(linear, angular))
+    factor = min(1.0, 280.0 / max(abs(left), abs(right), 1e-9))
+    assert list(out) == pytest.approx([left * factor, right * factor], rel=1e-4, abs=1e-3)
+    assert max(map(abs, out)) <= 280.01  # in reverse too
+
+
+@given(
+    st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)), st.integers(-200, 200), st.integers(-200, 200)
+)
+def test_odometry_is_hostlink_s(pose: tuple[float, float, float], left: int, right: int) -> None:
+    values = (ctypes.c_double * 3)(*pose)
+    library().integrate(values, left, right)
+    twin = DRIVE.integrate(Pose(*pose), left * DRIVE.metres_per_tick, right * DRIVE.metres_per_tick)
+    assert values[0] == pytest.approx(twin.x_m, abs=1e-5)
+    assert values[1] == pytest.approx(twin.y_m, abs=1e-5)
+    assert math.cos(values[2] - twin.theta_rad) == pytest.approx(1.0, abs=1e-9)
+    assert -math.pi < values[2] <= math.pi + 1e-12
+
+
+def test_odometry_of_a_line_a_spin_and_a_circle() -> None:
+    values = (ctypes.c_double * 3)()
+    for _ in range(100):
+        library().integrate(values, 10.0, 10.0)
+    assert list(values) == pytest.approx([1000 * DRIVE.metres_per_tick, 0.0, 0.0], rel=1e-5)
+    values = (ctypes.c_double * 3)()
+    turn_ticks = math.pi * DRIVE.wheel_separation_m / DRIVE.metres_per_tick
+    for _ in range(100):
+        library().integrate(values, -turn_ticks / 100, turn_ticks / 100)
+    assert values[0] == pytest.approx(0.0, abs=1e-6)
+    assert math.cos(values[2]) == pytest.approx(1.0, abs=1e-6)
+    values = (ctypes.c_double * 3)()
+    for _ in range(100):  # a circle with a radius of the separation: wheels as 1 to 3
+        library().integrate(values, turn_ticks / 100, 3 * turn_ticks / 100)
+    assert [values[0], values[1]] == pytest.approx([0.0, 0.0], abs=1e-4)
+
+
+@given(st.floats(allow_nan=False))
+def test_a_float64_of_the_wire_is_read_as_a_float(value: float) -> None:
+    got = library().from_float64(struct.pack("<d", value))
+    if abs(value) < 2.0**-126:
+        assert got == 0.0
+    elif abs(value) >= 2.0**128:
+        assert got == math.copysign(math.inf, value)
+    else:
+        assert got == pytest.approx(value, rel=2.0**-22)
+
+
+@given(st.floats(width=32, allow_nan=False, allow_subnormal=False))
+def test_a_float_is_written_as_a_float64(value: float) -> None:
+    out = ctypes.create_string_buffer(8)
+    library().to_float64(out, value)
+    assert struct.unpack("<d", out.raw)[0] == value
+
+
+def test_no_number_stays_no_number() -> None:
+    assert math.isnan(library().from_float64(struct.pack("<d", math.nan)))
+    out = ctypes.create_string_buffer(8)
+    library().to_float64(out, math.nan)
+    assert math.isnan(struct.unpack("<d", out.raw)[0])

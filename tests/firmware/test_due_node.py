@@ -1,0 +1,187 @@
+"""NodeHandle: against the simulated device byte for byte, under any bytes, and its own better policy."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.protocol.control import Log, Parameter, encode_log, encode_parameter, encode_parameter_request
+from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+from hostlink.sim.device import SimulatedDevice
+from tests.firmware.due import Node, Retry, node
+from tests.support.strategies import damaged, noise, split
+
+VELOCITY, LED = encode(100, b"\x22" * 48), encode(101, b"\x01")
+TIME = encode(Id.TIME, bytes(8))
+LOOP_S = 1 / 30
+POLICIES = list(Retry)
+# What a host may send without crashing the original: ids that were announced, sizes that fit.
+good = st.sampled_from([TOPICS_REQUEST, VELOCITY, LED, TIME, STOP_REQUEST])
+short_noise = noise.filter(lambda junk: b"\xff\xfe" not in junk)
+lines = st.lists(st.one_of(good, short_noise), max_size=8).map(b"".join)
+
+
+def frames(data: bytes) -> list[Frame]:
+    return [item for item in FrameStream().feed(data) if isinstance(item, Frame)]
+
+
+def spin(device: Node | SimulatedDevice, now_s: float) -> float:
+    while (wait_s := device.spin(now_s)) is not None:
+        now_s += wait_s
+    return now_s
+
+
+@pytest.mark.parametrize("retries", [True, False])
+@given(story=st.lists(st.tuples(lines, st.floats(0.0, 0.05)), max_size=10), data=st.data())
+def test_the_same_bytes_at_the_same_times_give_the_same_frames(
+    retries: bool, story: list[tuple[bytes, float]], data: st.DataObject
+) -> None:
+    """The simulated device and the compiled one, with the retry clause of the paper and without any."""
+    heard: list[bytes] = []
+    twin = SimulatedDevice(baud=None, retries=retries)
+    twin.advertise("/odometry", "geometry_msgs/Pose2D", "m")
+    twin.subscribe("/velocity", "geometry_msgs/Twist", "m", heard.append)
+    twin.subscribe("/led", "std_msgs/Bool", "m", heard.append)
+    with node(Retry.PAPER if retries else Retry.NONE) as device:
+        now_s = 1.0
+        for line, pause_s in story:
+            for piece in split(line, data):
+                device.feed(piece)
+                twin.from_host.send(piece, now_s)
+                ended_s = spin(device, now_s)
+                assert spin(twin, now_s) == pytest.approx(ended_s)
+                assert device.heard() == heard
+                heard.clear()
+                assert device.sent() == twin.to_host.take(now_s + 1.0)
+                assert device.is_configured == twin.is_configured
+                now_s = ended_s + round(pause_s, 3)
+
+
+@pytest.mark.parametrize("retry", POLICIES)
+@given(story=st.lists(st.tuples(lines | noise, st.floats(0.0, 0.3)), max_size=10), data=st.data())
+def test_any_bytes_at_any_time_and_it_finds_the_next_good_frame(
+    retry: Retry, story: list[tuple[bytes, float]], data: st.DataObject
+) -> None:
+    with node(retry) as device:
+        now_s = 1.0
+        for line, pause_s in story:
+            device.feed(damaged(line, data))
+            now_s = spin(device, now_s) + pause_s
+        for _ in range(10):
+            now_s = spin(device, now_s + 0.3)
+        device.heard()
+        device.feed(LED)
+        spin(device, now_s + 0.3)
+        assert device.heard()[-1:] == [b"\x01"]
+
+
+@given(pieces=st.lists(st.integers(1, 20), min_size=1), pause_s=st.floats(0.0, 0.04), junk=st.binary(max_size=10))
+def test_the_default_keeps_a_frame_through_any_gap_up_to_a_quarter_of_a_second(
+    pieces: list[int], pause_s: float, junk: bytes
+) -> None:
+    wire = junk.replace(b"\xff", b"") + VELOCITY
+    with node() as device:
+        now_s, at = 1.0, 0
+        for size in [*pieces, len(wire)]:
+            if (now_s - 1.0) > 0.2:
+                size = len(wire)  # noqa: PLW2901 - the rest, before the deadline
+            device.feed(wire[at : at + size])
+            at += size
+            assert device.spin(now_s) is None, "it never waits"
+            now_s += pause_s
+        assert device.heard() == [b"\x22" * 48]
+
+
+def test_the_default_does_not_lose_a_frame_to_what_stands_before_it() -> None:
+    for junk in (
+        b"\xff",
+        b"\xff\xff",
+        b"\xff\xfe",
+        LED[:5],
+        LED[:-1],
+        b"\xff\xfe\x00\x01\xfe",
+        b"\xff\xfe\x30\x00\xcfxx",
+    ):
+        with node() as device:
+            device.feed(junk + LED + LED)
+            spin(device, 1.0)
+            spin(device, 1.5)
+            assert device.heard()[-1:] == [b"\x01"], junk
+
+
+def test_topics_time_log_parameters_and_stop() -> None:
+    with node() as device:
+        device.feed(TOPICS_REQUEST)
+        spin(device, 1.0)
+        assert [frame.topic_id for frame in frames(device.sent())] == [Id.TIME, 0, 1, 1]
+        assert device.publish(125, bytes(24))
+        device.log(2, "warm")
+        device.ask("/gain")
+        spin(device, 1.1)
+        assert frames(device.sent()) == [
+            Frame(125, bytes(24)),
+            Frame(Id.LOG, encode_log(Log(2, "warm"))),
+            Frame(Id.PARAMETER, encode_parameter_request("/gain")),
+        ]
+        device.feed(encode(Id.PARAMETER, encode_parameter(Parameter(floats=(0.5, 1.5)))))
+        spin(device, 1.2)
+        assert device.parameter() == [0.5, 1.5]
+        device.feed(STOP_REQUEST)
+        spin(device, 1.3)
+        assert not device.is_configured
+        assert not device.publish(125, bytes(24))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "values"),
+    [(Parameter(ints=(7, -2)), [7.0, -2.0]), (Parameter(), []), (Parameter(strings=("x",)), [])],
+)
+def test_parameters_of_every_kind(parameter: Parameter, values: list[float]) -> None:
+    with node() as device:
+        device.ask("/p")
+        device.feed(encode(Id.PARAMETER, encode_parameter(parameter)))
+        spin(device, 1.0)
+        assert device.parameter() == values
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x01", b"\xff\xff\xff\xff", b"\x02\x00\x00\x00\x01\x00\x00\x00"])
+def test_a_parameter_with_a_length_that_lies(payload: bytes) -> None:
+    with node() as device:
+        device.ask("/p")
+        device.feed(encode(Id.PARAMETER, payload))
+        spin(device, 1.0)
+        assert device.parameter() == []
+
+
+@pytest.mark.parametrize("frame", [encode(99, b""), encode(102, b""), encode(65535, b"x"), encode(100, b"short")])
+def test_ids_and_sizes_that_no_topic_has_are_refused(frame: bytes) -> None:
+    with node() as device:
+        device.feed(frame + LED)
+        spin(device, 1.0)
+        assert device.heard() == [b"\x01"]
+        assert device.refused == 1
+
+
+def test_eleven_seconds_without_time_silence_it_also_when_the_clock_wraps() -> None:
+    for start_s in (1.0, 2**32 / 1000 - 5.0):
+        with node() as device:
+            device.feed(TOPICS_REQUEST)
+            spin(device, start_s)
+            spin(device, start_s + 10.9)
+            assert device.is_configured
+            spin(device, start_s + 11.2)
+            assert not device.is_configured
+
+
+def test_a_full_line_to_the_host_drops_whole_frames_and_counts_them() -> None:
+    with node() as device:
+        device.feed(TOPICS_REQUEST)
+        spin(device, 1.0)
+        device.sent()
+        device.room(0)
+        accepted = sum(device.publish(125, bytes(24)) for _ in range(100))
+        assert accepted == 2048 // 32
+        assert device.dropped_to_host == 100 - accepted
+        device.room(2**32)
+        spin(device, 1.1)
+        assert frames(device.sent()) == [Frame(125, bytes(24))] * accepted

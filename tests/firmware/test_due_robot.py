@@ -1,0 +1,189 @@
+"""The whole firmware on a board without hardware, with the simulator's motors: driven, stopped, read back."""
+
+import math
+import struct
+
+import pytest
+
+from hostlink.protocol.control import Parameter, decode_parameter_request, encode_parameter
+from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.sim.drive_train import DriveTrain
+from tests.firmware.due import Robot, robot
+
+METRES_PER_TICK = 2 * math.pi * 0.045 / 230.4
+PASS_S = 0.002  # the loop is called this often
+
+
+def velocity(linear: float, angular: float) -> bytes:
+    return encode(100, struct.pack("<6d", linear, 0, 0, 0, 0, angular))
+
+
+class Track:
+    """The firmware, two motors and a clock."""
+
+    def __init__(self, firmware: Robot, *, starts_at_s: float = 1.0) -> None:
+        self.firmware = firmware
+        self.now_s = starts_at_s
+        self.motors = (DriveTrain(), DriveTrain())
+        self.edges = [0, 0]
+        self.frames: list[Frame] = []
+        self.parameters: dict[str, Parameter] = {}
+        self.firmware.feed(TOPICS_REQUEST)
+        self.run(0.2)
+
+    def run(self, seconds: float, command: bytes | None = None) -> None:
+        """Let the loop turn; a command goes out ten times a second, time and parameters are answered at once."""
+        until_s, command_at_s = self.now_s + seconds, self.now_s
+        while self.now_s < until_s:
+            self.now_s += PASS_S
+            if command is not None and self.now_s >= command_at_s:
+                self.firmware.feed(command)
+                command_at_s += 0.1
+            for wheel in (0, 1):
+                self.edges[wheel] += self.motors[wheel].step(self.firmware.pwm[wheel], PASS_S)
+            self.firmware.loop(self.now_s, *self.edges)
+            for frame in self.firmware.sent():
+                self.answer(frame)
+
+    def answer(self, frame: Frame) -> None:
+        self.frames.append(frame)
+        if frame.topic_id == Id.TIME:
+            self.firmware.feed(encode(Id.TIME, bytes(8)))
+        elif frame.topic_id == Id.PARAMETER:
+            name = decode_parameter_request(frame.payload) or ""
+            self.firmware.feed(encode(Id.PARAMETER, encode_parameter(self.parameters.get(name, Parameter()))))
+
+    @property
+    def speed_m_s(self) -> float:
+        return sum(motor.speed_ticks_s for motor in self.motors) / 2 * METRES_PER_TICK
+
+
+def test_its_topics_and_what_it_asks_for() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        names = [frame.payload for frame in track.frames if frame.topic_id in (0, 1)]
+        for name in ("odometry", "plot_data", "velocity_commands", "reset_odometry", "pid_tune_l", "pid_tune_r"):
+            assert any(f"/robot_0/{name}".encode() in payload for payload in names)
+        asked = [decode_parameter_request(frame.payload) for frame in track.frames if frame.topic_id == Id.PARAMETER]
+        assert asked == [
+            f"/robot_0/{name}"
+            for name in ("wheel_radius", "wheel_separation", "gains_left", "gains_right", "top_speed")
+        ]
+        assert any(b"robot is ready" in frame.payload for frame in track.frames if frame.topic_id == Id.LOG)
+
+
+def test_it_drives_and_its_odometry_is_the_truth_of_its_wheels() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(10.0, velocity(0.2, 0.0))
+        assert track.speed_m_s == pytest.approx(0.2, rel=0.1)
+        truth_m = sum(motor.rolled_ticks for motor in track.motors) / 2 * METRES_PER_TICK
+        assert firmware.pose[0] == pytest.approx(truth_m, abs=0.01)
+
+
+@pytest.mark.parametrize(("linear", "angular"), [(0.15, 0.5), (-0.15, -0.5), (0.0, 1.0), (-0.2, 0.0)])
+def test_the_signs(linear: float, angular: float) -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(3.0, velocity(linear, angular))
+        left, right = (motor.rolled_ticks for motor in track.motors)
+        if linear:
+            assert (left + right) * linear > 0
+        if angular:
+            assert (right - left) * angular > 0
+            assert firmware.pose[2] * angular > 0
+
+
+def test_reverse_is_limited_like_forward() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(12.0, velocity(-2.0, 1.0))
+        assert max(abs(motor.speed_ticks_s) for motor in track.motors) <= 281
+
+
+def test_it_publishes_ten_times_a_second() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.frames.clear()
+        track.run(3.0)
+        assert sum(frame.topic_id == 125 for frame in track.frames) == pytest.approx(30, abs=1)
+        assert sum(frame.topic_id == 126 for frame in track.frames) == pytest.approx(30, abs=1)
+
+
+@pytest.mark.parametrize(
+    "last", [b"", velocity(0.0, 0.0), velocity(math.nan, 0.0), velocity(0.2, math.inf), STOP_REQUEST],
+    ids=["silence", "zero", "NaN", "infinite", "host stops"],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    "starts_at_s", [1.0, 2**32 / 1e6 - 3.0, 2**32 / 1e3 - 3.0], ids=["", "micros wrap", "millis wrap"]
+)
+def test_everything_that_ends_the_driving_ends_it_within_0_6_s(last: bytes, starts_at_s: float) -> None:
+    with robot() as firmware:
+        track = Track(firmware, starts_at_s=starts_at_s)
+        track.run(5.0, velocity(0.3, 0.0))
+        assert track.speed_m_s > 0.15
+        firmware.feed(last)
+        track.run(0.6)
+        assert firmware.pwm == (0, 0)
+        track.run(0.5)
+        assert abs(track.speed_m_s) < 0.01
+
+
+def test_commands_that_come_again_drive_again() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(3.0, velocity(0.2, 0.0))
+        track.run(1.0)
+        track.run(3.0, velocity(0.2, 0.0))
+        assert track.speed_m_s > 0.1
+
+
+def test_nothing_moves_before_a_host_is_there() -> None:
+    with robot() as firmware:
+        for turn in range(500):
+            if turn % 20 == 0:
+                firmware.feed(velocity(0.3, 0.0))
+            firmware.loop(1.0 + turn * PASS_S, 0, 0)
+            assert firmware.pwm == (0, 0)
+
+
+def test_reset_and_gains_by_message() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(3.0, velocity(0.2, 0.3))
+        firmware.feed(encode(101, b""))
+        track.run(0.01)
+        assert firmware.pose == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+        for wheel in (102, 103):
+            firmware.feed(encode(wheel, struct.pack("<3d", 0.0, 0.0, 0.0)))
+        track.run(1.0, velocity(0.2, 0.0))
+        assert firmware.pwm == (0, 0)  # without gains it does not push
+
+
+def test_parameters_of_the_host_replace_the_constants_and_nonsense_does_not() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.parameters = {
+            "/robot_0/wheel_radius": Parameter(floats=(0.09,)),
+            "/robot_0/wheel_separation": Parameter(floats=(math.nan,)),
+        }
+        firmware.feed(STOP_REQUEST)
+        track.run(0.1)
+        firmware.feed(TOPICS_REQUEST)
+        track.run(1.0)
+        before_m, before_ticks = firmware.pose[0], track.motors[0].rolled_ticks
+        track.run(3.0, velocity(0.2, 0.0))
+        rolled_ticks = track.motors[0].rolled_ticks - before_ticks
+        assert firmware.pose[0] - before_m == pytest.approx(2 * rolled_ticks * METRES_PER_TICK, rel=0.1)
+
+
+def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
+    with robot() as firmware:
+        firmware.feed(TOPICS_REQUEST)
+        for turn in range(3000):
+            if turn % 20 == 0:
+                firmware.feed(velocity(0.2, 0.0))
+            firmware.loop(1.0 + turn * PASS_S, 0, 0)
+        asked = [frame for frame in firmware.sent() if frame.topic_id == Id.PARAMETER]
+        assert len(asked) == 5
+        assert firmware.pwm[0] > 0
