@@ -130,7 +130,9 @@ void robot_loop(TestRobot* robot, uint64_t now_us, uint32_t left_ticks, uint32_t
   robot->hal.right_ticks = right_ticks;
   robot->robot.loop();
 }
-size_t robot_sent(TestRobot* robot, uint8_t* out, size_t capacity) { return take_all(robot->hal.to_host, out, capacity); }
+size_t robot_sent(TestRobot* robot, uint8_t* out, size_t capacity) {
+  return take_all(robot->hal.to_host, out, capacity);
+}
 int robot_left_pwm(TestRobot* robot) { return robot->hal.left_pwm; }
 int robot_right_pwm(TestRobot* robot) { return robot->hal.right_pwm; }
 void robot_pose(TestRobot* robot, double* out) {

@@ -1,0 +1,144 @@
+// due_native: the Due's firmware as a process: its UART is a TCP connection, its motors are a model.
+//
+//   due_native HOST PORT [BAUD]     connects (and connects again), runs until it is killed; BAUD 0: as fast as TCP
+//
+// Each second it writes a line: loops, speed of the left and the right wheel in ticks/s, pose, bytes lost in the UART.
+#include <arpa/inet.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "../due/src/hal.h"
+#include "../due/src/robot.h"
+#include "plant.h"
+#include "uart_ring.h"
+
+namespace {
+
+const int kTurnMs = 1;
+const uint32_t kReconnectMs = 200;
+const uint32_t kReportMs = 1000;
+const uint32_t kPaperBaud = 38400;
+
+class PosixHal : public hostlink::Hal {
+ public:
+  PosixHal(const sockaddr_in& host, uint32_t baud) : ring_(baud), host_(host) {}
+
+  uint32_t millis() override { return static_cast<uint32_t>(now_us() / 1000); }
+  uint32_t micros() override { return static_cast<uint32_t>(now_us()); }
+  int read() override { return ring_.read(); }
+
+  size_t write(const uint8_t* data, size_t size) override {
+    if (socket_ < 0) return size;  // a UART that nobody listens to takes everything
+    const ssize_t taken = ::send(socket_, data, size, MSG_NOSIGNAL | MSG_DONTWAIT);
+    if (taken >= 0) return static_cast<size_t>(taken);
+    if (errno != EAGAIN && errno != EWOULDBLOCK) hang_up();
+    return 0;
+  }
+
+  void drive(int16_t left_pwm, int16_t right_pwm) override { plant_.drive(left_pwm, right_pwm); }
+
+  void ticks(uint32_t& left, uint32_t& right) override {
+    left = plant_.left().edges();
+    right = plant_.right().edges();
+  }
+
+  // What the hardware does by itself between two turns of the loop.
+  void run() {
+    if (socket_ < 0) connect_again();
+    uint8_t bytes[512];
+    while (socket_ >= 0 && ring_.line_room() >= sizeof bytes) {
+      const ssize_t got = ::recv(socket_, bytes, sizeof bytes, MSG_DONTWAIT);
+      if (got <= 0) {
+        if (got == 0 || (errno != EAGAIN && errno != EWOULDBLOCK)) hang_up();
+        break;
+      }
+      for (ssize_t i = 0; i < got; ++i) ring_.put_on_line(bytes[i], micros());
+    }
+    ring_.run_until(micros());
+    plant_.run_until(micros());
+  }
+
+  void wait() {
+    pollfd wanted = {socket_, POLLIN, 0};
+    ::poll(&wanted, socket_ >= 0 ? 1 : 0, kTurnMs);
+  }
+
+  const hostlink::Plant& plant() const { return plant_; }
+  uint32_t lost() const { return ring_.lost(); }
+
+ private:
+  static uint64_t now_us() {
+    timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return static_cast<uint64_t>(now.tv_sec) * 1000000u + static_cast<uint64_t>(now.tv_nsec) / 1000u;
+  }
+
+  void connect_again() {
+    if (millis() - tried_at_ms_ < kReconnectMs) return;
+    tried_at_ms_ = millis();
+    const int made = ::socket(AF_INET, SOCK_STREAM, 0);
+    if (made < 0) return;
+    if (::connect(made, reinterpret_cast<const sockaddr*>(&host_), sizeof host_) != 0) {
+      ::close(made);
+      return;
+    }
+    const int yes = 1;
+    ::setsockopt(made, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    socket_ = made;
+  }
+
+  void hang_up() {
+    ::close(socket_);
+    socket_ = -1;
+  }
+
+  hostlink::UartRing ring_;
+  hostlink::Plant plant_;
+  sockaddr_in host_;
+  int socket_ = -1;
+  uint32_t tried_at_ms_ = 0;
+};
+
+}  // namespace
+
+int main(int count, char** words) {
+  if (count < 3) {
+    fprintf(stderr, "usage: due_native HOST PORT [BAUD]\n");
+    return 2;
+  }
+  sockaddr_in host = {};
+  host.sin_family = AF_INET;
+  host.sin_port = htons(static_cast<uint16_t>(atoi(words[2])));
+  if (inet_pton(AF_INET, words[1], &host.sin_addr) != 1) {
+    fprintf(stderr, "due_native: %s is no IPv4 address\n", words[1]);
+    return 2;
+  }
+  PosixHal hal(host, count > 3 ? static_cast<uint32_t>(atoi(words[3])) : kPaperBaud);
+  hostlink::Robot robot(hal);
+  robot.setup();
+  uint32_t reported_at_ms = hal.millis();
+  unsigned long loops = 0;
+  for (;;) {
+    hal.run();
+    robot.loop();
+    ++loops;
+    if (hal.millis() - reported_at_ms >= kReportMs) {
+      reported_at_ms += kReportMs;
+      const hostlink::Plant& plant = hal.plant();
+      printf("loops %lu left %.1f right %.1f x %.3f y %.3f theta %.3f lost %lu\n", loops,
+             static_cast<double>(plant.left().speed_ticks_s()), static_cast<double>(plant.right().speed_ticks_s()),
+             robot.pose().x_m, robot.pose().y_m, robot.pose().theta_rad, static_cast<unsigned long>(hal.lost()));
+      fflush(stdout);
+    }
+    hal.wait();
+  }
+}

@@ -1,0 +1,169 @@
+// The Due's numbers (ROBOT.md), natively and on a Cortex-M3: a plain main, so that it runs where there is no library.
+#include <math.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "../due/src/drive.h"
+#include "../due/src/messages.h"
+#include "../due/src/node_handle.h"
+#include "../due/src/robot.h"
+#include "../due/src/wheel.h"
+#include "../host/plant.h"
+#include "../host/uart_ring.h"
+
+using namespace hostlink;
+
+namespace {
+
+int failures = 0;
+int checks = 0;
+
+void check(bool is_so, const char* what, int line) {
+  ++checks;
+  if (is_so) return;
+  ++failures;
+  printf("due_test.cpp:%d: %s\n", line, what);
+}
+
+#define CHECK(what) check((what), #what, __LINE__)
+
+bool is_near(double value, double wanted, double tolerance) { return fabs(value - wanted) <= tolerance; }
+
+void test_motor_output() {
+  CHECK(motor_output(0.0f) == 0);
+  CHECK(motor_output(10.0f) == 0);
+  CHECK(motor_output(11.0f) == 700);
+  CHECK(motor_output(700.0f) == 700);
+  CHECK(motor_output(701.0f) == 701);
+  CHECK(motor_output(4095.0f) == 4095);
+  CHECK(motor_output(5000.0f) == 4095);
+  CHECK(motor_output(-5000.0f) == -4095);
+  CHECK(motor_output(NAN) == 0);
+}
+
+void test_minimum_jerk() {
+  MinimumJerk jerk;
+  jerk.aim(0.0f);
+  CHECK(jerk.step(0.1f) == 0.0f);  // T = 0
+  jerk.aim(100.0f);
+  for (int i = 0; i < 9; ++i) jerk.step(0.1f);
+  CHECK(is_near(static_cast<double>(jerk.value()), 50.0, 0.01));
+  for (int i = 0; i < 10; ++i) jerk.step(0.1f);
+  CHECK(jerk.value() == 100.0f);
+}
+
+void test_filter() {
+  Wheel wheel(left_gains());
+  wheel.step(10, 0.1f);
+  CHECK(is_near(static_cast<double>(wheel.speed_ticks_s()), 10.0, 1e-3));
+  wheel.step(10, 0.1f);
+  CHECK(is_near(static_cast<double>(wheel.speed_ticks_s()), 19.0, 1e-3));
+}
+
+void test_kinematics() {
+  Drive drive;
+  float left = 0.0f;
+  float right = 0.0f;
+  drive.wheel_speeds(0.2f, 0.0f, left, right);
+  CHECK(is_near(static_cast<double>(left), 0.2 / 0.0012271846, 0.1));
+  drive.wheel_speeds(-2.0f, 1.0f, left, right);
+  CHECK(left >= -280.01f && right >= -280.01f);
+  Pose pose = {0.0, 0.0, 0.0};
+  for (int i = 0; i < 400; ++i) pose = drive.integrate(pose, 1.0f, 3.0f);
+  CHECK(pose.theta_rad > -3.1416 && pose.theta_rad <= 3.1416);
+}
+
+void test_float64() {
+  uint8_t bytes[8];
+  write_float64(bytes, -0.3436f);
+  CHECK(read_float64(bytes) == -0.3436f);
+  const uint8_t huge[8] = {0, 0, 0, 0, 0, 0, 0xF0, 0x7F};
+  CHECK(read_float64(huge) > 1e30f);
+}
+
+struct BenchHal : public Hal {
+  uint32_t now_us = 0xFFF00000u;  // wraps within a second
+  UartRing ring{0};
+  Plant plant;
+  uint32_t sent = 0;
+  uint32_t millis() override { return now_us / 1000; }
+  uint32_t micros() override { return now_us; }
+  int read() override { return ring.read(); }
+  size_t write(const uint8_t*, size_t size) override {
+    sent += static_cast<uint32_t>(size);
+    return size;
+  }
+  void drive(int16_t left, int16_t right) override { plant.drive(left, right); }
+  void ticks(uint32_t& left, uint32_t& right) override {
+    left = plant.left().edges();
+    right = plant.right().edges();
+  }
+};
+
+BenchHal hal;
+Robot robot(hal);
+
+void put(const uint8_t* bytes, size_t size) {
+  for (size_t i = 0; i < size; ++i) hal.ring.put_on_line(bytes[i], hal.now_us);
+}
+
+void put_frame(uint16_t id, const uint8_t* payload, uint8_t size) {
+  uint8_t frame[80] = {0xFF, 0xFE, size, 0, static_cast<uint8_t>(~size), static_cast<uint8_t>(id), 0};
+  uint8_t sum = static_cast<uint8_t>(id);
+  for (uint8_t i = 0; i < size; ++i) {
+    frame[7 + i] = payload[i];
+    sum = static_cast<uint8_t>(sum + payload[i]);
+  }
+  frame[7 + size] = static_cast<uint8_t>(~sum);
+  put(frame, static_cast<size_t>(8 + size));
+}
+
+void run_ms(int ms, bool commands) {
+  uint8_t twist[kTwistBytes] = {};
+  write_float64(twist, 0.2f);
+  for (int i = 0; i < ms; ++i) {
+    if (commands && i % 100 == 0) put_frame(100, twist, sizeof twist);
+    hal.now_us += 1000;
+    hal.plant.run_until(hal.now_us);
+    robot.loop();
+  }
+}
+
+void test_robot() {
+  robot.setup();
+  put_frame(0, nullptr, 0);
+  run_ms(100, false);
+  CHECK(robot.node().is_configured());
+  CHECK(hal.sent > 600);  // six TopicInfos
+  run_ms(5000, true);
+  CHECK(hal.plant.left().speed_ticks_s() > 100.0f);
+  CHECK(robot.pose().x_m > 0.3);
+  run_ms(600, false);
+  CHECK(hal.plant.left().speed_ticks_s() < 100.0f);
+  run_ms(500, false);
+  CHECK(hal.plant.left().speed_ticks_s() < 2.0f);
+}
+
+void test_ring() {
+  UartRing ring(38400);
+  for (int i = 0; i < 400; ++i) ring.put_on_line(0, 0);
+  ring.run_until(33000);
+  CHECK(ring.lost() == 0);
+  ring.run_until(40000);
+  CHECK(ring.lost() >= 25 && ring.lost() <= 28);
+}
+
+}  // namespace
+
+int main() {
+  test_motor_output();
+  test_minimum_jerk();
+  test_filter();
+  test_kinematics();
+  test_float64();
+  test_ring();
+  test_robot();
+  printf("%d checks, %d failed\n", checks, failures);
+  return failures == 0 ? 0 : 1;
+}
