@@ -83,12 +83,12 @@ void test_float64() {
 }
 
 struct BenchHal : public Hal {
-  uint32_t now_us = 0xFFF00000u;  // wraps within a second
+  uint64_t now_us = 0xFFF00000u;  // micros() wraps within a second
   UartRing ring{0};
   Plant plant;
   uint32_t sent = 0;
-  uint32_t millis() override { return now_us / 1000; }
-  uint32_t micros() override { return now_us; }
+  uint32_t millis() override { return static_cast<uint32_t>(now_us / 1000); }
+  uint32_t micros() override { return static_cast<uint32_t>(now_us); }
   int read() override { return ring.read(); }
   size_t write(const uint8_t*, size_t size) override {
     sent += static_cast<uint32_t>(size);
@@ -105,7 +105,7 @@ BenchHal hal;
 Robot robot(hal);
 
 void put(const uint8_t* bytes, size_t size) {
-  for (size_t i = 0; i < size; ++i) hal.ring.put_on_line(bytes[i], hal.now_us);
+  for (size_t i = 0; i < size; ++i) hal.ring.put_on_line(bytes[i], hal.micros());
 }
 
 void put_frame(uint16_t id, const uint8_t* payload, uint8_t size) {
@@ -125,7 +125,7 @@ void run_ms(int ms, bool commands) {
   for (int i = 0; i < ms; ++i) {
     if (commands && i % 100 == 0) put_frame(100, twist, sizeof twist);
     hal.now_us += 1000;
-    hal.plant.run_until(hal.now_us);
+    hal.plant.run_until(hal.micros());
     robot.loop();
   }
 }

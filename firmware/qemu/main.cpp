@@ -1,0 +1,154 @@
+// The Due's firmware on an emulated Cortex-M3. UART0 is the line to the host, UART1 a line of text for people; the
+// motors are the model of host/plant.h. QEMU has no baud rate, so host/uart_ring.h makes one, with the Due's 127 bytes
+// behind it.
+#include "../due/src/hal.h"
+#include "../due/src/robot.h"
+#include "../host/plant.h"
+#include "../host/uart_ring.h"
+#include "mps2.h"
+
+namespace {
+
+const uint32_t kBaud = 38400;
+const uint32_t kReportMs = 500;
+const size_t kInboxBytes = 512;  // between the interrupt and the loop; a power of two
+
+// One writer (the interrupt), one reader (the loop): each owns its own index.
+volatile uint8_t inbox[kInboxBytes];
+volatile uint32_t inbox_written = 0;
+volatile uint32_t inbox_read = 0;
+
+bool is_inbox_full() { return inbox_written - inbox_read == kInboxBytes; }
+
+void take_bytes() {
+  while (!is_inbox_full() && (mps2::uart0().state & mps2::kReceiveFull) != 0) {
+    inbox[inbox_written % kInboxBytes] = static_cast<uint8_t>(mps2::uart0().data);
+    inbox_written = inbox_written + 1;
+  }
+}
+
+class QemuHal : public hostlink::Hal {
+ public:
+  void begin() {
+    // A free-running counter: interrupts of a tick coalesce when the emulator is late.
+    mps2::timer0().reload = 0xFFFFFFFFu;
+    mps2::timer0().value = 0xFFFFFFFFu;
+    mps2::timer0().control = 1;
+    mps2::uart0().divider = 16;
+    mps2::uart0().control = 1 | 2 | 8;  // transmit, receive, interrupt on receive
+    mps2::uart1().divider = 16;
+    mps2::uart1().control = 1;
+    mps2::interrupt_enable() = 1;
+  }
+
+  uint32_t millis() override { return static_cast<uint32_t>(now_us() / 1000); }
+  uint32_t micros() override { return static_cast<uint32_t>(now_us()); }
+  int read() override { return ring_.read(); }
+
+  size_t write(const uint8_t* data, size_t size) override {
+    // The line to the host has the same speed: what has not been earned waits.
+    size_t taken = 0;
+    while (taken < size && credit_bytes() > 0 && (mps2::uart0().state & mps2::kTransmitFull) == 0) {
+      mps2::uart0().data = data[taken++];
+      sent_at_us_ += kByteUs;
+    }
+    return taken;
+  }
+
+  void drive(int16_t left_pwm, int16_t right_pwm) override { plant_.drive(left_pwm, right_pwm); }
+
+  void ticks(uint32_t& left, uint32_t& right) override {
+    left = plant_.left().edges();
+    right = plant_.right().edges();
+  }
+
+  // What the hardware does by itself between two turns of the loop.
+  void run() {
+    __asm__ volatile("cpsid i" ::: "memory");
+    take_bytes();  // what waited while the inbox was full: no interrupt comes for it again
+    __asm__ volatile("cpsie i" ::: "memory");
+    while (inbox_read != inbox_written && ring_.line_room() > 0) {
+      ring_.put_on_line(inbox[inbox_read % kInboxBytes], micros());
+      inbox_read = inbox_read + 1;
+    }
+    ring_.run_until(micros());
+    plant_.run_until(micros());
+  }
+
+  const hostlink::Plant& plant() const { return plant_; }
+  uint32_t lost() const { return ring_.lost(); }
+
+ private:
+  static const uint32_t kByteUs = 260;
+
+  // Microseconds since the start, from the counter that runs down; called far more often than it wraps (171 s).
+  uint64_t now_us() {
+    const uint32_t count = 0xFFFFFFFFu - mps2::timer0().value;
+    cycles_ += count - last_count_;
+    last_count_ = count;
+    return cycles_ / (mps2::kClockHz / 1000000);
+  }
+
+  uint32_t credit_bytes() {
+    const uint32_t waited_us = micros() - sent_at_us_;
+    if (waited_us > 0x80000000u) return 0;  // ahead of the line
+    if (waited_us > 2 * kByteUs) sent_at_us_ = micros() - 2 * kByteUs;
+    return waited_us / kByteUs;
+  }
+
+  hostlink::UartRing ring_{kBaud};
+  hostlink::Plant plant_;
+  uint64_t cycles_ = 0;
+  uint32_t last_count_ = 0;
+  uint32_t sent_at_us_ = 0;
+};
+
+QemuHal hal;
+hostlink::Robot robot(hal);
+
+void say(const char* text) {
+  for (; *text != '\0'; ++text) {
+    while ((mps2::uart1().state & mps2::kTransmitFull) != 0) {
+    }
+    mps2::uart1().data = static_cast<uint8_t>(*text);
+  }
+}
+
+void say_number(const char* name, int32_t value) {
+  char digits[12];
+  int at = 11;
+  digits[at] = '\0';
+  uint32_t rest = value < 0 ? 0u - static_cast<uint32_t>(value) : static_cast<uint32_t>(value);
+  do {
+    digits[--at] = static_cast<char>('0' + rest % 10);
+    rest /= 10;
+  } while (rest > 0);
+  if (value < 0) digits[--at] = '-';
+  say(name);
+  say(digits + at);
+}
+
+}  // namespace
+
+extern "C" void uart_interrupt() {
+  mps2::uart0().interrupt = mps2::kReceiveFull;  // first clear, then drain: else the last byte's call is lost
+  take_bytes();
+}
+
+extern "C" int main() {
+  hal.begin();
+  robot.setup();
+  uint32_t reported_at_ms = hal.millis();
+  for (;;) {
+    hal.run();
+    robot.loop();
+    if (hal.millis() - reported_at_ms >= kReportMs) {
+      reported_at_ms += kReportMs;
+      say_number("ms ", static_cast<int32_t>(hal.millis()));
+      say_number(" left ", static_cast<int32_t>(hal.plant().left().speed_ticks_s()));
+      say_number(" right ", static_cast<int32_t>(hal.plant().right().speed_ticks_s()));
+      say_number(" lost ", static_cast<int32_t>(hal.lost()));
+      say("\r\n");
+    }
+  }
+}
