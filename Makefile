@@ -7,13 +7,18 @@ PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; 
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test check bench fuzz format clean
+FIRMWARE_PACKAGES := cmake g++ clang libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
+  gcc-avr avr-libc arduino-core-avr
+
+.PHONY: help demo test check bench fuzz firmware chain format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
 	@echo "make test    run every test"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench.json"
+	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
+	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make fuzz    the property tests with 50 times the examples"
 
 $(BIN)/python:
@@ -34,7 +39,7 @@ demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo
 
 test: $(VENV)/.dev
-	@tools/require.sh tmux cmake g++
+	@tools/require.sh tmux procps $(FIRMWARE_PACKAGES)
 	$(BIN)/python -m pytest
 
 check: $(VENV)/.dev
@@ -52,6 +57,17 @@ bench: $(VENV)/.dev
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
+
+firmware: $(VENV)/.dev
+	@tools/require.sh $(FIRMWARE_PACKAGES)
+	cd firmware && for preset in native native-asan cortex-m3; do \
+	  cmake --preset $$preset >/dev/null && cmake --build --preset $$preset && ctest --preset $$preset -E python || exit 1; done
+	firmware/tests/avr_gate.sh
+	$(BIN)/python -m pytest tests/firmware
+
+chain: $(VENV)/.hostlink
+	@tools/require.sh cmake g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
+	@exec $(BIN)/python tools/chain.py $(if $(NATIVE),--native)
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -13,7 +13,6 @@ def main(elf: str) -> int:
     text, data, bss = (int(number) for number in size.splitlines()[1].split()[:3])
     symbols = subprocess.run(["arm-none-eabi-nm", elf], capture_output=True, text=True, check=True).stdout
     heap = [line.split()[-1] for line in symbols.splitlines() if line.split()[-1] in FORBIDDEN]
-    print(f"flash {text + data:>6} of {FLASH_BYTES} bytes   RAM {data + bss:>6} of {RAM_BYTES} bytes   heap: {heap or 'none'}")
     return 1 if text + data > FLASH_BYTES or data + bss > RAM_BYTES or heap else 0
 
 

@@ -47,7 +47,7 @@ void write_float64(uint8_t* bytes, float value) {
     bits |= static_cast<uint64_t>(static_cast<int>(exponent) - kBias32 + kBias64) << kFraction64Bits;
   }
   if (exponent != 0) {  // what is too small for a normal float is zero
-    const uint64_t fraction = in & ((1u << kFraction32Bits) - 1);
+    const uint64_t fraction = in & ((static_cast<uint32_t>(1) << kFraction32Bits) - 1);
     bits |= fraction << (kFraction64Bits - kFraction32Bits);
   }
   for (int i = 0; i < 8; ++i) bytes[i] = static_cast<uint8_t>(bits >> (8 * i));

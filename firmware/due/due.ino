@@ -1,0 +1,19 @@
+// The paper's robot on an Arduino Due: wiring only. What it does is in src/, the board itself in src/board/.
+//
+// Arduino IDE: open this file, board "Arduino Due (Programming Port)", upload. Pins and wiring: ../README.md.
+
+#include "src/board/due_board.h"
+#include "src/robot.h"
+
+static hostlink::DueBoard board;
+static hostlink::Robot robot(board);  // its topics are /robot_0/...; for a second robot: robot(board, "/robot_1/")
+
+void setup() {
+  board.begin();
+  robot.setup();
+}
+
+void loop() {
+  board.run();
+  robot.loop();
+}

@@ -1,0 +1,120 @@
+#include "due_board.h"
+
+#include <Arduino.h>
+
+namespace hostlink {
+
+namespace {
+
+struct MotorPins {
+  uint8_t direction;
+  uint8_t brake;
+  uint8_t pwm;
+  uint8_t encoder;
+};
+
+// ROBOT.md: rewired from the shield's own pins. Constants have a k: the Due's headers define PWM, UART, ADC and the
+// like.
+const MotorPins kLeft = {2, 9, 3, 22};
+const MotorPins kRight = {5, 8, 6, 23};
+const uint32_t kBaud = 38400;
+const uint8_t kPwmBits = 12;
+const uint32_t kLeastPulseUs = 1000;  // at 280 ticks/s an edge comes each 3.6 ms; what is faster is a bouncing sensor
+const uint32_t kQuietMs = 2000;       // after power-up: the ESP8266 prints its boot message at another baud rate
+const uint32_t kWatchdogMs = 500;     // the loop has not turned for so long: the board starts again, motors off
+
+volatile uint32_t left_ticks = 0;  // written by interrupts
+volatile uint32_t right_ticks = 0;
+volatile uint32_t left_edge_us = 0;
+volatile uint32_t right_edge_us = 0;
+
+void count_left() {
+  const uint32_t now_us = ::micros();
+  if (now_us - left_edge_us < kLeastPulseUs) return;
+  left_edge_us = now_us;
+  left_ticks = left_ticks + 1;
+}
+
+void count_right() {
+  const uint32_t now_us = ::micros();
+  if (now_us - right_edge_us < kLeastPulseUs) return;
+  right_edge_us = now_us;
+  right_ticks = right_ticks + 1;
+}
+
+void begin_motor(const MotorPins& pins) {
+  pinMode(pins.direction, OUTPUT);
+  pinMode(pins.brake, OUTPUT);
+  pinMode(pins.pwm, OUTPUT);
+  digitalWrite(pins.brake, HIGH);
+  analogWrite(pins.pwm, 0);
+  pinMode(pins.encoder, INPUT_PULLUP);
+}
+
+void drive_motor(const MotorPins& pins, int16_t pwm) {
+  const int size = pwm < 0 ? -pwm : pwm;
+  digitalWrite(pins.direction, pwm < 0 ? LOW : HIGH);
+  digitalWrite(pins.brake, size == 0 ? HIGH : LOW);
+#if defined(ARDUINO_ARCH_SAM)
+  analogWrite(pins.pwm, size);
+#else
+  analogWrite(pins.pwm, size >> (kPwmBits - 8));  // a board without analogWriteResolution has 8 bits
+#endif
+}
+
+}  // namespace
+
+void DueBoard::begin() {
+#if defined(ARDUINO_ARCH_SAM)
+  analogWriteResolution(kPwmBits);
+#endif
+  begin_motor(kLeft);
+  begin_motor(kRight);
+  attachInterrupt(digitalPinToInterrupt(kLeft.encoder), count_left, RISING);
+  attachInterrupt(digitalPinToInterrupt(kRight.encoder), count_right, RISING);
+  Serial1.begin(kBaud);
+  started_at_ms_ = ::millis();
+}
+
+void DueBoard::run() {
+#if defined(ARDUINO_ARCH_SAM)
+  watchdogReset();
+#endif
+  if (!is_quiet_ && ::millis() - started_at_ms_ < kQuietMs) {
+    while (Serial1.available() > 0) Serial1.read();  // boot noise
+  } else {
+    is_quiet_ = true;
+  }
+}
+
+uint32_t DueBoard::millis() { return ::millis(); }
+
+uint32_t DueBoard::micros() { return ::micros(); }
+
+int DueBoard::read() { return Serial1.read(); }
+
+size_t DueBoard::write(const uint8_t* data, size_t size) {
+  const int room = Serial1.availableForWrite();  // a full ring would make write() wait
+  if (room <= 0) return 0;
+  const size_t taken = size < static_cast<size_t>(room) ? size : static_cast<size_t>(room);
+  return Serial1.write(data, taken);
+}
+
+void DueBoard::drive(int16_t left_pwm, int16_t right_pwm) {
+  drive_motor(kLeft, left_pwm);
+  drive_motor(kRight, right_pwm);
+}
+
+void DueBoard::ticks(uint32_t& left, uint32_t& right) {
+  noInterrupts();  // both of one moment
+  left = left_ticks;
+  right = right_ticks;
+  interrupts();
+}
+
+}  // namespace hostlink
+
+#if defined(ARDUINO_ARCH_SAM)
+// The core turns the watchdog off at the start unless the sketch has this function; its register can be written once.
+void watchdogSetup() { watchdogEnable(hostlink::kWatchdogMs); }
+#endif

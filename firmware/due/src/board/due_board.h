@@ -1,0 +1,26 @@
+// The Arduino Due with its motor shield, encoders and Serial1; with due_board.cpp the only file that includes
+// Arduino.h.
+#pragma once
+
+#include "../hal.h"
+
+namespace hostlink {
+
+class DueBoard : public Hal {
+ public:
+  void begin();
+  void run();  // on each turn of loop()
+
+  uint32_t millis() override;
+  uint32_t micros() override;
+  int read() override;
+  size_t write(const uint8_t* data, size_t size) override;
+  void drive(int16_t left_pwm, int16_t right_pwm) override;
+  void ticks(uint32_t& left, uint32_t& right) override;
+
+ private:
+  bool is_quiet_ = false;
+  uint32_t started_at_ms_ = 0;
+};
+
+}  // namespace hostlink
