@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 FIRMWARE_PACKAGES := cmake g++ clang libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
   gcc-avr avr-libc arduino-core-avr
 
-.PHONY: help demo test check bench fuzz firmware chain format clean
+.PHONY: help demo test check bench fuzz firmware chain soak format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -19,6 +19,7 @@ help:
 	@echo "make bench   measure, write the figures to build/bench.json"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
+	@echo "make soak    ten minutes of driving on the chain, every message counted"
 	@echo "make fuzz    the property tests with 50 times the examples"
 
 $(BIN)/python:
@@ -68,6 +69,10 @@ firmware: $(VENV)/.dev
 chain: $(VENV)/.hostlink
 	@tools/require.sh cmake g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
 	@exec $(BIN)/python tools/chain.py $(if $(NATIVE),--native)
+
+soak: $(VENV)/.dev
+	@tools/require.sh $(FIRMWARE_PACKAGES)
+	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -2,7 +2,8 @@
 //
 //   due_native HOST PORT [BAUD]     connects (and connects again), runs until it is killed; BAUD 0: as fast as TCP
 //
-// Each second it writes a line: loops, speed of the left and the right wheel in ticks/s, pose, bytes lost in the UART.
+// Twice a second it writes a line: loops, wheel speeds (ticks/s), bytes lost in the UART, messages got, sent and
+// dropped, and where the robot truly is.
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -25,7 +26,7 @@ namespace {
 
 const int kTurnMs = 1;
 const uint32_t kReconnectMs = 200;
-const uint32_t kReportMs = 1000;
+const uint32_t kReportMs = 500;
 const uint32_t kPaperBaud = 38400;
 
 class PosixHal : public hostlink::Hal {
@@ -134,9 +135,14 @@ int main(int count, char** words) {
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
       const hostlink::Plant& plant = hal.plant();
-      printf("loops %lu left %.1f right %.1f x %.3f y %.3f theta %.3f lost %lu\n", loops,
-             static_cast<double>(plant.left().speed_ticks_s()), static_cast<double>(plant.right().speed_ticks_s()),
-             robot.pose().x_m, robot.pose().y_m, robot.pose().theta_rad, static_cast<unsigned long>(hal.lost()));
+      const hostlink::NodeHandle& node = robot.node();
+      printf(
+          "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f rolled_mm %.0f\n",
+          loops, static_cast<double>(plant.left().speed_ticks_s()), static_cast<double>(plant.right().speed_ticks_s()),
+          static_cast<unsigned long>(hal.lost()), static_cast<unsigned long>(node.delivered()),
+          static_cast<unsigned long>(node.published()),
+          static_cast<unsigned long>(node.dropped_from_host() + node.dropped_to_host()), plant.x_m() * 1000.0,
+          plant.y_m() * 1000.0, plant.rolled_m() * 1000.0);
       fflush(stdout);
     }
     hal.wait();

@@ -8,7 +8,7 @@ namespace hostlink {
 
 class Motor {
  public:
-  void step(int16_t pwm, float dt_s);
+  float step(int16_t pwm, float dt_s);       // returns how far it rolled, in ticks with their sign
   uint32_t edges() const { return edges_; }  // wraps
   float speed_ticks_s() const { return speed_ticks_s_; }
 
@@ -29,14 +29,24 @@ class Plant {
 
   const Motor& left() const { return left_; }
   const Motor& right() const { return right_; }
+  // Where the robot truly is: what its odometry tries to tell.
+  double x_m() const { return x_m_; }
+  double y_m() const { return y_m_; }
+  double rolled_m() const { return rolled_m_; }
 
  private:
+  void move(double left_m, double right_m);
+
   Motor left_;
   Motor right_;
   int16_t left_pwm_ = 0;
   int16_t right_pwm_ = 0;
   uint32_t at_us_ = 0;
   bool has_begun_ = false;
+  double x_m_ = 0.0;
+  double y_m_ = 0.0;
+  double theta_rad_ = 0.0;
+  double rolled_m_ = 0.0;  // by the robot's middle, forwards and backwards
 };
 
 }  // namespace hostlink

@@ -148,6 +148,12 @@ extern "C" int main() {
       say_number(" left ", static_cast<int32_t>(hal.plant().left().speed_ticks_s()));
       say_number(" right ", static_cast<int32_t>(hal.plant().right().speed_ticks_s()));
       say_number(" lost ", static_cast<int32_t>(hal.lost()));
+      say_number(" got ", static_cast<int32_t>(robot.node().delivered()));
+      say_number(" sent ", static_cast<int32_t>(robot.node().published()));
+      say_number(" dropped ", static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
+      say_number(" x_mm ", static_cast<int32_t>(hal.plant().x_m() * 1000.0));
+      say_number(" y_mm ", static_cast<int32_t>(hal.plant().y_m() * 1000.0));
+      say_number(" rolled_mm ", static_cast<int32_t>(hal.plant().rolled_m() * 1000.0));
       say("\r\n");
     }
   }

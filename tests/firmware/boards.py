@@ -1,8 +1,17 @@
-"""Builds the Due's firmware with CMake: natively and for the Cortex-M3."""
+"""The Due's firmware as a process or on an emulated Cortex-M3, alone or behind the ESP8266's sketch, on a daemon."""
 
+import asyncio
+import contextlib
+import re
 import subprocess
+from collections.abc import AsyncIterator
 from functools import cache
 from pathlib import Path
+
+import aiohttp
+
+from tests.firmware import esp8266
+from tests.support.process import Process, serve
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 BUILD = FIRMWARE.parent / "build" / "firmware"
@@ -25,3 +34,81 @@ def build_native() -> Path:
 def build_m3() -> Path:
     """The folder with due_m3.elf, built within its budgets."""
     return _build("cortex-m3", "due_m3.elf")
+
+
+DRIVE_S = 20.0
+FACT = re.compile(r"(\w+) (-?[\d.]+)")
+
+
+class Board:
+    """A running firmware; `facts` is its last report: what it has got and sent, and what its wheels truly do."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+        self.facts: dict[str, float] = {"left": 0.0, "right": 0.0}
+
+    @property
+    def speeds_ticks_s(self) -> tuple[float, float]:
+        return self.facts["left"], self.facts["right"]
+
+    async def listen(self) -> None:
+        assert self.process.stdout is not None
+        while line := await self.process.stdout.readline():
+            found = {name: float(value) for name, value in FACT.findall(line.decode(errors="replace"))}
+            if "rolled_mm" in found:  # a whole line
+                self.facts = found
+
+    async def expect_speed(self, least: float, most: float, within_s: float) -> None:
+        async with asyncio.timeout(within_s):
+            while True:
+                if all(least <= speed <= most for speed in self.speeds_ticks_s):
+                    return
+                await asyncio.sleep(0.05)
+
+
+def command(kind: str, port: int) -> list[str | Path]:
+    if kind == "native":
+        return [build_native() / "due_native", "127.0.0.1", str(port)]
+    line = f"tcp:127.0.0.1:{port},nodelay=on"
+    machine = ["qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none"]
+    return [*machine, "-kernel", build_m3() / "due_m3.elf", "-serial", line, "-serial", "stdio"]
+
+
+@contextlib.asynccontextmanager
+async def board(kind: str, port: int) -> AsyncIterator[Board]:
+    process = await asyncio.create_subprocess_exec(
+        *command(kind, port), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE
+    )
+    made = Board(process)
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            listening = tasks.create_task(made.listen())
+            yield made
+            listening.cancel()
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()
+
+
+async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: float) -> None:
+    """Command ten times a second until both wheels are so fast."""
+    url = f"{daemon.url}/api/robots/robot_0/velocity"
+    async with aiohttp.ClientSession() as session, asyncio.timeout(DRIVE_S):
+        while min(made.speeds_ticks_s) < until_ticks_s:
+            async with session.put(url, json={"linear": linear, "angular": 0.0}) as response:
+                assert response.status == 200, await response.text()
+            await asyncio.sleep(0.1)
+
+
+@contextlib.asynccontextmanager
+async def chain(kind: str, *, with_esp: bool) -> AsyncIterator[tuple[Process, Board]]:
+    command(kind, 0)  # built before the clock of the daemon runs
+    async with serve() as daemon:
+        if with_esp:
+            with esp8266.running("esp8266_native", daemon.tcp[1]) as sketch:
+                async with board(kind, sketch.uart_port) as made:
+                    yield daemon, made
+        else:
+            async with board(kind, daemon.tcp[1]) as made:
+                yield daemon, made

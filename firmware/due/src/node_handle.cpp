@@ -131,6 +131,7 @@ void NodeHandle::deliver(uint16_t topic_id, const uint8_t* payload, size_t size)
     ++refused_;
     return;
   }
+  ++delivered_;
   to_device_[number].callback(to_device_[number].context, payload, size);
 }
 
@@ -139,6 +140,7 @@ bool NodeHandle::publish(uint16_t topic_id, const uint8_t* payload, size_t size)
   if (!begin_frame(topic_id, size)) return false;
   put(payload, size);
   end_frame();
+  if (topic_id >= kFirstTopicId) ++published_;
   return true;
 }
 

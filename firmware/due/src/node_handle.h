@@ -42,6 +42,8 @@ class NodeHandle {
   void log(uint8_t level, const char* text);
   void ask_parameter(const char* ns, const char* name, FloatsCallback callback, void* context);
 
+  uint32_t delivered() const { return delivered_; }  // messages that reached their callback
+  uint32_t published() const { return published_; }  // messages of topics that were queued for the host
   uint32_t dropped_from_host() const { return reader_.dropped(); }
   uint32_t dropped_to_host() const { return dropped_to_host_; }
   uint32_t refused() const { return refused_; }  // good frames with an id or a size that no topic of ours has
@@ -95,6 +97,8 @@ class NodeHandle {
   uint8_t checksum_ = 0;
   uint32_t dropped_to_host_ = 0;
   uint32_t refused_ = 0;
+  uint32_t delivered_ = 0;
+  uint32_t published_ = 0;
 };
 
 }  // namespace hostlink

@@ -1,0 +1,78 @@
+"""The chain on QEMU for a while, in squares at 38400 baud: nothing lost in either direction, odometry true to 1 %.
+
+A minute here; `make soak` sets HOSTLINK_SOAK_S to ten.
+"""
+
+import asyncio
+import math
+import os
+
+import aiohttp
+import pytest
+
+from tests.firmware.boards import Board, chain
+from tests.support.process import Process
+
+pytestmark = pytest.mark.usefixtures("esp8266_built")
+
+SOAK_S = float(os.environ.get("HOSTLINK_SOAK_S", "60"))
+SIDE_S, TURN_S = 6.0, 4.0
+COMMAND_INTERVAL_S = 0.1
+ODOMETRY, PLOT, VELOCITY = "/robot_0/odometry", "/robot_0/plot_data", "/robot_0/velocity_commands"
+
+
+async def messages(session: aiohttp.ClientSession, daemon: Process) -> dict[str, int]:
+    async with session.get(f"{daemon.url}/api/topics") as response:
+        return {topic["name"]: topic["messages"] for topic in (await response.json())["topics"]}
+
+
+async def drive_squares(session: aiohttp.ClientSession, daemon: Process) -> None:
+    """Sides and turns, a command each tenth of a second."""
+    url = f"{daemon.url}/api/robots/robot_0/velocity"
+    loop = asyncio.get_running_loop()
+    began_s = loop.time()
+    while (driven_s := loop.time() - began_s) < SOAK_S:
+        is_side = driven_s % (SIDE_S + TURN_S) < SIDE_S
+        command = {"linear": 0.25, "angular": 0.0} if is_side else {"linear": 0.1, "angular": 0.6}
+        async with session.put(url, json=command) as response:
+            assert response.status == 200, await response.text()
+        await asyncio.sleep(COMMAND_INTERVAL_S)
+
+
+async def settled(made: Board) -> dict[str, float]:
+    """The board's report once it stands and has said so twice."""
+    await asyncio.sleep(2.0)
+    await made.expect_speed(-0.5, 0.5, within_s=5.0)
+    await asyncio.sleep(1.2)
+    return made.facts
+
+
+@pytest.mark.timeout(SOAK_S + 90)
+async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
+    async with chain("cortex-m3", with_esp=True) as (daemon, made), aiohttp.ClientSession() as session:
+        await daemon.read_log("robot.appeared")
+        await asyncio.sleep(1.5)
+        before, seen_before = made.facts, await messages(session, daemon)
+        await drive_squares(session, daemon)
+        after = await settled(made)
+        seen = await messages(session, daemon)
+        async with session.get(f"{daemon.url}/api/links") as response:
+            link = (await response.json())["links"][0]
+        async with session.get(f"{daemon.url}/api/robots/robot_0/odometry") as response:
+            pose = (await response.json())["pose"]
+
+    # To the device: every velocity reached its callback, but for those that a newer one replaced before they left.
+    sent = seen[VELOCITY] - link["replaced"]
+    assert after["got"] == sent
+    assert sent >= 0.8 * SOAK_S / COMMAND_INTERVAL_S
+    # From the device: every message that it queued is there; the report and the count are half a second apart.
+    told = seen[ODOMETRY] + seen[PLOT]
+    assert abs(told - after["sent"]) <= 2 * 12
+    assert told - (seen_before[ODOMETRY] + seen_before[PLOT]) >= 2 * 9.0 * SOAK_S
+    assert (after["lost"], after["dropped"]) == (0, 0)
+    assert (link["skipped_bytes"], link["unknown_ids"], link["asks"]) == (0, 0, 1)
+
+    rolled_m = (after["rolled_mm"] - before["rolled_mm"]) / 1000
+    wrong_m = math.hypot(pose["x_m"] - after["x_mm"] / 1000, pose["y_m"] - after["y_mm"] / 1000)
+    assert rolled_m > 0.1 * SOAK_S
+    assert wrong_m <= 0.01 * rolled_m

@@ -1,0 +1,85 @@
+"""What NodeHandle's three policies lose when the network pauses inside a frame: prints the table of firmware/README.md.
+
+Each frame (a Twist, 56 bytes) comes in two pieces with a gap between, through a 38400 baud UART with the Due's ring.
+The paper's loop turns 30 times a second; the default drains the UART on each pass, so it is measured in both.
+"""
+
+import argparse
+import random
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from hostlink.protocol.frame import encode
+from hostlink.sim.uart import Uart
+from tests.firmware.due import Retry, node
+
+GAPS_MS = (0, 5, 9, 15, 25, 50, 100, 200)
+FRAME = encode(100, b"\x22" * 48)
+INTERVAL_S = 0.4  # longer than any gap and what follows it
+
+
+@dataclass
+class Policy:
+    """A way to read, and how often its loop comes round."""
+
+    name: str
+    retry: Retry
+    loop_s: float
+
+
+POLICIES = (
+    Policy("original", Retry.NONE, 1 / 30),
+    Policy("paper's clause", Retry.PAPER, 1 / 30),
+    Policy("keep state, 30 Hz", Retry.KEEP_STATE, 1 / 30),
+    Policy("keep state, each pass", Retry.KEEP_STATE, 0.001),
+)
+
+
+def lost(policy: Policy, gap_s: float, frames: int, seed: int) -> tuple[int, int]:
+    """(frames, bytes) lost of so many; a frame's bytes are lost with it, and those that the ring had no room for."""
+    dice = random.Random(seed)  # noqa: S311 - a measurement that can be repeated
+    uart = Uart(baud=38400)
+    heard = 0
+    with node(policy.retry) as device:
+        now_s = dice.random()
+        for _ in range(frames):
+            cut = dice.randrange(1, len(FRAME))
+            first_s = now_s + dice.random() * 0.05
+            pieces = [(first_s, FRAME[:cut]), (first_s + gap_s, FRAME[cut:])]
+            until_s = now_s + INTERVAL_S
+            while now_s < until_s:
+                wait_s = turn(uart, pieces, device, now_s)
+                now_s += policy.loop_s if wait_s is None else wait_s
+            heard += len(device.heard())
+    missing = frames - heard
+    return missing, missing * len(FRAME) + uart.lost_bytes
+
+
+def turn(uart: Uart, pieces: list[tuple[float, bytes]], device: object, now_s: float) -> float | None:
+    """One call of spin(), with what has arrived by then."""
+    while pieces and pieces[0][0] <= now_s:
+        at_s, piece = pieces.pop(0)
+        uart.send(piece, at_s)
+    device.feed(uart.take(now_s))  # type: ignore[attr-defined]
+    return device.spin(now_s)  # type: ignore[attr-defined, no-any-return]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    print(
+        "| frames lost (bytes lost) of " + f"{arguments.frames} | " + " | ".join(f"{gap} ms" for gap in GAPS_MS) + " |"
+    )
+    print("|---" * (len(GAPS_MS) + 1) + "|")
+    for policy in POLICIES:
+        row = [lost(policy, gap / 1000, arguments.frames, arguments.seed) for gap in GAPS_MS]
+        print(f"| {policy.name} | " + " | ".join(f"{frames} ({octets})" for frames, octets in row) + " |")
+
+
+if __name__ == "__main__":
+    main()
