@@ -29,8 +29,15 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
     """Accept devices until the block is left. ConfigError when the port is taken."""
 
     def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        set_options(writer.get_extra_info("socket"))
-        host, port = writer.get_extra_info("peername")[:2]
+        peername = writer.get_extra_info("peername")
+        try:
+            set_options(writer.get_extra_info("socket"))
+        except OSError:
+            peername = None
+        if peername is None:  # it has reset the connection already
+            writer.transport.abort()
+            return
+        host, port = peername[:2]
         peer = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         on_connection(StreamTransport(reader, writer, peer=peer, address=host))
 

@@ -1,6 +1,7 @@
 """Devices on a running daemon: what they are told, what is heard of them, what others notice of their trouble."""
 
 import asyncio
+import socket
 import struct
 import tracemalloc
 
@@ -184,6 +185,17 @@ async def test_protocol_1_is_named() -> None:
         async with daemon() as host, fake_device(host.tcp) as device:
             await device.send(b"\xff\xff" + body + bytes([255 - sum(body) % 256]))
             await expect(lambda: any(line["event"] == "protocol.version_1" for line in lines))
+
+
+async def test_connections_that_are_reset_at_once_disturb_nobody() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        for _ in range(50):
+            with socket.create_connection(host.tcp) as visitor:
+                visitor.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        await device.send(pose(1.0))
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+        await expect(lambda: len(host.hub.links()) == 1)
+        assert host.hub.crashes == 0
 
 
 async def test_a_hundred_reconnects_leave_nothing_behind() -> None:
