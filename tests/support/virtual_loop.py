@@ -3,8 +3,8 @@
     def test_a_silent_device_is_dropped() -> None:
         assert run_virtual(link.run()) is LinkEnd.IDLE
 
-For coroutines whose world is in memory (`memory_transport.py`): a socket has no place here, and asking the loop for one is
-a NotImplementedError. `loop.time()` is virtual and starts at 0; `time.time()` is not.
+For coroutines whose world is in memory (`memory_transport.py`): asking the loop for a socket is a NotImplementedError.
+`loop.time()` is virtual and starts at 0; `time.time()` is not.
 """
 
 import asyncio
