@@ -185,3 +185,14 @@ def test_a_full_line_to_the_host_drops_whole_frames_and_counts_them() -> None:
         device.room(2**32)
         spin(device, 1.1)
         assert frames(device.sent()) == [Frame(125, bytes(24))] * accepted
+
+
+def test_a_frame_found_among_bytes_that_are_read_again_has_its_own_quarter_of_a_second() -> None:
+    with node() as device:
+        device.feed(b"\xff\xfe\x02\x00\xfd\x06\x00")  # a header, of a frame that never comes
+        device.spin(1.0)
+        device.feed(LED[:8])
+        device.spin(1.24)
+        device.feed(LED[8:])
+        device.spin(1.26)
+        assert device.heard() == [b"\x01"]

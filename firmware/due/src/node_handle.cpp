@@ -86,8 +86,11 @@ void NodeHandle::begin_turn() {
 
 // True when this turn ends here, as the original's does after a request for topics.
 bool NodeHandle::take(uint8_t byte) {
-  if (!reader_.is_inside()) frame_began_ms_ = began_ms_;
-  return act(reader_.take(byte));
+  const uint32_t dropped = reader_.dropped();
+  const bool was_inside = reader_.is_inside();
+  const FrameReader::Result result = reader_.take(byte);
+  if (!was_inside || reader_.dropped() != dropped) frame_began_ms_ = began_ms_;  // another start: its time begins now
+  return act(result);
 }
 
 bool NodeHandle::act(FrameReader::Result result) {
