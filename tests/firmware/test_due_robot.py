@@ -187,3 +187,16 @@ def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
         asked = [frame for frame in firmware.sent() if frame.topic_id == Id.PARAMETER]
         assert len(asked) == 5
         assert firmware.pwm[0] > 0
+
+
+@pytest.mark.parametrize("pass_s", [0.001, 0.011, 0.017, 0.025, 0.032, 0.05, 0.15])
+def test_speed_is_measured_over_the_time_that_passed_however_the_loop_comes_round(pass_s: float) -> None:
+    with robot() as firmware:
+        now_s, seen = 1.0, []
+        firmware.feed(TOPICS_REQUEST)
+        while now_s < 9.0:
+            now_s += pass_s
+            firmware.loop(now_s, int(now_s * 100), int(now_s * 100))
+            seen += [struct.unpack("<6d", frame.payload)[0] for frame in firmware.sent() if frame.topic_id == 126]
+        late = seen[len(seen) // 2 :]
+        assert sum(late) / len(late) == pytest.approx(100.0, rel=0.03)

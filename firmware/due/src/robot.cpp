@@ -27,15 +27,21 @@ void Robot::setup() {
   node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_right_gains, this);
   hal_.drive(0, 0);
   hal_.ticks(left_edges_, right_edges_);
-  turned_at_us_ = hal_.micros();
+  turned_at_us_ = due_since_us_ = hal_.micros();
 }
 
-void Robot::loop() {
-  node_.spin();
-  const uint32_t waited_us = hal_.micros() - turned_at_us_;
-  if (waited_us < kLoopUs) return;
-  turned_at_us_ += waited_us < 2 * kLoopUs ? kLoopUs : waited_us;  // steady, but nothing is caught up
-  turn(clamp(static_cast<float>(waited_us) * 1e-6f, 1e-3f, kLongestStepS));
+uint32_t Robot::loop() {
+  const uint32_t wait_ms = node_.spin();
+  if (wait_ms > 0) return wait_ms;
+  const uint32_t now_us = hal_.micros();
+  if (now_us - due_since_us_ < kLoopUs) return 0;
+  const uint32_t late_us = now_us - due_since_us_ - kLoopUs;
+  // Steady, but nothing is caught up, and no turn is shorter than half of one.
+  due_since_us_ = late_us < kLoopUs / 2 ? due_since_us_ + kLoopUs : now_us;
+  const float passed_s = static_cast<float>(now_us - turned_at_us_) * 1e-6f;
+  turned_at_us_ = now_us;
+  turn(passed_s < kLongestStepS ? passed_s : kLongestStepS);
+  return 0;
 }
 
 void Robot::turn(float dt_s) {

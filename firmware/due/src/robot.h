@@ -16,8 +16,9 @@ class Robot {
   explicit Robot(Hal& hal, const char* name = "/robot_0/", Retry retry = Retry::kKeepState);
 
   void setup();
-  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second.
-  void loop();
+  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. 0, or with the
+  // paper's retry clause how many milliseconds to wait before the next call.
+  uint32_t loop();
 
   const Pose& pose() const { return pose_; }
   NodeHandle& node() { return node_; }
@@ -45,7 +46,8 @@ class Robot {
   Pose pose_ = {0.0, 0.0, 0.0};
   uint16_t odometry_id_ = 0;
   uint16_t plot_id_ = 0;
-  uint32_t turned_at_us_ = 0;
+  uint32_t turned_at_us_ = 0;  // the last turn
+  uint32_t due_since_us_ = 0;  // the steady grid of the turns
   uint32_t commanded_at_ms_ = 0;
   bool is_commanded_ = false;
   uint32_t left_edges_ = 0;
