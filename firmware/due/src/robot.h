@@ -35,7 +35,8 @@ class Robot {
   void greet();
   void use_parameter(const float* values, size_t count);
   void publish();
-  static void tune(Wheel& wheel, const uint8_t* payload);
+  void tune(Wheel& wheel, const Gains& gains);
+  void tell_trouble();
 
   Hal& hal_;
   const char* ns_;
@@ -56,6 +57,8 @@ class Robot {
   bool was_configured_ = false;
   uint8_t asking_ = 0;  // the parameter that is asked for, 0: none
   uint32_t asked_at_ms_ = 0;
+  uint32_t told_trouble_ = 0;
+  uint32_t told_trouble_at_ms_ = 0;
 };
 
 }  // namespace hostlink
