@@ -44,6 +44,7 @@ void Robot::setup() {
 uint32_t Robot::loop() {
   const uint32_t wait_ms = node_.spin();
   if (wait_ms > 0) return wait_ms;
+  guard();
   const uint32_t now_us = hal_.micros();
   if (now_us - due_since_us_ < kLoopUs) return 0;
   const uint32_t late_us = now_us - due_since_us_ - kLoopUs;
@@ -55,13 +56,19 @@ uint32_t Robot::loop() {
   return 0;
 }
 
-void Robot::turn(float dt_s) {
-  greet();
-  if (is_commanded_ && hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs) {
+// On each pass, whatever the parser and the control do: nobody drives, so nothing moves.
+void Robot::guard() {
+  if (!is_commanded_) return;
+  if (!node_.is_configured()) {
+    stop();
+  } else if (hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs) {
     stop();
     node_.log(kWarn, Text().add("no command for ").add(kCommandTimeoutMs).add(" ms: stopped").chars());
   }
-  if (!is_commanded_ || !node_.is_configured()) stop();
+}
+
+void Robot::turn(float dt_s) {
+  greet();
   uint32_t left_edges = 0;
   uint32_t right_edges = 0;
   hal_.ticks(left_edges, right_edges);
@@ -82,6 +89,7 @@ void Robot::stop() {
   is_commanded_ = false;
   left_.halt();
   right_.halt();
+  hal_.drive(0, 0);
 }
 
 // Once configured: say so, and ask for what may be set, one after the other and never waiting.

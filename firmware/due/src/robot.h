@@ -30,6 +30,7 @@ class Robot {
   static void take_right_gains(void* self, const uint8_t* payload, size_t size);
   static void take_parameter(void* self, const float* values, size_t count);
 
+  void guard();
   void turn(float dt_s);
   void stop();
   void greet();
