@@ -77,7 +77,7 @@ void FrameReader::fail() {
 
 void FrameReader::drop(size_t count) {
   size_ -= count;
-  if (count > 0 && size_ > 0) memmove(bytes_, bytes_ + count, size_);
+  memmove(bytes_, bytes_ + count, size_);
 }
 
 }  // namespace hostlink

@@ -170,7 +170,7 @@ void NodeHandle::take_parameter(const uint8_t* payload, size_t size) {
   size_t count = 0;
   for (int kind = 0; kind < 2 && count == 0; ++kind) {
     if (size - at < 4) return;
-    const uint32_t told = read_u32(payload + at);
+    const size_t told = read_u32(payload + at);
     at += 4;
     if (told > (size - at) / 4) return;
     count = told < kFloatsMax ? told : kFloatsMax;
