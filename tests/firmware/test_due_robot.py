@@ -256,4 +256,4 @@ def test_it_tells_the_host_why_it_stopped_what_it_refused_and_what_the_link_cost
         firmware.feed(b"\xff\x00" + encode(99, b""))
         track.run(11.0)
         trouble = [text for text in logged(track.frames) if text.startswith("link:")]
-        assert trouble == ["link: false starts of frames 1, frames refused 1, not sent 0"]
+        assert trouble == ["link: false starts of frames 3, frames refused 0, not sent 0"]

@@ -128,12 +128,27 @@ bool NodeHandle::act_on_frame() {
   return false;
 }
 
+bool NodeHandle::is_expected(uint16_t topic_id, size_t size) const {
+  switch (topic_id) {
+    case kIdPublisher:
+    case kIdStop:
+      return size == 0;
+    case kIdTime:
+      return size == kTimeBytes;
+    case kIdParameter:
+      return true;
+    default:
+      const size_t number = static_cast<size_t>(topic_id) - kFirstTopicId;  // too large for the ids below
+      return topic_id >= kFirstTopicId && number < to_device_count_ && to_device_[number].size == size;
+  }
+}
+
 void NodeHandle::deliver(uint16_t topic_id, const uint8_t* payload, size_t size) {
-  const size_t number = static_cast<size_t>(topic_id) - kFirstTopicId;  // wraps for smaller ids, and is too large then
-  if (topic_id < kFirstTopicId || number >= to_device_count_ || to_device_[number].size != size) {
+  if (!is_expected(topic_id, size)) {
     ++refused_;
     return;
   }
+  const size_t number = static_cast<size_t>(topic_id) - kFirstTopicId;
   ++delivered_;
   to_device_[number].callback(to_device_[number].context, payload, size);
 }
