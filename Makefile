@@ -7,7 +7,7 @@ PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; 
 VENV := .venv
 BIN := $(VENV)/bin
 
-FIRMWARE_PACKAGES := cmake g++ clang libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
+FIRMWARE_PACKAGES := cmake g++ clang clang-format clang-tidy cppcheck libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
   gcc-avr avr-libc arduino-core-avr
 
 .PHONY: help demo test check bench fuzz firmware chain soak format clean

@@ -17,6 +17,7 @@ from hostlink.sim.uart import Uart
 from tests.firmware.due import Retry, node
 
 GAPS_MS = (0, 5, 9, 15, 25, 50, 100, 200)
+BURSTS = (1, 2, 3, 4, 6, 10)
 FRAME = encode(100, b"\x22" * 48)
 INTERVAL_S = 0.4  # longer than any gap and what follows it
 
@@ -39,23 +40,34 @@ POLICIES = (
 
 
 def lost(policy: Policy, gap_s: float, frames: int, seed: int) -> tuple[int, int]:
-    """(frames, bytes) lost of so many; a frame's bytes are lost with it, and those that the ring had no room for."""
+    """(frames, bytes) lost of so many, each cut in two pieces with a gap between."""
     dice = random.Random(seed)  # noqa: S311 - a measurement that can be repeated
+    cuts = [dice.randrange(1, len(FRAME)) for _ in range(frames)]
+    return measure(policy, [[(0.0, FRAME[:cut]), (gap_s, FRAME[cut:])] for cut in cuts], dice)
+
+
+def lost_of_bursts(policy: Policy, burst: int, frames: int, seed: int) -> tuple[int, int]:
+    """(frames, bytes) lost of about so many that come several at once."""
+    dice = random.Random(seed)  # noqa: S311
+    return measure(policy, [[(0.0, FRAME * burst)] for _ in range(frames // burst)], dice)
+
+
+def measure(policy: Policy, deliveries: list[list[tuple[float, bytes]]], dice: random.Random) -> tuple[int, int]:
+    """(frames, bytes) lost; a frame's bytes are lost with it, whether the ring had room for them or not."""
     uart = Uart(baud=38400)
-    heard = 0
+    sent = heard = 0
     with node(policy.retry) as device:
         now_s = dice.random()
-        for _ in range(frames):
-            cut = dice.randrange(1, len(FRAME))
+        for delivery in deliveries:
             first_s = now_s + dice.random() * 0.05
-            pieces = [(first_s, FRAME[:cut]), (first_s + gap_s, FRAME[cut:])]
+            pieces = [(first_s + after_s, piece) for after_s, piece in delivery]
             until_s = now_s + INTERVAL_S
             while now_s < until_s:
                 wait_s = turn(uart, pieces, device, now_s)
                 now_s += policy.loop_s if wait_s is None else wait_s
+            sent += sum(len(piece) for _, piece in delivery)
             heard += len(device.heard())
-    missing = frames - heard
-    return missing, missing * len(FRAME) + uart.lost_bytes
+    return sent // len(FRAME) - heard, sent - heard * len(FRAME)
 
 
 def turn(uart: Uart, pieces: list[tuple[float, bytes]], device: object, now_s: float) -> float | None:
@@ -72,13 +84,17 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
-    print(
-        "| frames lost (bytes lost) of " + f"{arguments.frames} | " + " | ".join(f"{gap} ms" for gap in GAPS_MS) + " |"
-    )
-    print("|---" * (len(GAPS_MS) + 1) + "|")
-    for policy in POLICIES:
-        row = [lost(policy, gap / 1000, arguments.frames, arguments.seed) for gap in GAPS_MS]
-        print(f"| {policy.name} | " + " | ".join(f"{frames} ({octets})" for frames, octets in row) + " |")
+    frames, seed = arguments.frames, arguments.seed
+    for title, columns, measured in (
+        ("gap inside a frame, ms", GAPS_MS, lambda policy, gap: lost(policy, gap / 1000, frames, seed)),
+        ("frames at once", BURSTS, lambda policy, burst: lost_of_bursts(policy, burst, frames, seed)),
+    ):
+        print(f"frames lost (bytes lost) of {frames}\n\n| {title} | " + " | ".join(map(str, columns)) + " |")
+        print("|---" * (len(columns) + 1) + "|")
+        for policy in POLICIES:
+            row = [measured(policy, column) for column in columns]
+            print(f"| {policy.name} | " + " | ".join(f"{count} ({octets})" for count, octets in row) + " |")
+        print()
 
 
 if __name__ == "__main__":

@@ -15,5 +15,7 @@ void setup() {
 
 void loop() {
   board.run();
-  robot.loop();
+  const uint32_t wait_ms = robot.loop();
+  if (wait_ms > 0)
+    delay(wait_ms);  // only with the paper's retry clause: robot(board, "/robot_0/", hostlink::Retry::kPaper)
 }

@@ -3,7 +3,7 @@
 //   due_native HOST PORT [BAUD]     connects (and connects again), runs until it is killed; BAUD 0: as fast as TCP
 //
 // Twice a second it writes a line: loops, wheel speeds (ticks/s), bytes lost in the UART, messages got, sent and
-// dropped, and where the robot truly is.
+// dropped, where the robot truly is, and when it last got a message and last rolled.
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -21,6 +21,7 @@
 #include "../due/src/robot.h"
 #include "plant.h"
 #include "uart_ring.h"
+#include "witness.h"
 
 namespace {
 
@@ -126,23 +127,27 @@ int main(int count, char** words) {
   PosixHal hal(host, count > 3 ? static_cast<uint32_t>(atoi(words[3])) : kPaperBaud);
   hostlink::Robot robot(hal);
   robot.setup();
+  hostlink::Witness witness;
   uint32_t reported_at_ms = hal.millis();
   unsigned long loops = 0;
   for (;;) {
     hal.run();
     robot.loop();
+    witness.see(hal.plant(), robot.node().delivered(), hal.millis());
     ++loops;
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
       const hostlink::Plant& plant = hal.plant();
       const hostlink::NodeHandle& node = robot.node();
       printf(
-          "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f rolled_mm %.0f\n",
+          "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f "
+          "got_ms %lu rolled_ms %lu rolled_mm %.0f\n",
           loops, static_cast<double>(plant.left().speed_ticks_s()), static_cast<double>(plant.right().speed_ticks_s()),
           static_cast<unsigned long>(hal.lost()), static_cast<unsigned long>(node.delivered()),
           static_cast<unsigned long>(node.published()),
           static_cast<unsigned long>(node.dropped_from_host() + node.dropped_to_host()), plant.x_m() * 1000.0,
-          plant.y_m() * 1000.0, plant.rolled_m() * 1000.0);
+          plant.y_m() * 1000.0, static_cast<unsigned long>(witness.got_at_ms()),
+          static_cast<unsigned long>(witness.rolled_at_ms()), plant.rolled_m() * 1000.0);
       fflush(stdout);
     }
     hal.wait();

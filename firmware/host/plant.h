@@ -1,5 +1,6 @@
 // Plant: two motors with wheels and single-channel encoders, first-order as the robot's own. The C++ twin of
-// hostlink/sim/drive_train.py; the same class stands behind the native board and the emulated one.
+// hostlink/sim/drive_train.py, but that a PWM of 0 brakes, as the board does; the same class stands behind the native
+// board and the emulated one.
 #pragma once
 
 #include <stdint.h>

@@ -5,12 +5,14 @@
 #include "../due/src/robot.h"
 #include "../host/plant.h"
 #include "../host/uart_ring.h"
+#include "../host/witness.h"
 #include "mps2.h"
 
 namespace {
 
 const uint32_t kBaud = 38400;
 const uint32_t kReportMs = 500;
+const uint32_t kTicksPerSecond = 1000;
 const size_t kInboxBytes = 512;  // between the interrupt and the loop; a power of two
 
 // One writer (the interrupt), one reader (the loop): each owns its own index.
@@ -39,7 +41,13 @@ class QemuHal : public hostlink::Hal {
     mps2::uart1().divider = 16;
     mps2::uart1().control = 1;
     mps2::interrupt_enable() = 1;
+    mps2::sys_tick().reload = mps2::kClockHz / kTicksPerSecond - 1;
+    mps2::sys_tick().value = 0;
+    mps2::sys_tick().control = 1 | 2 | 4;  // on, interrupt, processor clock
   }
+
+  // Until something comes, a millisecond at the most: the PC has other work to do.
+  void sleep() { __asm__ volatile("wfi" ::: "memory"); }
 
   uint32_t millis() override { return static_cast<uint32_t>(now_us() / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us()); }
@@ -80,6 +88,7 @@ class QemuHal : public hostlink::Hal {
 
  private:
   static const uint32_t kByteUs = 260;
+  static const uint32_t kBurstBytes = 8;  // what the line may have earned between two passes of the loop
 
   // Microseconds since the start, from the counter that runs down; called far more often than it wraps (171 s).
   uint64_t now_us() {
@@ -92,8 +101,9 @@ class QemuHal : public hostlink::Hal {
   uint32_t credit_bytes() {
     const uint32_t waited_us = micros() - sent_at_us_;
     if (waited_us > 0x80000000u) return 0;  // ahead of the line
-    if (waited_us > 2 * kByteUs) sent_at_us_ = micros() - 2 * kByteUs;
-    return waited_us / kByteUs;
+    if (waited_us <= kBurstBytes * kByteUs) return waited_us / kByteUs;
+    sent_at_us_ = micros() - kBurstBytes * kByteUs;
+    return kBurstBytes;
   }
 
   hostlink::UartRing ring_{kBaud};
@@ -105,6 +115,7 @@ class QemuHal : public hostlink::Hal {
 
 QemuHal hal;
 hostlink::Robot robot(hal);
+hostlink::Witness witness;
 
 void say(const char* text) {
   for (; *text != '\0'; ++text) {
@@ -142,6 +153,7 @@ extern "C" int main() {
   for (;;) {
     hal.run();
     robot.loop();
+    witness.see(hal.plant(), robot.node().delivered(), hal.millis());
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
       say_number("ms ", static_cast<int32_t>(hal.millis()));
@@ -153,8 +165,11 @@ extern "C" int main() {
       say_number(" dropped ", static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
       say_number(" x_mm ", static_cast<int32_t>(hal.plant().x_m() * 1000.0));
       say_number(" y_mm ", static_cast<int32_t>(hal.plant().y_m() * 1000.0));
+      say_number(" got_ms ", static_cast<int32_t>(witness.got_at_ms()));
+      say_number(" rolled_ms ", static_cast<int32_t>(witness.rolled_at_ms()));
       say_number(" rolled_mm ", static_cast<int32_t>(hal.plant().rolled_m() * 1000.0));
       say("\r\n");
     }
+    hal.sleep();
   }
 }

@@ -29,4 +29,12 @@ const uint32_t kClockHz = 25000000;
 const uint32_t kTransmitFull = 1;
 const uint32_t kReceiveFull = 2;
 
+struct SysTick {
+  volatile uint32_t control;
+  volatile uint32_t reload;
+  volatile uint32_t value;
+};
+
+inline SysTick& sys_tick() { return *reinterpret_cast<SysTick*>(0xE000E010); }
+
 }  // namespace mps2

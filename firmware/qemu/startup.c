@@ -25,6 +25,7 @@ void leave(int status) {
 }
 
 static void fault(void) { leave(1); }
+static void wake(void) {}  // the tick only ends a sleep: time is told by a counter
 
 void reset(void) {
   uint32_t* from = &_data_load;
@@ -36,6 +37,6 @@ void reset(void) {
 
 // 16 of the core, then 32 of the board: UART0 receives on the first of them.
 __attribute__((section(".vectors"), used)) static void (*const vectors[48])(void) = {
-    (void (*)(void)) & _stack_top, reset, fault, fault, fault, fault, fault, 0, 0, 0, 0, fault, fault, 0, fault, fault,
+    (void (*)(void)) & _stack_top, reset, fault, fault, fault, fault, fault, 0, 0, 0, 0, fault, fault, 0, fault, wake,
     [16] = uart_interrupt,
 };

@@ -1,20 +1,44 @@
-"""Flash and RAM of the firmware against what they may take, and no heap: run after each build for the Cortex-M3."""
+"""What the firmware takes of the Due, against its budgets: printed after each build for the Cortex-M3, or it fails."""
 
 import subprocess
 import sys
+from pathlib import Path
 
 FLASH_BYTES = 64 * 1024  # of the Due's 512 K
 RAM_BYTES = 16 * 1024  # static, of its 96 K
-FORBIDDEN = ("malloc", "free", "_Znwj", "_Znaj", "_ZdlPv")
+STACK_BYTES = 256  # of one function
+HEAP = {"malloc", "free", "_malloc_r", "_sbrk", "_Znwj", "_Znaj", "_ZdlPv", "_ZdlPvj"}  # with operator new and delete
 
 
-def main(elf: str) -> int:
-    size = subprocess.run(["arm-none-eabi-size", elf], capture_output=True, text=True, check=True).stdout
-    text, data, bss = (int(number) for number in size.splitlines()[1].split()[:3])
-    symbols = subprocess.run(["arm-none-eabi-nm", elf], capture_output=True, text=True, check=True).stdout
-    heap = [line.split()[-1] for line in symbols.splitlines() if line.split()[-1] in FORBIDDEN]
-    return 1 if text + data > FLASH_BYTES or data + bss > RAM_BYTES or heap else 0
+def main(elf: Path) -> int:
+    text, data, bss = (int(number) for number in run("arm-none-eabi-size", elf).splitlines()[1].split()[:3])
+    heap = sorted(HEAP & {line.split()[-1] for line in run("arm-none-eabi-nm", elf).splitlines()})
+    stack_bytes, function = deepest(elf.parent / "CMakeFiles" / f"{elf.name}.dir")
+    rows = (
+        ("flash", text + data, FLASH_BYTES, ""),
+        ("static RAM", data + bss, RAM_BYTES, ""),
+        ("stack of a function", stack_bytes, STACK_BYTES, function),
+        ("functions of the heap", len(heap), 0, " ".join(heap)),
+    )
+    for name, taken, budget, remark in rows:
+        print(f"{name:>21}: {taken:6} of {budget:6}  {'OVER THE BUDGET  ' if taken > budget else ''}{remark}")
+    return 1 if any(taken > budget for _, taken, budget, _ in rows) else 0
+
+
+def deepest(objects: Path) -> tuple[int, str]:
+    """Bytes and name of the function with the largest frame (-fstack-usage); one without a bound is over the budget."""
+    frames = []
+    for file in objects.rglob("*.su"):
+        for line in file.read_text().splitlines():
+            place, number, kind = line.split("\t")
+            bounded = int(number) if kind in ("static", "dynamic,bounded") else STACK_BYTES + 1
+            frames.append((bounded, place.split(":", 3)[3]))
+    return max(frames)
+
+
+def run(tool: str, elf: Path) -> str:
+    return subprocess.run([tool, elf], capture_output=True, text=True, check=True).stdout
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(Path(sys.argv[1])))

@@ -69,9 +69,10 @@ class Board:
 def command(kind: str, port: int) -> list[str | Path]:
     if kind == "native":
         return [build_native() / "due_native", "127.0.0.1", str(port)]
-    line = f"tcp:127.0.0.1:{port},nodelay=on"
+    line = f"socket,id=line,host=127.0.0.1,port={port},nodelay=on,reconnect=1"  # to a passthrough that was restarted
     machine = ["qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none"]
-    return [*machine, "-kernel", build_m3() / "due_m3.elf", "-serial", line, "-serial", "stdio"]
+    serials = ["-chardev", line, "-serial", "chardev:line", "-serial", "stdio"]
+    return [*machine, "-kernel", build_m3() / "due_m3.elf", *serials]
 
 
 @contextlib.asynccontextmanager

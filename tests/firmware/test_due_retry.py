@@ -3,7 +3,7 @@
 import pytest
 
 from tests.firmware.due import Retry, node
-from tools.measure_retry import POLICIES, lost
+from tools.measure_retry import POLICIES, lost, lost_of_bursts
 
 FRAMES, SEED = 100, 1
 ORIGINAL, PAPER, KEEP, KEEP_EACH_PASS = POLICIES
@@ -24,6 +24,12 @@ def test_the_original_loses_what_straddles_two_turns_of_its_loop() -> None:
     frames, _ = lost(ORIGINAL, 0.0, FRAMES, SEED)
     assert 0.15 * FRAMES < frames < 0.45 * FRAMES
     assert lost(ORIGINAL, 0.025, FRAMES, SEED)[0] > 0.8 * FRAMES
+
+
+def test_only_a_loop_that_drains_the_ring_on_each_pass_takes_a_burst() -> None:
+    assert lost_of_bursts(KEEP, 2, FRAMES, SEED) == (0, 0)  # 112 of the ring's 127 bytes
+    assert lost_of_bursts(KEEP, 10, FRAMES, SEED)[0] > 0
+    assert lost_of_bursts(KEEP_EACH_PASS, 10, FRAMES, SEED) == (0, 0)
 
 
 def test_the_best_is_the_default() -> None:

@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from hostlink.protocol.control import Parameter, decode_parameter_request, encode_parameter
+from hostlink.protocol.control import Parameter, decode_log, decode_parameter_request, encode_parameter
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.sim.drive_train import DriveTrain
 from tests.firmware.due import Robot, robot
@@ -16,6 +16,11 @@ PASS_S = 0.002  # the loop is called this often
 
 def velocity(linear: float, angular: float) -> bytes:
     return encode(100, struct.pack("<6d", linear, 0, 0, 0, 0, angular))
+
+
+def logged(frames: list[Frame]) -> list[str]:
+    logs = [decode_log(frame.payload) for frame in frames if frame.topic_id == Id.LOG]
+    return [log.text for log in logs if log is not None]
 
 
 class Track:
@@ -184,6 +189,71 @@ def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
             if turn % 20 == 0:
                 firmware.feed(velocity(0.2, 0.0))
             firmware.loop(1.0 + turn * PASS_S, 0, 0)
-        asked = [frame for frame in firmware.sent() if frame.topic_id == Id.PARAMETER]
-        assert len(asked) == 5
+        sent = firmware.sent()
+        assert sum(frame.topic_id == Id.PARAMETER for frame in sent) == 1
+        assert "no answer to wheel_radius: no more questions" in logged(sent)
         assert firmware.pwm[0] > 0
+
+
+@pytest.mark.parametrize("pass_s", [0.001, 0.011, 0.017, 0.025, 0.032, 0.05, 0.15])
+def test_speed_is_measured_over_the_time_that_passed_however_the_loop_comes_round(pass_s: float) -> None:
+    with robot() as firmware:
+        now_s, seen = 1.0, []
+        firmware.feed(TOPICS_REQUEST)
+        while now_s < 9.0:
+            now_s += pass_s
+            firmware.loop(now_s, int(now_s * 100), int(now_s * 100))
+            seen += [struct.unpack("<6d", frame.payload)[0] for frame in firmware.sent() if frame.topic_id == 126]
+        late = seen[len(seen) // 2 :]
+        assert sum(late) / len(late) == pytest.approx(100.0, rel=0.03)
+
+
+@pytest.mark.parametrize("gains", [(math.nan, 0.0, 0.0), (1.0, math.inf, 0.0), (1.0, 1.0, -0.1)])
+def test_gains_that_are_none(gains: tuple[float, float, float]) -> None:
+    with robot() as firmware:
+        firmware.feed(TOPICS_REQUEST + encode(102, struct.pack("<3d", *gains)))
+        now_s = 1.0
+        for step in range(1000):
+            now_s += 0.002
+            if step % 20 == 0:
+                firmware.feed(encode(100, struct.pack("<6d", 0.3, 0, 0, 0, 0, 0)))
+            firmware.loop(now_s, 0, 0)
+        assert min(firmware.pwm) > 3800  # the wheels are held
+
+
+def test_an_answer_that_comes_too_late_is_not_taken_for_another_parameter() -> None:
+    with robot() as firmware:
+        firmware.feed(TOPICS_REQUEST)
+        now_s = 1.0
+        for _ in range(800):  # 1.6 s
+            now_s += 0.002
+            firmware.loop(now_s, 0, 0)
+        firmware.feed(encode(Id.PARAMETER, encode_parameter(Parameter(floats=(0.045,)))))  # the wheel's radius
+        for step in range(100):
+            now_s += 0.002
+            firmware.loop(now_s, 0, step)
+        turned_rad = 99 * 2 * math.pi * 0.045 / 230.4 / 0.210
+        assert firmware.pose[2] == pytest.approx(turned_rad, rel=0.2)
+
+
+def test_it_tells_the_host_why_it_stopped_what_it_refused_and_what_the_link_cost() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(2.0, velocity(0.3, 0.0))
+        track.run(1.0)
+        track.run(0.2, velocity(0.0, 0.0))
+        track.run(1.0)
+        assert logged(track.frames).count("no command for 500 ms: stopped") == 1  # standing needs no commands
+        firmware.feed(velocity(math.nan, 0.0))
+        firmware.feed(encode(103, struct.pack("<3d", -1.0, 0.0, 0.0)))
+        firmware.feed(encode(102, struct.pack("<3d", 20.0, 30.5, 0.125)))
+        track.run(0.1)
+        assert logged(track.frames)[-3:] == [
+            "a velocity that is no number: stopped",
+            "right gains refused: each is 0 or more",
+            "left Kp 20.00 Ki 30.50 Kd 0.125",
+        ]
+        firmware.feed(b"\xff\x00" + encode(99, b""))
+        track.run(11.0)
+        trouble = [text for text in logged(track.frames) if text.startswith("link:")]
+        assert trouble == ["link: false starts of frames 3, frames refused 0, not sent 0"]

@@ -8,6 +8,7 @@ namespace {
 
 const uint8_t kSync = 0xFF;
 const uint8_t kVersion = 0xFE;
+const size_t kSizeEnd = 5;  // of the size and its checksum
 const size_t kHeaderBytes = 7;
 
 uint8_t sum(const uint8_t* bytes, size_t count) {
@@ -45,15 +46,14 @@ FrameReader::Result FrameReader::judge() {
       if (!rescans_) return kWrongVersion;
       continue;
     }
-    if (size_ < 5) return kNothing;
-    const size_t payload_bytes = static_cast<size_t>(bytes_[2] | bytes_[3] << 8);
-    if (sum(bytes_ + 2, 3) != 0xFF || payload_bytes > kPayloadBytesMax) {
+    if (is_false_start()) {
       fail();
       continue;
     }
-    const size_t frame_bytes = payload_bytes + kOverheadBytes;
+    if (size_ < kHeaderBytes) return kNothing;
+    const size_t frame_bytes = claimed_bytes() + kOverheadBytes;
     if (size_ < frame_bytes) return kNothing;
-    if (sum(bytes_ + 5, frame_bytes - 5) != 0xFF) {
+    if (sum(bytes_ + kSizeEnd, frame_bytes - kSizeEnd) != 0xFF) {
       fail();
       continue;
     }
@@ -61,6 +61,12 @@ FrameReader::Result FrameReader::judge() {
     return kFrame;
   }
   return kNothing;
+}
+
+bool FrameReader::is_false_start() const {
+  if (size_ < kSizeEnd) return false;
+  if (sum(bytes_ + 2, kSizeEnd - 2) != 0xFF || claimed_bytes() > kPayloadBytesMax) return true;
+  return rescans_ && size_ >= kHeaderBytes && !expected_.is_expected(topic_id(), claimed_bytes());
 }
 
 // The first byte starts no frame: go on with the next possible one, or forget all.
@@ -77,7 +83,7 @@ void FrameReader::fail() {
 
 void FrameReader::drop(size_t count) {
   size_ -= count;
-  if (count > 0 && size_ > 0) memmove(bytes_, bytes_ + count, size_);
+  memmove(bytes_, bytes_ + count, size_);
 }
 
 }  // namespace hostlink

@@ -9,13 +9,22 @@ namespace hostlink {
 const size_t kPayloadBytesMax = 512;
 const size_t kOverheadBytes = 8;
 
+// Which frames the device takes: a false start often shows by its id or its size, long before its checksum.
+class Expected {
+ public:
+  virtual bool is_expected(uint16_t topic_id, size_t payload_bytes) const = 0;
+
+ protected:
+  ~Expected() {}
+};
+
 class FrameReader {
  public:
   enum Result { kNothing, kFrame, kWrongVersion };
 
   // `rescans`: after a false start the bytes that came since are read again, so that a good frame among them is not
-  // lost. Without, they are gone, as in the original library.
-  explicit FrameReader(bool rescans) : rescans_(rescans) {}
+  // lost, and a frame that nobody expects is a false start. Without, they are gone, as in the original library.
+  FrameReader(bool rescans, const Expected& expected) : rescans_(rescans), expected_(expected) {}
 
   // Takes one byte. kFrame: topic_id(), payload() and payload_bytes() hold until the next call.
   Result take(uint8_t byte);
@@ -33,10 +42,13 @@ class FrameReader {
 
  private:
   Result judge();
+  size_t claimed_bytes() const { return static_cast<size_t>(bytes_[2] | bytes_[3] << 8); }
+  bool is_false_start() const;
   void fail();
   void drop(size_t count);
 
   bool rescans_;
+  const Expected& expected_;
   uint8_t bytes_[kPayloadBytesMax + kOverheadBytes] = {};
   size_t size_ = 0;
   size_t frame_bytes_ = 0;  // of the frame that was found; it is dropped by the next call

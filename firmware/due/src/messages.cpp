@@ -31,13 +31,13 @@ float read_float64(const uint8_t* bytes) {
     out |= static_cast<uint32_t>(exponent - kBias64 + kBias32) << kFraction32Bits;
     out |= static_cast<uint32_t>(fraction >> (kFraction64Bits - kFraction32Bits));
   }
-  float value;
+  float value = 0.0f;
   memcpy(&value, &out, sizeof value);
   return value;
 }
 
 void write_float64(uint8_t* bytes, float value) {
-  uint32_t in;
+  uint32_t in = 0;
   memcpy(&in, &value, sizeof in);
   const uint32_t exponent = in >> kFraction32Bits & kExponent32All;
   uint64_t bits = static_cast<uint64_t>(in >> 31) << 63;

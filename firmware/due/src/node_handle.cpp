@@ -86,8 +86,11 @@ void NodeHandle::begin_turn() {
 
 // True when this turn ends here, as the original's does after a request for topics.
 bool NodeHandle::take(uint8_t byte) {
-  if (!reader_.is_inside()) frame_began_ms_ = began_ms_;
-  return act(reader_.take(byte));
+  const uint32_t dropped = reader_.dropped();
+  const bool was_inside = reader_.is_inside();
+  const FrameReader::Result result = reader_.take(byte);
+  if (!was_inside || reader_.dropped() != dropped) frame_began_ms_ = began_ms_;  // another start: its time begins now
+  return act(result);
 }
 
 bool NodeHandle::act(FrameReader::Result result) {
@@ -125,12 +128,27 @@ bool NodeHandle::act_on_frame() {
   return false;
 }
 
+bool NodeHandle::is_expected(uint16_t topic_id, size_t size) const {
+  switch (topic_id) {
+    case kIdPublisher:
+    case kIdStop:
+      return size == 0;
+    case kIdTime:
+      return size == kTimeBytes;
+    case kIdParameter:
+      return true;
+    default:
+      const size_t number = static_cast<size_t>(topic_id) - kFirstTopicId;  // too large for the ids below
+      return topic_id >= kFirstTopicId && number < to_device_count_ && to_device_[number].size == size;
+  }
+}
+
 void NodeHandle::deliver(uint16_t topic_id, const uint8_t* payload, size_t size) {
-  const size_t number = static_cast<size_t>(topic_id) - kFirstTopicId;  // wraps for smaller ids, and is too large then
-  if (topic_id < kFirstTopicId || number >= to_device_count_ || to_device_[number].size != size) {
+  if (!is_expected(topic_id, size)) {
     ++refused_;
     return;
   }
+  const size_t number = static_cast<size_t>(topic_id) - kFirstTopicId;
   ++delivered_;
   to_device_[number].callback(to_device_[number].context, payload, size);
 }
@@ -167,7 +185,7 @@ void NodeHandle::take_parameter(const uint8_t* payload, size_t size) {
   size_t count = 0;
   for (int kind = 0; kind < 2 && count == 0; ++kind) {
     if (size - at < 4) return;
-    const uint32_t told = read_u32(payload + at);
+    const size_t told = read_u32(payload + at);
     at += 4;
     if (told > (size - at) / 4) return;
     count = told < kFloatsMax ? told : kFloatsMax;

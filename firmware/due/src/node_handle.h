@@ -17,7 +17,7 @@ enum class Retry {
   kKeepState,  // the default: keep what has come and never wait; after 250 ms read it again from its second byte
 };
 
-class NodeHandle {
+class NodeHandle : private Expected {
  public:
   typedef void (*Callback)(void* context, const uint8_t* payload, size_t size);
   typedef void (*FloatsCallback)(void* context, const float* values, size_t count);  // count 0: there is none
@@ -27,7 +27,7 @@ class NodeHandle {
   static const size_t kQueueBytes = 2048;
 
   explicit NodeHandle(Hal& hal, Retry retry = Retry::kKeepState)
-      : hal_(hal), retry_(retry), reader_(retry == Retry::kKeepState) {}
+      : hal_(hal), retry_(retry), reader_(retry == Retry::kKeepState, *this) {}
 
   // Announce topics before the first spin(); the texts must stay where they are. advertise() returns the id.
   uint16_t advertise(const char* ns, const char* name, const char* type, const char* md5);
@@ -46,7 +46,8 @@ class NodeHandle {
   uint32_t published() const { return published_; }  // messages of topics that were queued for the host
   uint32_t dropped_from_host() const { return reader_.dropped(); }
   uint32_t dropped_to_host() const { return dropped_to_host_; }
-  uint32_t refused() const { return refused_; }  // good frames with an id or a size that no topic of ours has
+  // Good frames with an id or a size that no topic of ours has; kKeepState counts them as dropped, by their header.
+  uint32_t refused() const { return refused_; }
 
  private:
   struct Topic {
@@ -59,6 +60,7 @@ class NodeHandle {
     void* context;
   };
 
+  bool is_expected(uint16_t topic_id, size_t size) const override;
   void begin_turn();
   bool take(uint8_t byte);
   bool act(FrameReader::Result result);

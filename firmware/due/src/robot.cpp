@@ -1,17 +1,28 @@
 #include "robot.h"
 
 #include "messages.h"
+#include "text.h"
 
 namespace hostlink {
 
 namespace {
 
 const uint8_t kInfo = 1;
+const uint8_t kWarn = 2;
+const uint8_t kError = 3;
+const float kMostGain = 1e6f;
+const uint32_t kTroubleIntervalMs = 10000;
 const float kLongestStepS = 0.2f;  // a loop that was away does not integrate the time that it missed
 const char* const kParameters[] = {"wheel_radius", "wheel_separation", "gains_left", "gains_right", "top_speed"};
 const uint8_t kParameterCount = sizeof kParameters / sizeof kParameters[0];
 
 bool is_sane(float value, float most) { return value > 0.0f && value <= most; }  // NaN is not
+bool is_gain(float value) { return value >= 0.0f && value <= kMostGain; }
+
+Gains read_gains(const uint8_t* payload) {
+  return make_gains(read_float64(payload), read_float64(payload + kFloat64Bytes),
+                    read_float64(payload + 2 * kFloat64Bytes), kFeedback);
+}
 
 }  // namespace
 
@@ -27,21 +38,37 @@ void Robot::setup() {
   node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_right_gains, this);
   hal_.drive(0, 0);
   hal_.ticks(left_edges_, right_edges_);
-  turned_at_us_ = hal_.micros();
+  turned_at_us_ = due_since_us_ = hal_.micros();
 }
 
-void Robot::loop() {
-  node_.spin();
-  const uint32_t waited_us = hal_.micros() - turned_at_us_;
-  if (waited_us < kLoopUs) return;
-  turned_at_us_ += waited_us < 2 * kLoopUs ? kLoopUs : waited_us;  // steady, but nothing is caught up
-  turn(clamp(static_cast<float>(waited_us) * 1e-6f, 1e-3f, kLongestStepS));
+uint32_t Robot::loop() {
+  const uint32_t wait_ms = node_.spin();
+  if (wait_ms > 0) return wait_ms;
+  guard();
+  const uint32_t now_us = hal_.micros();
+  if (now_us - due_since_us_ < kLoopUs) return 0;
+  const uint32_t late_us = now_us - due_since_us_ - kLoopUs;
+  // Steady, but nothing is caught up, and no turn is shorter than half of one.
+  due_since_us_ = late_us < kLoopUs / 2 ? due_since_us_ + kLoopUs : now_us;
+  const float passed_s = static_cast<float>(now_us - turned_at_us_) * 1e-6f;
+  turned_at_us_ = now_us;
+  turn(passed_s < kLongestStepS ? passed_s : kLongestStepS);
+  return 0;
+}
+
+// On each pass, whatever the parser and the control do: nobody drives, so nothing moves.
+void Robot::guard() {
+  if (!is_commanded_) return;
+  if (!node_.is_configured()) {
+    stop();
+  } else if (hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs) {
+    stop();
+    node_.log(kWarn, Text().add("no command for ").add(kCommandTimeoutMs).add(" ms: stopped").chars());
+  }
 }
 
 void Robot::turn(float dt_s) {
   greet();
-  const bool is_stale = hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs;
-  if (!is_commanded_ || is_stale || !node_.is_configured()) stop();
   uint32_t left_edges = 0;
   uint32_t right_edges = 0;
   hal_.ticks(left_edges, right_edges);
@@ -54,6 +81,7 @@ void Robot::turn(float dt_s) {
   if (++turns_ == kPublishEvery) {
     turns_ = 0;
     publish();
+    tell_trouble();
   }
 }
 
@@ -61,6 +89,7 @@ void Robot::stop() {
   is_commanded_ = false;
   left_.halt();
   right_.halt();
+  hal_.drive(0, 0);
 }
 
 // Once configured: say so, and ask for what may be set, one after the other and never waiting.
@@ -72,7 +101,9 @@ void Robot::greet() {
     node_.ask_parameter(ns_, kParameters[0], &Robot::take_parameter, this);
     asked_at_ms_ = hal_.millis();
   } else if (is_configured && asking_ != 0 && hal_.millis() - asked_at_ms_ > kParameterTimeoutMs) {
-    use_parameter(nullptr, 0);  // no answer: the constants hold
+    // The constants hold. An answer does not say to which question: one that comes now must not pass for the next's.
+    node_.log(kWarn, Text().add("no answer to ").add(kParameters[asking_ - 1]).add(": no more questions").chars());
+    asking_ = 0;
   }
   was_configured_ = is_configured;
 }
@@ -87,8 +118,7 @@ void Robot::use_parameter(const float* values, size_t count) {
       break;
     case 3:
     case 4:
-      if (count == 3)
-        (asking_ == 3 ? left_ : right_).pid().tune(make_gains(values[0], values[1], values[2], kFeedback));
+      if (count == 3) tune(asking_ == 3 ? left_ : right_, make_gains(values[0], values[1], values[2], kFeedback));
       break;
     case 5:
       if (count == 1 && is_sane(values[0], kTopSpeedTicksS)) drive_.set_top_speed(values[0]);
@@ -122,6 +152,7 @@ void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
   const bool is_number = linear_m_s - linear_m_s == 0.0f && angular_rad_s - angular_rad_s == 0.0f;
   if (!is_number) {
     robot.stop();
+    robot.node_.log(kError, "a velocity that is no number: stopped");
     return;
   }
   float left_ticks_s = 0.0f;
@@ -129,7 +160,7 @@ void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
   robot.drive_.wheel_speeds(linear_m_s, angular_rad_s, left_ticks_s, right_ticks_s);
   robot.left_.aim(left_ticks_s);
   robot.right_.aim(right_ticks_s);
-  robot.is_commanded_ = true;
+  robot.is_commanded_ = left_ticks_s != 0.0f || right_ticks_s != 0.0f;  // who stands needs no watching
   robot.commanded_at_ms_ = robot.hal_.millis();
 }
 
@@ -139,17 +170,39 @@ void Robot::take_reset(void* self, const uint8_t*, size_t) {
 }
 
 void Robot::take_left_gains(void* self, const uint8_t* payload, size_t) {
-  tune(static_cast<Robot*>(self)->left_, payload);
+  Robot& robot = *static_cast<Robot*>(self);
+  robot.tune(robot.left_, read_gains(payload));
 }
 
 void Robot::take_right_gains(void* self, const uint8_t* payload, size_t) {
-  tune(static_cast<Robot*>(self)->right_, payload);
+  Robot& robot = *static_cast<Robot*>(self);
+  robot.tune(robot.right_, read_gains(payload));
 }
 
-void Robot::tune(Wheel& wheel, const uint8_t* payload) {
-  const float feedback = wheel.pid().gains().feedback;
-  wheel.pid().tune(make_gains(read_float64(payload), read_float64(payload + kFloat64Bytes),
-                              read_float64(payload + 2 * kFloat64Bytes), feedback));
+// One that is negative or no number would leave the wheel without control.
+void Robot::tune(Wheel& wheel, const Gains& gains) {
+  const char* const side = &wheel == &left_ ? "left" : "right";
+  if (!is_gain(gains.kp) || !is_gain(gains.ki) || !is_gain(gains.kd)) {
+    node_.log(kWarn, Text().add(side).add(" gains refused: each is 0 or more").chars());
+    return;
+  }
+  wheel.pid().tune(gains);
+  Text text;
+  text.add(side).add(" Kp ").add(gains.kp, 2).add(" Ki ").add(gains.ki, 2).add(" Kd ").add(gains.kd, 3);
+  node_.log(kInfo, text.chars());
+}
+
+// What the link has cost so far, when it was something new, at most every ten seconds.
+void Robot::tell_trouble() {
+  const uint32_t trouble = node_.dropped_from_host() + node_.refused() + node_.dropped_to_host();
+  const bool is_new = trouble != told_trouble_ && hal_.millis() - told_trouble_at_ms_ > kTroubleIntervalMs;
+  if (!is_new || !node_.is_configured()) return;
+  told_trouble_ = trouble;
+  told_trouble_at_ms_ = hal_.millis();
+  Text text;
+  text.add("link: false starts of frames ").add(node_.dropped_from_host());
+  text.add(", frames refused ").add(node_.refused()).add(", not sent ").add(node_.dropped_to_host());
+  node_.log(kWarn, text.chars());
 }
 
 void Robot::take_parameter(void* self, const float* values, size_t count) {

@@ -16,8 +16,9 @@ class Robot {
   explicit Robot(Hal& hal, const char* name = "/robot_0/", Retry retry = Retry::kKeepState);
 
   void setup();
-  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second.
-  void loop();
+  // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. 0, or with the
+  // paper's retry clause how many milliseconds to wait before the next call.
+  uint32_t loop();
 
   const Pose& pose() const { return pose_; }
   NodeHandle& node() { return node_; }
@@ -29,12 +30,14 @@ class Robot {
   static void take_right_gains(void* self, const uint8_t* payload, size_t size);
   static void take_parameter(void* self, const float* values, size_t count);
 
+  void guard();
   void turn(float dt_s);
   void stop();
   void greet();
   void use_parameter(const float* values, size_t count);
   void publish();
-  static void tune(Wheel& wheel, const uint8_t* payload);
+  void tune(Wheel& wheel, const Gains& gains);
+  void tell_trouble();
 
   Hal& hal_;
   const char* ns_;
@@ -45,7 +48,8 @@ class Robot {
   Pose pose_ = {0.0, 0.0, 0.0};
   uint16_t odometry_id_ = 0;
   uint16_t plot_id_ = 0;
-  uint32_t turned_at_us_ = 0;
+  uint32_t turned_at_us_ = 0;  // the last turn
+  uint32_t due_since_us_ = 0;  // the steady grid of the turns
   uint32_t commanded_at_ms_ = 0;
   bool is_commanded_ = false;
   uint32_t left_edges_ = 0;
@@ -54,6 +58,8 @@ class Robot {
   bool was_configured_ = false;
   uint8_t asking_ = 0;  // the parameter that is asked for, 0: none
   uint32_t asked_at_ms_ = 0;
+  uint32_t told_trouble_ = 0;
+  uint32_t told_trouble_at_ms_ = 0;
 };
 
 }  // namespace hostlink

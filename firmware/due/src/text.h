@@ -1,0 +1,29 @@
+// A line for the host's log, put together without printf: that would bring 10 KB and the heap along.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace hostlink {
+
+class Text {
+ public:
+  static const size_t kMost = 120;  // what is longer is cut
+
+  Text& add(const char* text);
+  Text& add(int32_t number);
+  Text& add(uint32_t number);
+  // With `decimals` digits after the point; what no int32 holds is "?".
+  Text& add(float number, uint8_t decimals);
+
+  const char* chars() const { return chars_; }
+
+ private:
+  Text& add_char(char c);
+  Text& add_digits(uint32_t number, uint8_t least);
+
+  char chars_[kMost + 1] = {};
+  size_t size_ = 0;
+};
+
+}  // namespace hostlink
