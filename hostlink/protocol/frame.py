@@ -3,6 +3,7 @@
 Source of every number: the rosserial protocol, as PROTOCOL.md in the docs tells it.
 """
 
+import re
 from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
@@ -16,6 +17,8 @@ OVERHEAD_BYTES = 8  # seven of header, one of checksum
 MAX_PAYLOAD_BYTES = 0xFFFF
 FIRST_TOPIC_ID = 100  # a device numbers its topics from here
 _NUMPY_PAYS_FROM_BYTES = 256
+_PROTOCOL_1_HEAD = re.compile(rb"(?=\xff\xff..(.)\x00)", re.DOTALL)  # a length below 256, as in any frame of its time
+PROTOCOL_1_MAX_BYTES = 262  # 255 of payload, two syncs, id, length and checksum
 
 
 class Id(IntEnum):
@@ -66,11 +69,9 @@ def holds_protocol_1(data: bytes) -> bool:
 
     FF FF, id (2), length (2), payload, checksum = 255 - sum of all after the FFs.
     """
-    at = data.find(b"\xff\xff")
-    while at >= 0:
-        size = int.from_bytes(data[at + 4 : at + 6], "little")
-        body = data[at + 2 : at + 7 + size]
-        if len(body) == size + 5 and byte_sum(body) & 0xFF == 0xFF:  # noqa: PLR2004 - sum and checksum give 255
+    for head in _PROTOCOL_1_HEAD.finditer(data):
+        size = head[1][0] + 5
+        body = data[head.start() + 2 : head.start() + 2 + size]
+        if len(body) == size and byte_sum(body) & 0xFF == 0xFF:  # noqa: PLR2004 - sum and checksum give 255
             return True
-        at = data.find(b"\xff\xff", at + 1)
     return False

@@ -4,7 +4,7 @@ from collections import deque
 
 from hostlink.errors import DeviceBusy
 from hostlink.protocol.control import encode_time
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, encode
+from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
 RING_BYTES = 128  # ROBOT.md: the receive ring of the Due's UART, so the largest burst that it takes
 MAX_REPLIES = 32
@@ -20,7 +20,7 @@ class Outbox:
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
         self._uart_bytes_s = uart_bytes_s
-        self._is_time_due = self._is_request_due = self._is_stop_due = False
+        self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
         self._urgent: dict[int, bytes] = {}
         self._replies: deque[bytes] = deque()
         self._commands: dict[int, deque[bytes]] = {}
@@ -37,13 +37,12 @@ class Outbox:
 
     def put_stop(self) -> None:
         """Tell the device to fall silent, after the urgent commands; nothing else is sent any more."""
-        self._is_stop_due = True
-        self._is_time_due = self._is_request_due = False
-        self._replies.clear()
-        self._commands.clear()
+        self._is_stop_due = self._is_stopped = True
 
     def put_urgent(self, topic_id: int, frame: bytes) -> None:
-        """Queue a command that must not wait behind anything but the time: a velocity."""
+        """Queue a command that must not wait behind anything but the time: a velocity. After a stop it is too late."""
+        if self._is_stopped:
+            return
         if self._urgent.pop(topic_id, None) is not None:
             self.replaced += 1
         self._urgent[topic_id] = frame
@@ -63,10 +62,11 @@ class Outbox:
         waiting.append(frame)
         self._commands[topic_id] = waiting
 
-    def drop_commands(self) -> None:
-        """Forget every command: the ids may mean other topics now."""
+    def drop_messages(self) -> None:
+        """Forget every command, call and response: the ids may mean other topics now. Parameters have no such id."""
         self._urgent.clear()
         self._commands.clear()
+        self._replies = deque(frame for frame in self._replies if HEADER.unpack_from(frame)[3] < FIRST_TOPIC_ID)
 
     def take(self, *, now_s: float, wall_ns: int) -> bytes | None:
         """The next frame to write, or None: nothing waits, or the UART is still busy with the last ones."""
@@ -78,19 +78,26 @@ class Outbox:
 
     def wait_s(self, now_s: float) -> float | None:
         """Seconds until `take` gives a frame; None when nothing waits."""
-        if not (self._is_time_due or self._is_request_due or self._is_stop_due or self._has_messages()):
+        if not self._is_anything_due():
             return None
         if self._uart_bytes_s is None:
             return 0.0
         earned_bytes = (now_s - self._credit_at_s) * self._uart_bytes_s
         self._credit_bytes = min(float(RING_BYTES), self._credit_bytes + earned_bytes)
         self._credit_at_s = now_s
-        return max(0.0, -self._credit_bytes / self._uart_bytes_s)
+        if self._credit_bytes > -1:  # less than a byte short may be rounding, for which no clock can wait
+            return 0.0
+        return -self._credit_bytes / self._uart_bytes_s
 
-    def _has_messages(self) -> bool:
-        return bool(self._urgent or self._replies or self._commands)
+    def _is_anything_due(self) -> bool:
+        if self._is_stopped:
+            return self._is_stop_due
+        is_control_due = self._is_time_due or self._is_request_due
+        return is_control_due or bool(self._urgent or self._replies or self._commands)
 
     def _next(self, wall_ns: int) -> bytes:
+        if self._is_stopped:
+            return self._next_of_the_last()
         if self._is_time_due:
             self._is_time_due = False
             return encode(Id.TIME, encode_time(wall_ns))
@@ -101,8 +108,11 @@ class Outbox:
             return self._urgent.pop(next(iter(self._urgent)))
         if self._replies:
             return self._replies.popleft()
-        if self._commands:
-            return self._next_command()
+        return self._next_command()
+
+    def _next_of_the_last(self) -> bytes:
+        if self._urgent:
+            return self._urgent.pop(next(iter(self._urgent)))
         self._is_stop_due = False
         return STOP_REQUEST
 

@@ -6,6 +6,7 @@ It owns the stream, the topics and the outbox. The Link moves the bytes and tell
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from struct import error as StructError  # noqa: N812 - a class, named like one
 
 from hostlink.errors import FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 from hostlink.protocol import events
@@ -17,7 +18,16 @@ from hostlink.protocol.control import (
     decode_topic_info,
     encode_parameter,
 )
-from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode, holds_protocol_1
+from hostlink.protocol.frame import (
+    FIRST_TOPIC_ID,
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    PROTOCOL_1_MAX_BYTES,
+    Frame,
+    Id,
+    encode,
+    holds_protocol_1,
+)
 from hostlink.protocol.outbox import Outbox
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import TopicTable
@@ -29,7 +39,6 @@ STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
 SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
 MAX_SAME_ASKS = 3  # for one gap or one unknown id; a device that does not mend it never will
 DEFAULT_BUFFER_BYTES = 512  # rosserial's
-_WATCHED_BYTES = 256  # of what was skipped, for a frame of protocol 1
 
 _KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_CLIENT_PUBLISHER)
 
@@ -105,6 +114,7 @@ class Session:
             self._clock.heard_at_s = now_s
             found += self._read(self._stream.give_up(), now_s)
         if self._topics.is_negotiating and now_s >= self._clock.told_at_s + NEGOTIATION_QUIET_S:
+            self._clock.is_negotiation_damaged |= self._stream.pending_bytes > 0
             found.append(self._finish_negotiation())
         self._clock.tick(now_s, self._silence_s)
         found += self._ask_if_due(now_s)
@@ -169,13 +179,15 @@ class Session:
 
     def answer_parameter(self, name: str, parameter: Parameter) -> None:
         """Queue the answer to a parameter request; an empty one says that there is none."""
-        frame = encode(Id.PARAMETER, encode_parameter(parameter))
-        limit_bytes = min(
-            (_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES
+        what = f"parameter {name}"
+        try:
+            payload = encode_parameter(parameter)
+        except (StructError, OverflowError) as error:
+            raise WrongType(what, "int32 or float32", str(error)) from error
+        buffers_bytes = (_buffer_bytes(info) for info in self._known if info.is_to_device)
+        self._outbox.put_reply(
+            name, _fitting(what, Id.PARAMETER, payload, min(buffers_bytes, default=DEFAULT_BUFFER_BYTES))
         )
-        if len(frame) > limit_bytes:
-            raise FrameTooLarge(f"parameter {name}", len(frame), limit_bytes)
-        self._outbox.put_reply(name, frame)
 
     def stop(self) -> None:
         """Queue the request to fall silent, after the urgent commands; the last frame of the session."""
@@ -232,8 +244,9 @@ class Session:
         if self._topics.is_negotiating:
             self._clock.is_negotiation_damaged = True
         if not self._is_protocol_1:
-            self._skipped_tail = (self._skipped_tail + data)[-_WATCHED_BYTES:]
-            if holds_protocol_1(self._skipped_tail):
+            watched = self._skipped_tail + data
+            self._skipped_tail = watched[1 - PROTOCOL_1_MAX_BYTES :]
+            if holds_protocol_1(watched):
                 self._is_protocol_1 = True
                 yield events.Protocol1Recognised()
 
@@ -244,8 +257,9 @@ class Session:
         if info is None or info.topic_id < FIRST_TOPIC_ID:
             self.counts.malformed += 1
             return
-        if not self._topics.is_negotiating:
-            self._refused.clear()
+        if self._topics.get(info.topic_id) not in (None, info):  # what waits must not meet the id's new meaning
+            self._outbox.drop_messages()
+        self._refused.pop(info.topic_id, None)
         self._clock.told_at_s = now_s
         self._clock.is_answered = True
         fixed_bytes = None
@@ -255,15 +269,18 @@ class Session:
             self._refused[info.topic_id] = reason
             yield events.TopicRefused(info, reason)
         self._topics.add(info, fixed_bytes)
-        self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
+        if not info.is_to_device:
+            self._stream.limit_bytes = max(self._stream.limit_bytes, info.buffer_bytes)
 
     def _finish_negotiation(self) -> events.TopicsNegotiated:
         self._topics.finish()
+        self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
+        self._refused = {topic_id: why for topic_id, why in self._refused.items() if self._topics.get(topic_id)}
         self.counts.negotiations += 1
         known = tuple(info for info in self._topics.all() if info.topic_id not in self._refused)
         is_changed = known != self._known
         if is_changed:
-            self._outbox.drop_commands()
+            self._outbox.drop_messages()
             self._clock.forget_same_asks()
         self._known = known
         gap_at = self._topics.gap()
@@ -284,17 +301,14 @@ class Session:
         if info is None:
             raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
         if info.topic_id in self._refused:
-            raise self._refused[info.topic_id]
+            raise self._refused[info.topic_id].with_traceback(None)  # else it grows by each raise
         return info
 
     def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
         fixed_bytes = self._topics.fixed_bytes.get(info.topic_id)
         if fixed_bytes is not None and len(payload) != fixed_bytes:
             raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
-        limit_bytes = _buffer_bytes(info)
-        if len(payload) + OVERHEAD_BYTES > limit_bytes:
-            raise FrameTooLarge(info.name, len(payload) + OVERHEAD_BYTES, limit_bytes)
-        return encode(info.topic_id, payload)
+        return _fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
 
 
 class _AskClock:
@@ -360,5 +374,12 @@ class _AskClock:
 
 
 def _buffer_bytes(info: TopicInfo) -> int:
-    """What the device takes; old clients announce nothing."""
-    return info.buffer_bytes if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES
+    """What the device takes, as far as a frame can be so long; old clients announce nothing."""
+    return min(info.buffer_bytes, MAX_PAYLOAD_BYTES + OVERHEAD_BYTES) if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES
+
+
+def _fitting(what: str, topic_id: int, payload: bytes, limit_bytes: int) -> bytes:
+    """The frame, or FrameTooLarge."""
+    if len(payload) + OVERHEAD_BYTES > limit_bytes:
+        raise FrameTooLarge(what, len(payload) + OVERHEAD_BYTES, limit_bytes)
+    return encode(topic_id, payload)

@@ -1,7 +1,7 @@
 """FrameStream: bytes in, however they were cut; frames and skipped bytes out. It knows no topic and no time."""
 
-from bisect import insort
-from collections import Counter
+from bisect import bisect_left, insort
+from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import NamedTuple
@@ -51,7 +51,10 @@ class FrameStream:
         self._fixed_bytes: Mapping[int, int] = {} if fixed_bytes is None else fixed_bytes
         self._buffer = bytearray()
         self._base = 0  # where the buffer begins, counted from the first byte of the stream
-        self._candidates: list[tuple[int, int]] = []  # (end, start) of frames that are not decided yet
+        self._candidates: OrderedDict[int, int] = (
+            OrderedDict()
+        )  # start -> end of what is not decided yet, first at front
+        self._ends: list[tuple[int, int]] = []  # (end, start) of the same, sorted: the first to be complete at front
         self._searched = 0  # up to here every sync was looked at
 
     @property
@@ -78,7 +81,9 @@ class FrameStream:
         """Stop waiting for what stands at the head: read again from the byte after it."""
         if self._buffer:
             self.rejected[Rejection.INCOMPLETE] += 1
-            self._candidates = [item for item in self._candidates if item[1] != self._base]
+            end = self._candidates.pop(self._base, None)
+            if end is not None:
+                del self._ends[bisect_left(self._ends, (end, self._base))]
             self._searched = max(self._searched, self._base + 1)
         return self.feed(b"")
 
@@ -103,29 +108,30 @@ class FrameStream:
 
     def _contested(self) -> Frame | Skipped | None:
         """The next event where the head is noise, incomplete or has a sync inside; None: more bytes are needed."""
-        candidates = self._candidates
         while True:
             self._search()
-            if not candidates or candidates[0][0] > self._base + len(self._buffer):
+            if not self._ends or self._ends[0][0] > self._base + len(self._buffer):
                 break
-            end, start = candidates.pop(0)
+            end, start = self._ends.pop(0)
+            del self._candidates[start]
             if not self._is_right(start - self._base, end - self._base):
                 continue
             if start > self._base:
-                candidates[:] = [(end, start)]
+                self._forget_candidates()
+                self._add_candidate(start, end)
                 return self._skip(start)
             payload = bytes(self._buffer[7 : end - self._base - 1])
             frame = Frame(self._buffer[5] | self._buffer[6] << 8, payload)
             self._drop(end - self._base)
             return frame
-        first = min((start for _, start in candidates), default=self._searched)
+        first = next(iter(self._candidates), self._searched)
         return self._skip(first) if first > self._base else None
 
     def _search(self) -> None:
         """Find candidates as far as one could still end before those that are known."""
         buffer, base = self._buffer, self._base
         while True:
-            if self._candidates and self._searched + OVERHEAD_BYTES > self._candidates[0][0]:
+            if self._ends and self._searched + OVERHEAD_BYTES > self._ends[0][0]:
                 return
             at = buffer.find(SYNC, self._searched - base)
             if at < 0:
@@ -141,7 +147,15 @@ class FrameStream:
             elif size > self.limit_bytes:
                 self.rejected[Rejection.TOO_LONG] += 1
             else:
-                insort(self._candidates, (base + at + size + OVERHEAD_BYTES, base + at))
+                self._add_candidate(base + at, base + at + size + OVERHEAD_BYTES)
+
+    def _add_candidate(self, start: int, end: int) -> None:
+        self._candidates[start] = end
+        insort(self._ends, (end, start))
+
+    def _forget_candidates(self) -> None:
+        self._candidates.clear()
+        self._ends.clear()
 
     def _is_right(self, start: int, end: int) -> bool:
         """Judge a complete candidate, counted if it is wrong."""
@@ -167,4 +181,5 @@ class FrameStream:
         del self._buffer[:size]
         self._base += size
         self._searched = self._base
-        self._candidates.clear()
+        if self._ends:
+            self._forget_candidates()

@@ -68,13 +68,36 @@ def test_a_stop_lets_the_last_velocity_leave_and_nothing_else() -> None:
     assert drain(outbox) == [b"zero", STOP_REQUEST]
 
 
-def test_commands_can_be_forgotten() -> None:
+def test_a_velocity_after_the_stop_is_too_late() -> None:
+    """It must not take the place of the zero that waits."""
     outbox = Outbox()
+    outbox.put_urgent(101, b"zero")
+    outbox.put_stop()
+    outbox.put_urgent(101, b"full speed")
+    assert drain(outbox) == [b"zero", STOP_REQUEST]
+
+
+def test_the_stop_is_the_last_frame_whatever_is_put_after_it() -> None:
+    outbox = Outbox()
+    outbox.put_stop()
+    assert drain(outbox) == [STOP_REQUEST]
+    outbox.put_time()
+    outbox.put_topics_request()
     outbox.put_urgent(101, b"velocity")
-    outbox.put_command(100, b"command")
     outbox.put_reply("p", b"reply")
-    outbox.drop_commands()
-    assert drain(outbox) == [b"reply"]
+    outbox.put_command(100, b"command")
+    assert drain(outbox) == []
+    assert outbox.wait_s(0.0) is None
+
+
+def test_messages_can_be_forgotten_but_not_the_answers_about_parameters() -> None:
+    outbox = Outbox()
+    outbox.put_urgent(101, encode(101, b"velocity"))
+    outbox.put_command(100, encode(100, b"command"))
+    outbox.put_reply("service", encode(102, b"call"))
+    outbox.put_reply("p", encode(6, b"parameter"))
+    outbox.drop_messages()
+    assert drain(outbox) == [encode(6, b"parameter")]
 
 
 @given(
@@ -102,3 +125,35 @@ def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
     wait_s = outbox.wait_s(0.0)
     assert wait_s == pytest.approx(0.072)
     assert outbox.take(now_s=wait_s + 1e-9, wall_ns=0) is not None
+
+
+@given(st.floats(0.0, 1e6), st.integers(100, 1_000_000), st.lists(st.integers(8, 520), min_size=1, max_size=40))
+def test_a_clock_that_waits_exactly_as_long_as_it_is_told_gets_a_frame(
+    now_s: float, uart_bytes_s: int, sizes: list[int]
+) -> None:
+    """Virtual time has no spare microsecond: a wait too short to move the clock would be waited for without end."""
+    outbox = Outbox(uart_bytes_s=uart_bytes_s)
+    for number, size in enumerate(sizes):
+        outbox.put_command(100 + number, bytes(size))
+    taken, waits = 0, 0
+    while (wait_s := outbox.wait_s(now_s)) is not None:
+        if wait_s:
+            waits += 1
+            assert now_s + wait_s > now_s
+            now_s += wait_s
+        taken += outbox.take(now_s=now_s, wall_ns=0) is not None
+        assert waits <= len(sizes)
+    assert taken == len(sizes)
+
+
+@pytest.mark.parametrize("uart_bytes_s", [960, 3840, 11520])
+def test_an_hour_at_full_load_is_as_fast_as_the_uart_and_no_faster(uart_bytes_s: int) -> None:
+    outbox = Outbox(uart_bytes_s=uart_bytes_s)
+    now_s, sent_bytes = 0.0, 0
+    while now_s < 3600:
+        outbox.put_urgent(101, bytes(512))
+        if outbox.take(now_s=now_s, wall_ns=0) is not None:
+            sent_bytes += 512
+        outbox.put_urgent(101, bytes(512))
+        now_s += outbox.wait_s(now_s) or 0.0
+    assert uart_bytes_s * 3600 <= sent_bytes <= RING_BYTES + uart_bytes_s * now_s + 512

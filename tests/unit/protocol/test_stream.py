@@ -137,18 +137,46 @@ def test_half_a_sync_is_given_up_too() -> None:
     assert list(stream.give_up()) == [Skipped(b"\xff")]
 
 
-@pytest.mark.parametrize("limit_bytes", [1024, 65535])
-def test_work_is_linear_in_bytes_made_of_headers(limit_bytes: int) -> None:
+LIAR = b"\xff\xfe\xe8\xfd\x1a"  # claims 65000 bytes
+SMALL_LIAR = b"\xff\xfe\x00\x04\xfb\x7d\x00"  # 1024
+
+
+@pytest.mark.parametrize("read_bytes", [1, 65536])
+@pytest.mark.parametrize(
+    ("unit", "limit_bytes"), [(b"\xff\xfe", 1024), (SMALL_LIAR, 1024), (SMALL_LIAR, 65535), (LIAR, 65535)]
+)
+def test_work_is_linear_in_bytes_made_of_headers(unit: bytes, limit_bytes: int, read_bytes: int) -> None:
     """Crafted bytes cost time in proportion, and none of the memory that their headers claim."""
 
-    def seconds(count: int) -> float:
+    def seconds(size: int) -> float:
         stream = FrameStream(limit_bytes=limit_bytes)
-        wire = b"\xff\xfe\x00\x04\xfb\x7d\x00" * count
+        wire = (unit * size)[:size]
         began = time.process_time()
-        for at in range(0, len(wire), 65536):
-            for _ in stream.feed(wire[at : at + 65536]):
+        for at in range(0, len(wire), read_bytes):
+            for _ in stream.feed(wire[at : at + read_bytes]):
                 pass
         return time.process_time() - began
 
     seconds(1000)
-    assert seconds(20_000) < 8 * max(seconds(5_000), 0.01)
+    assert seconds(32_000) < 8 * max(seconds(8_000), 0.01)
+
+
+def test_giving_up_headers_in_one_another_is_linear() -> None:
+    def seconds(count: int) -> float:
+        stream = FrameStream(limit_bytes=65535)
+        assert frames(stream, LIAR * count) == []
+        began = time.process_time()
+        while stream.pending_bytes:
+            assert [event for event in stream.give_up() if isinstance(event, Frame)] == []
+        return time.process_time() - began
+
+    assert seconds(8000) < 8 * max(seconds(2000), 0.01)
+
+
+def test_giving_up_the_outer_one_leaves_the_inner_one_waiting() -> None:
+    stream = FrameStream()
+    liar = b"\xff\xfe\x20\x00\xdf"
+    assert events(stream, liar + b"\xff\xfe\x21\x00\xde" + WIRE_A[:6]) == []
+    assert list(stream.give_up()) == [Skipped(liar)]
+    assert frames(stream, WIRE_A[6:]) == [A]
+    assert stream.pending_bytes == 0

@@ -1,0 +1,204 @@
+"""A device that tells its topics again: what waits for the old ids, what was refused, what was lost."""
+
+import time
+import traceback
+
+import pytest
+
+from hostlink.errors import DeviceBusy, FrameTooLarge, UnknownTopic, WrongType
+from hostlink.protocol import events
+from hostlink.protocol.control import Parameter, TopicInfo
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.outbox import MAX_REPLIES
+from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
+
+MOTOR = LED._replace(name="/motor", type="std_msgs/Int32")
+SERVICE = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/set", "std_srvs/SetBool", "m", 512)
+WRONG_LED = LED._replace(md5="wrong")
+BIG = TopicInfo(Id.PUBLISHER, 126, "/image", "sensor_msgs/Image", "m", 5000)
+
+
+@pytest.mark.parametrize("is_urgent", [False, True])
+def test_a_command_never_meets_the_new_meaning_of_its_id(is_urgent: bool) -> None:
+    """Not even before the negotiation is over: one frame of a wrong size crashes a device."""
+    host = Host(ODOMETRY, LED)
+    host.session.publish("/led", b"\x01", is_urgent=is_urgent)
+    host.hear(wire(ODOMETRY, MOTOR))
+    assert host.sent() == []
+
+
+def test_a_call_never_meets_the_new_meaning_of_its_id() -> None:
+    host = Host(ODOMETRY, LED, SERVICE)
+    host.session.call("/set", b"\x01")
+    host.hear(wire(ODOMETRY, LED, TEXT) + TIME)
+    assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
+
+
+def test_a_call_for_a_service_that_is_gone_is_forgotten() -> None:
+    host = Host(ODOMETRY, LED, SERVICE)
+    host.session.call("/set", b"\x01")
+    host.hear(wire(ODOMETRY, LED) + TIME)
+    assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
+
+
+def test_the_answer_to_a_parameter_request_outlives_a_negotiation() -> None:
+    """Its id means the same to every device, and a device spins until it hears it."""
+    host = Host()
+    host.sent()
+    host.session.answer_parameter("/gain", Parameter())
+    host.hear(wire(ODOMETRY, LED) + TIME)
+    assert [frame.topic_id for frame in host.sent()] == [Id.TIME, Id.PARAMETER]
+
+
+def test_the_same_topics_again_cost_no_command() -> None:
+    host = Host(ODOMETRY, LED)
+    host.session.publish("/led", b"\x01")
+    host.hear(wire(ODOMETRY, LED) + TIME)
+    assert host.sent()[-1] == Frame(100, b"\x01")
+
+
+def test_an_id_that_is_told_for_the_first_time_costs_no_command_yet() -> None:
+    host = Host(ODOMETRY, LED)
+    host.session.publish("/led", b"\x01")
+    host.hear(wire(ODOMETRY, TEXT))
+    assert host.sent() == [Frame(100, b"\x01")]
+
+
+def test_a_refused_topic_stays_refused_until_it_is_told_anew() -> None:
+    host = Host(ODOMETRY, WRONG_LED)
+    host.hear(wire(ODOMETRY))
+    with pytest.raises(WrongType, match="/led: wanted md5 right, got md5 wrong"):
+        host.session.publish("/led", b"12345")
+    host.hear(wire(LED))
+    host.session.publish("/led", b"\x01")
+    assert host.sent() == [Frame(100, b"\x01")]
+
+
+def test_a_refused_topic_that_is_told_no_more_is_unknown() -> None:
+    host = Host(ODOMETRY, WRONG_LED)
+    host.hear(wire(ODOMETRY) + TIME)
+    with pytest.raises(UnknownTopic, match="no topic named /led"):
+        host.session.publish("/led", b"\x01")
+
+
+def test_a_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
+    host = Host(WRONG_LED)
+    host.hear(TIME)
+    host.hear(wire(TEXT._replace(topic_id=100)) + TIME)
+    assert [topic.name for topic in host.session.topics] == ["/text"]
+
+
+def test_a_refusal_keeps_no_callers_alive() -> None:
+    """A client may publish to it for days."""
+    host = Host(WRONG_LED)
+    lengths = []
+    for _ in range(3):
+        with pytest.raises(WrongType) as refusal:
+            host.session.publish("/led", b"\x01")
+        lengths.append(len(traceback.extract_tb(refusal.value.__traceback__)))
+    assert len(set(lengths)) == 1
+
+
+def test_a_last_topic_info_that_was_cut_off_is_asked_for() -> None:
+    """Nothing but the bytes that wait tells that there was one: a lost last id leaves no gap."""
+    host = Host()
+    host.hear(TIME + wire(ODOMETRY, LED, TEXT)[:-20])
+    host.wait(1.1)
+    assert host.asks() == ["damaged"]
+
+
+def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_than_it_is_announced() -> None:
+    host = Host()
+    picture = encode(126, bytes(4000))
+    assert events.MessageReceived(BIG, bytes(4000)) in host.hear(wire(ODOMETRY, BIG) + picture)
+    host.hear(wire(ODOMETRY) + TIME)
+    assert host.hear(picture) == []
+    assert host.session.rejected == {"too_long": 1}
+
+
+def test_a_size_holds_from_the_next_frame_on() -> None:
+    host = Host()
+    right, wrong = encode(125, bytes(24)), encode(125, bytes(23))
+    found = host.hear(wire(ODOMETRY) + wrong + right)
+    assert [event for event in found if isinstance(event, events.MessageReceived)] == [
+        events.MessageReceived(ODOMETRY, bytes(24))
+    ]
+
+
+@pytest.mark.parametrize("buffer_bytes", [65543, 65544, 2**31 - 1])
+def test_a_buffer_that_no_frame_can_fill(buffer_bytes: int) -> None:
+    host = Host(TEXT._replace(topic_id=100, buffer_bytes=buffer_bytes))
+    host.session.publish("/text", bytes(65535))
+    with pytest.raises(FrameTooLarge, match="/text: frame of 65544 bytes, the device takes 65543"):
+        host.session.publish("/text", bytes(65536))
+
+
+@pytest.mark.parametrize("buffer_bytes", [0, -1, -(2**31)])
+def test_a_buffer_that_is_none_is_the_usual_one(buffer_bytes: int) -> None:
+    host = Host(TEXT._replace(topic_id=100, buffer_bytes=buffer_bytes))
+    host.session.publish("/text", bytes(504))
+    with pytest.raises(FrameTooLarge, match="/text: frame of 513 bytes, the device takes 512"):
+        host.session.publish("/text", bytes(505))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "error", "text"),
+    [
+        (Parameter(strings=("x" * 70000,)), FrameTooLarge, "parameter /p: frame of 70024 bytes, the device takes 64"),
+        (Parameter(ints=(2**31,)), WrongType, "parameter /p: wanted int32 or float32, got 'i' format requires"),
+        (Parameter(floats=(1e300,)), WrongType, "parameter /p: wanted int32 or float32, got float too large"),
+    ],
+)
+def test_a_parameter_that_cannot_be_sent(parameter: Parameter, error: type[Exception], text: str) -> None:
+    host = Host(LED)
+    with pytest.raises(error) as caught:
+        host.session.answer_parameter("/p", parameter)
+    assert str(caught.value).startswith(text)
+    assert host.sent() == []
+
+
+def test_a_service_that_is_called_too_often_is_busy() -> None:
+    host = Host(ODOMETRY, LED, SERVICE)
+    for _ in range(MAX_REPLIES):
+        host.session.call("/set", b"\x01")
+    with pytest.raises(DeviceBusy, match="/set: 32 requests wait already; try again later"):
+        host.session.call("/set", b"\x01")
+
+
+def test_after_a_stop_nothing_leaves_any_more() -> None:
+    host = Host(ODOMETRY, LED)
+    host.session.stop()
+    host.hear(TIME)
+    assert [frame.topic_id for frame in host.sent()] == [Id.STOP]
+    host.session.publish("/led", b"\x01")
+    host.wait(30.0)
+    assert host.sent() == []
+    assert host.session.wait_s(host.now_s) is None
+
+
+def test_a_tick_that_comes_early_does_nothing() -> None:
+    host = Host(ODOMETRY)
+    deadline_s = host.session.deadline_s()
+    assert host.session.tick(now_s=host.now_s) == []
+    assert host.session.deadline_s() == deadline_s
+
+
+@pytest.mark.parametrize("size", [1, 3, 600])
+def test_protocol_1_is_recognised_however_it_is_cut(size: int) -> None:
+    body = b"\x7d\x00\xff\x00" + bytes(255)
+    line = b"\xff\xff" + body + bytes([255 - sum(body) % 256]) + b"x" * 400
+    host = Host()
+    found = [event for at in range(0, len(line), size) for event in host.hear(line[at : at + size], after_s=0.0)]
+    assert found == [events.Protocol1Recognised()]
+
+
+def test_a_device_with_ten_thousands_of_topics_costs_no_more_than_its_bytes() -> None:
+    def seconds(count: int) -> float:
+        line = wire(*(ODOMETRY._replace(topic_id=100 + number) for number in range(count)))
+        host = Host()
+        began = time.process_time()
+        host.hear(line)
+        return time.process_time() - began
+
+    seconds(100)
+    assert seconds(8000) < 8 * max(seconds(2000), 0.01)
