@@ -2,10 +2,19 @@
 
 import asyncio
 from collections import deque
+from typing import NamedTuple
 
 MAX_MESSAGES = 1024
 MAX_BYTES = 8 * 1024 * 1024
 MAX_RESULTS = 256
+
+
+class Outgoing(NamedTuple):
+    """A WebSocket frame to be."""
+
+    order: int
+    data: bytes
+    is_binary: bool
 
 
 class ClientQueue:
@@ -20,14 +29,14 @@ class ClientQueue:
         self._order = 0
         self._messages = 0
         self._bytes = 0
-        self._topics: dict[str, deque[tuple[int, bytes]]] = {}
-        self._results: deque[tuple[int, bytes]] = deque()
+        self._topics: dict[str, deque[Outgoing]] = {}
+        self._results: deque[Outgoing] = deque()
         self._news = asyncio.Event()
 
-    def put_message(self, topic: str, data: bytes) -> None:
+    def put_message(self, topic: str, data: bytes, *, is_binary: bool = False) -> None:
         """Queue telemetry; over a bound the oldest of this topic goes, else the oldest of the longest."""
         waiting = self._topics.setdefault(topic, deque())
-        waiting.append((self._next_order(), data))
+        waiting.append(Outgoing(self._next_order(), data, is_binary))
         self._messages += 1
         self._bytes += len(data)
         while self._messages > MAX_MESSAGES or self._bytes > MAX_BYTES:
@@ -39,20 +48,20 @@ class ClientQueue:
         if len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
         else:
-            self._results.append((self._next_order(), data))
+            self._results.append(Outgoing(self._next_order(), data, is_binary=False))
         self._news.set()
 
     def forget(self, topic: str) -> None:
         """The client is not interested in this topic any more."""
-        for _, data in self._topics.pop(topic, ()):
+        for waiting in self._topics.pop(topic, ()):
             self._messages -= 1
-            self._bytes -= len(data)
+            self._bytes -= len(waiting.data)
 
-    def take(self) -> bytes | None:
+    def take(self) -> Outgoing | None:
         """The oldest of all, or None."""
-        topic = min(self._topics, key=lambda name: self._topics[name][0][0], default=None)
-        if self._results and (topic is None or self._results[0][0] < self._topics[topic][0][0]):
-            return self._results.popleft()[1]
+        topic = min(self._topics, key=lambda name: self._topics[name][0].order, default=None)
+        if self._results and (topic is None or self._results[0].order < self._topics[topic][0].order):
+            return self._results.popleft()
         if topic is None:
             self._news.clear()
             return None
@@ -74,11 +83,11 @@ class ClientQueue:
         self._pop(topic)
         self.dropped += 1
 
-    def _pop(self, topic: str) -> bytes:
+    def _pop(self, topic: str) -> Outgoing:
         waiting = self._topics[topic]
-        _, data = waiting.popleft()
+        oldest = waiting.popleft()
         if not waiting:
             del self._topics[topic]
         self._messages -= 1
-        self._bytes -= len(data)
-        return data
+        self._bytes -= len(oldest.data)
+        return oldest

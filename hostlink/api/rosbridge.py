@@ -8,7 +8,9 @@ from typing import Any
 import msgspec
 import structlog
 
+from hostlink.api.cbor import encode_cbor, encode_cbor_raw
 from hostlink.api.client_queue import ClientQueue
+from hostlink.api.client_services import ClientServices
 from hostlink.api.throttle import Throttle
 from hostlink.errors import BadPayload, BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
@@ -23,6 +25,7 @@ log = structlog.get_logger()
 MAX_SUBSCRIPTIONS = 256
 MAX_CALLS = 32  # of services, under way at once
 MAX_PRIORITY = 100
+_BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client wants `status`
 
 
@@ -32,6 +35,7 @@ class _Subscription:
     def __init__(self, topic: str, name: str) -> None:
         self.topic = topic
         self.prefix = msgspec.json.encode({"op": "publish", "topic": name})[:-1] + b',"msg":'
+        self.compression = "none"
         self.wishes: dict[object, tuple[float, int]] = {}
         self.throttle = Throttle(interval_s=0.0, queue_length=0)
         self.unsubscribe: Unsubscribe | None = None
@@ -70,6 +74,7 @@ class RosbridgeClient:
         self._calls = 0
         self._status_from = _LEVELS.index("none")
         self._subscriptions: dict[str, _Subscription] = {}
+        self._services = ClientServices(name, hub.services, queue)
         self._operations: dict[str, Callable[[dict[str, Any]], None]] = {
             "advertise": self._advertise,
             "unadvertise": self._unadvertise,
@@ -77,8 +82,12 @@ class RosbridgeClient:
             "subscribe": self._subscribe,
             "unsubscribe": self._unsubscribe,
             "call_service": self._call_service,
+            "advertise_service": self._advertise_service,
+            "unadvertise_service": self._unadvertise_service,
+            "service_response": self._services_respond,
             "set_level": self._set_level,
             "auth": _accept,
+            "send_action_goal": self._refuse_action,
         }
 
     def receive(self, text: str | bytes) -> None:
@@ -110,6 +119,7 @@ class RosbridgeClient:
             if subscription.unsubscribe is not None:
                 subscription.unsubscribe()
         self._subscriptions.clear()
+        self._services.close()
         self._hub.leave(self.name)
 
     # -- operations ---------------------------------------------------------------------------------------------------
@@ -147,6 +157,8 @@ class RosbridgeClient:
                 name, lambda message: self._deliver(new, message), type_name=_type_name(request)
             )
             subscription = self._subscriptions[name] = new
+        compression = request.get("compression") or "none"
+        subscription.compression = compression if compression in _BINARY else "none"  # png: nobody needs it any more
         subscription.wish(request.get("id"), interval_s, min(queue_length, MAX_SUBSCRIPTIONS))
 
     def _unsubscribe(self, request: dict[str, Any]) -> None:
@@ -180,6 +192,20 @@ class RosbridgeClient:
         finally:
             self._calls -= 1
 
+    def _advertise_service(self, request: dict[str, Any]) -> None:
+        self._services.advertise(_text(request, "service"), _text(request, "type"))
+
+    def _unadvertise_service(self, request: dict[str, Any]) -> None:
+        self._services.unadvertise(_text(request, "service"))
+
+    def _services_respond(self, request: dict[str, Any]) -> None:
+        self._services.respond(request)
+
+    def _refuse_action(self, request: dict[str, Any]) -> None:
+        """rosserial has no actions: who asks for one is told so, instead of waiting."""
+        answer = {"op": "action_result", "action": request.get("action"), "values": "no actions here", "result": False}
+        self._queue.put_result(msgspec.json.encode(answer | ({"id": request["id"]} if "id" in request else {})))
+
     def _set_level(self, request: dict[str, Any]) -> None:
         level = _text(request, "level")
         if level not in _LEVELS:
@@ -197,8 +223,12 @@ class RosbridgeClient:
             self._queue.nudge()
 
     def _queue_message(self, subscription: _Subscription, message: Message) -> None:
+        encode = _BINARY.get(subscription.compression)
         try:
-            self._queue.put_message(subscription.topic, subscription.prefix + message.json + b"}")
+            if encode is None:
+                self._queue.put_message(subscription.topic, subscription.prefix + message.json + b"}")
+            else:
+                self._queue.put_message(subscription.topic, encode(subscription.topic, message), is_binary=True)
         except BadPayload as error:
             self._tell_status("warning", str(error), None)
 

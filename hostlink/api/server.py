@@ -13,6 +13,7 @@ from structlog.contextvars import bound_contextvars
 
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.rest import Rest, explain_errors
+from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import ApiConfig
 from hostlink.errors import ConfigError
@@ -37,6 +38,7 @@ class ApiServer:
         self._hub = hub
         self._numbers = itertools.count(1)
         self._sockets: set[web.WebSocketResponse] = set()
+        RosApi(hub).offer()
 
     def application(self) -> web.Application:
         """Everything that is served."""
@@ -93,9 +95,12 @@ async def _send(socket: web.WebSocketResponse, client: RosbridgeClient, queue: C
     loop = asyncio.get_running_loop()
     while True:
         due_s = client.flush(loop.time())
-        while (data := queue.take()) is not None:
+        while (outgoing := queue.take()) is not None:
             async with asyncio.timeout(SEND_TIMEOUT_S):
-                await socket.send_str(data.decode())
+                if outgoing.is_binary:
+                    await socket.send_bytes(outgoing.data)
+                else:
+                    await socket.send_str(outgoing.data.decode())
         if queue.is_too_slow:
             log.warning("client.too_slow", dropped=queue.dropped)
             await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up")

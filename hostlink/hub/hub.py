@@ -32,6 +32,7 @@ log = structlog.get_logger()
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
 FAREWELL_TIMEOUT_S = 0.5
+_NS_PER_S = 1_000_000_000
 _DEVICE_LOG = ("debug", "info", "warning", "error", "error")  # the daemon's method for each of rosserial's levels
 
 
@@ -48,6 +49,8 @@ class Hub:
         self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
         self.is_running = asyncio.Event()  # once set, devices may `connect`
         self.crashes = 0
+        self.parameters = dict(config.parameters)  # what devices ask for; clients may change it
+        self._rosout = self.topics.advertise("/rosout", "hostlink", type_name="rosgraph_msgs/Log")
         self.config = config
         self._reraises = reraises
         self._directory = Directory({name: robot.address for name, robot in config.robots.items()})
@@ -64,7 +67,7 @@ class Hub:
             events.ServiceRequested: self._serve_device,
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
-            events.DeviceLogged: _log_for_device,
+            events.DeviceLogged: self._log_for_device,
             events.UnknownTopicUsed: _ignore,
             events.Protocol1Recognised: _log_protocol_1,
         }
@@ -187,7 +190,7 @@ class Hub:
         """Always answer: a device spins until it hears something."""
         parameter = None
         try:
-            parameter = find_parameter(self.config.parameters, event.name)
+            parameter = find_parameter(self.parameters, event.name)
             link.session.answer_parameter(event.name, parameter or Parameter())
         except HostlinkError as error:
             log.warning("parameter.refused", name=printable(event.name), reason=str(error))
@@ -196,6 +199,17 @@ class Hub:
         if parameter is None and event.name not in self._asked_in_vain:
             self._asked_in_vain.add(event.name)
             log.warning("parameter.unknown", name=printable(event.name))
+
+    def _log_for_device(self, link: Link, event: events.DeviceLogged) -> None:
+        """Into the daemon's log, and as rosgraph_msgs/Log on /rosout."""
+        level, text = event.level, printable(event.text)
+        getattr(log, _DEVICE_LOG[level])("device.logged", level_name=LOG_LEVELS[level], text=text)
+        if self._rosout.subscribers and self._rosout.type is not None:
+            stamp_ns = time.time_ns()
+            secs, nsecs = divmod(stamp_ns, _NS_PER_S)
+            line = {"level": 1 << level, "name": link.peer, "msg": event.text}
+            header = {"stamp": {"secs": secs, "nsecs": nsecs}}
+            self._rosout.deliver(self._rosout.type.encode({"header": header, **line}), stamp_ns)
 
     def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
         service = self.services.of_device(event.service.name)
@@ -273,12 +287,6 @@ def _ignore(link: Link, event: events.Event) -> None:
 
 def _log_ask(link: Link, event: events.TopicsAsked) -> None:  # noqa: ARG001 - the shape of a reaction
     log.debug("topics.asked", reason=event.reason)
-
-
-def _log_for_device(link: Link, event: events.DeviceLogged) -> None:  # noqa: ARG001
-    getattr(log, _DEVICE_LOG[event.level])(
-        "device.logged", level_name=LOG_LEVELS[event.level], text=printable(event.text)
-    )
 
 
 def _log_protocol_1(link: Link, event: events.Protocol1Recognised) -> None:  # noqa: ARG001

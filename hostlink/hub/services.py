@@ -148,7 +148,8 @@ class Services:
         """The service of that name; UnknownTopic if there is none."""
         found = self.of_device(name) or self.provider(name)
         if found is None:
-            raise UnknownTopic("service", name, tuple(known for known, _ in self.all()))
+            others = tuple(known for known, _ in self.all() if not known.startswith("/rosapi/"))
+            raise UnknownTopic("service", name, others)
         return found
 
     async def call(

@@ -25,14 +25,25 @@ class StreamTransport:
         await self._writer.drain()
 
     async def aclose(self) -> None:
-        """Let what was sent leave, but do not wait for a dead peer."""
+        """Let what was sent leave, but do not wait for a dead peer; whoever gives this up aborts."""
         if self._is_closed:  # a close that was given up cannot be waited for again
             return
         self._is_closed = True
-        self._writer.close()
         try:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                with contextlib.suppress(OSError):  # a broken connection has nothing to leave
+                    await self._leave()
+                self._writer.close()
                 with contextlib.suppress(OSError):  # a broken connection is closed
                     await self._writer.wait_closed()
         except TimeoutError:
-            self._writer.transport.abort()
+            self._abort()
+        except asyncio.CancelledError:
+            self._abort()
+            raise
+
+    async def _leave(self) -> None:
+        """What must be waited for before the connection is closed: nothing, closing sends what was written."""
+
+    def _abort(self) -> None:
+        self._writer.transport.abort()

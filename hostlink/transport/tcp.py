@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import errno
+import os
 import socket
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
@@ -38,19 +39,12 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
             writer.transport.abort()
             return
         host, port = peername[:2]
-        peer = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        on_connection(StreamTransport(reader, writer, peer=peer, address=host))
+        on_connection(StreamTransport(reader, writer, peer=spelled(host, port), address=host))
 
     try:
         server = await asyncio.start_server(accept, config.host, config.port)
-    except OSError as error:
-        if error.errno == errno.EADDRINUSE:
-            problem = (
-                "is in use: another host for rosserial runs; stop it, or choose another port with --listen HOST:PORT"
-            )
-        else:
-            problem = f"cannot be listened on: {error.strerror or error}"
-        raise ConfigError(f"TCP {config.host}:{config.port}", problem) from error
+    except (OSError, OverflowError) as error:
+        raise ConfigError(f"TCP {spelled(config.host, config.port)}", _explain(error)) from error
     try:
         yield Listener(server.sockets[0].getsockname()[:2])
     finally:
@@ -66,3 +60,18 @@ def set_options(connection: socket.socket) -> None:
         option = getattr(socket, name, None)  # not every system has each of them
         if option is not None:
             connection.setsockopt(socket.IPPROTO_TCP, option, value)
+
+
+def spelled(host: str, port: int) -> str:
+    """An address for people; IPv6 in brackets."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def _explain(error: OSError | OverflowError) -> str:
+    if isinstance(error, OverflowError):
+        return "no such port; they go from 0 (any free one) to 65535"
+    if error.errno == errno.EADDRINUSE:
+        return "is in use: another host for rosserial runs; stop it, or choose another port with --listen HOST:PORT"
+    is_lookup = isinstance(error, socket.gaierror)  # its numbers are not the system's
+    reason = error.strerror if is_lookup or error.errno is None else os.strerror(error.errno)
+    return f"cannot be listened on: {reason}"

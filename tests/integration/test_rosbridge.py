@@ -2,9 +2,6 @@
 
 import asyncio
 import contextlib
-import json
-from collections.abc import AsyncIterator
-from typing import Any
 
 import aiohttp
 import pytest
@@ -13,32 +10,8 @@ from structlog.testing import capture_logs
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.rosbridge import client
 from tests.support.waiting import expect
-
-TIMEOUT_S = 5.0
-
-
-class Client:
-    """A program on the WebSocket."""
-
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self.socket = socket
-
-    async def say(self, **request: Any) -> None:
-        await self.socket.send_str(json.dumps(request))
-
-    async def hear(self) -> dict[str, Any]:
-        async with asyncio.timeout(TIMEOUT_S):
-            heard: dict[str, Any] = json.loads(await self.socket.receive_str())
-            return heard
-
-
-@contextlib.asynccontextmanager
-async def client(host: Daemon, *, level: str = "error") -> AsyncIterator[Client]:
-    async with host.session.ws_connect(host.url) as socket:
-        new = Client(socket)
-        await new.say(op="set_level", level=level)
-        yield new
 
 
 async def subscribed(host: Daemon, name: str) -> None:

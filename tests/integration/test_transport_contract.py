@@ -1,22 +1,27 @@
-"""What every transport promises, checked on TCP and on a serial line (a pseudo terminal)."""
+"""What every transport promises, checked on TCP, on a serial line (a pseudo terminal) and in memory."""
 
 import asyncio
 import contextlib
 import os
+import resource
 import socket
+import struct
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 
 from hostlink.config import SerialConfig, TcpConfig
 from hostlink.errors import ConfigError
-from hostlink.transport.base import CLOSE_TIMEOUT_S, Transport
+from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Transport
 from hostlink.transport.serial import open_serial
-from hostlink.transport.tcp import SEND_BUFFER_BYTES, serve_tcp
+from hostlink.transport.tcp import KEEPALIVE, SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
+from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.pty_pair import pty_pair
 
-PATIENCE_S = 5.0
+pytestmark = pytest.mark.timeout(20)
+A_WHILE_S = 0.05
+DATA = bytes(range(256)) * 16
 
 
 class Peer(ABC):
@@ -30,6 +35,9 @@ class Peer(ABC):
 
     @abstractmethod
     async def close(self) -> None: ...
+
+    async def break_off(self) -> None:
+        await self.close()
 
 
 class TcpPeer(Peer):
@@ -45,7 +53,13 @@ class TcpPeer(Peer):
 
     async def close(self) -> None:
         self.writer.close()
-        await self.writer.wait_closed()
+        with contextlib.suppress(OSError):
+            await self.writer.wait_closed()
+
+    async def break_off(self) -> None:
+        connection = self.writer.get_extra_info("socket")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # a reset, not an end
+        self.writer.transport.abort()
 
 
 class PtyPeer(Peer):
@@ -54,26 +68,50 @@ class PtyPeer(Peer):
         os.set_blocking(descriptor, False)
 
     async def send(self, data: bytes) -> None:
-        await self._ready(asyncio.get_running_loop().add_writer, asyncio.get_running_loop().remove_writer)
-        assert os.write(self.descriptor, data) == len(data)
+        loop = asyncio.get_running_loop()
+        while data:
+            await self._ready(loop.add_writer, loop.remove_writer)
+            data = data[os.write(self.descriptor, data) :]
 
     async def receive(self, size: int) -> bytes:
+        loop = asyncio.get_running_loop()
         data = b""
         while len(data) < size:
-            await self._ready(asyncio.get_running_loop().add_reader, asyncio.get_running_loop().remove_reader)
+            await self._ready(loop.add_reader, loop.remove_reader)
             data += os.read(self.descriptor, size - len(data))
         return data
 
     async def close(self) -> None:
         os.close(self.descriptor)
 
-    async def _ready(self, add: object, remove: object) -> None:
+    async def _ready(self, add: Callable[[int, Callable[[], None]], None], remove: Callable[[int], bool]) -> None:
         is_ready = asyncio.Event()
-        add(self.descriptor, is_ready.set)  # type: ignore[operator]
+        add(self.descriptor, is_ready.set)
         try:
             await is_ready.wait()
         finally:
-            remove(self.descriptor)  # type: ignore[operator]
+            remove(self.descriptor)
+
+
+class MemoryPeer(Peer):
+    def __init__(self, end: MemoryTransport) -> None:
+        self.end = end
+        self.data = b""
+
+    async def send(self, data: bytes) -> None:
+        await self.end.send(data)
+
+    async def receive(self, size: int) -> bytes:
+        while len(self.data) < size:
+            self.data += await self.end.receive()
+        data, self.data = self.data[:size], self.data[size:]
+        return data
+
+    async def close(self) -> None:
+        await self.end.aclose()
+
+    async def break_off(self) -> None:
+        self.end.break_off()
 
 
 @contextlib.asynccontextmanager
@@ -86,8 +124,7 @@ async def tcp() -> AsyncIterator[tuple[Transport, Peer]]:
             yield transport, peer
         finally:
             await transport.aclose()
-            with contextlib.suppress(OSError):
-                await peer.close()
+            await peer.close()
 
 
 @contextlib.asynccontextmanager
@@ -100,118 +137,251 @@ async def serial() -> AsyncIterator[tuple[Transport, Peer]]:
             await transport.aclose()
 
 
-both = pytest.mark.parametrize("pair", [tcp, serial], ids=["tcp", "serial"])
+@contextlib.asynccontextmanager
+async def memory() -> AsyncIterator[tuple[Transport, Peer]]:
+    host, device = memory_pair()
+    yield host, MemoryPeer(device)
 
 
-@both
-async def test_bytes_arrive_in_order_both_ways(pair: object) -> None:
-    data = bytes(range(256)) * 8
-    async with pair() as (transport, peer), asyncio.timeout(PATIENCE_S):  # type: ignore[operator]
-        for at in range(0, len(data), 100):
-            await peer.send(data[at : at + 100])
-        got = b""
-        while len(got) < len(data):
-            got += await transport.receive()
-        assert got == data
-        async with asyncio.TaskGroup() as tasks:
-            read = tasks.create_task(peer.receive(len(data)))
-            for at in range(0, len(data), 100):
-                await transport.send(data[at : at + 100])
-            assert await read == data
+@pytest.fixture(params=[tcp, serial, memory], ids=lambda opened: opened.__name__)
+async def ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport, Peer]]:
+    async with request.param() as pair:
+        yield pair
 
 
-@both
-async def test_a_cancelled_receive_loses_nothing(pair: object) -> None:
-    async with pair() as (transport, peer), asyncio.timeout(PATIENCE_S):  # type: ignore[operator]
-        with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0.02):
-                await transport.receive()
-        await peer.send(b"later")
-        assert await transport.receive() == b"later"
-
-
-@both
-async def test_a_peer_that_goes_away_ends_the_reading(pair: object) -> None:
-    async with pair() as (transport, peer), asyncio.timeout(PATIENCE_S):  # type: ignore[operator]
-        await peer.send(b"last words")
-        assert await transport.receive() == b"last words"
-        await peer.close()
-        with contextlib.suppress(
-            OSError
-        ):  # a port that vanishes is an error, a closed connection an end: both are ends
-            assert await transport.receive() == b""
-
-
-@both
-async def test_closing_twice_is_once(pair: object) -> None:
-    async with pair() as (transport, _):  # type: ignore[operator]
-        await transport.aclose()
-        await transport.aclose()
-        with contextlib.suppress(OSError):
-            assert await transport.receive() == b""
+async def receive_exactly(transport: Transport, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = await transport.receive()
+        assert 0 < len(piece) <= READ_BYTES
+        data += piece
+    return data
 
 
 async def send_without_end(transport: Transport) -> None:
-    async with asyncio.timeout(1.0):
-        while True:
-            await transport.send(bytes(10_000))
+    while True:
+        await transport.send(bytes(10_000))
 
 
-async def test_a_peer_that_never_reads_blocks_the_sender_alone_and_closing_is_bounded() -> None:
-    async with tcp() as (transport, _):
-        with pytest.raises(TimeoutError):
+async def has_ended(transport: Transport) -> bool:
+    """Whether receive() says so: b"", or an OSError where the port itself has gone."""
+    try:
+        return await transport.receive() == b""
+    except OSError:
+        return True
+
+
+class TestContract:
+    """The same for all three."""
+
+    @pytest.mark.parametrize("piece_bytes", [1, 7, 100, 1024, len(DATA)])
+    async def test_bytes_arrive_in_order_however_split(self, ends: tuple[Transport, Peer], piece_bytes: int) -> None:
+        transport, peer = ends
+        pieces = [DATA[at : at + piece_bytes] for at in range(0, len(DATA), piece_bytes)]
+        async with asyncio.TaskGroup() as tasks:
+            from_device = tasks.create_task(receive_exactly(transport, len(DATA)))
+            to_device = tasks.create_task(peer.receive(len(DATA)))
+            for piece in pieces:
+                await peer.send(piece)
+                await transport.send(piece)
+        assert from_device.result() == DATA
+        assert to_device.result() == DATA
+
+    async def test_a_cancelled_receive_loses_nothing(self, ends: tuple[Transport, Peer]) -> None:
+        transport, peer = ends
+        sent = [bytes([number]) * 3 for number in range(60)]
+        got = b""
+        async with asyncio.TaskGroup() as tasks:
+            for number, piece in enumerate(sent):
+                reading = tasks.create_task(transport.receive())
+                await asyncio.sleep(0)
+                await peer.send(piece)
+                for _ in range(number % 6):  # the cancel comes before, with and after the bytes
+                    await asyncio.sleep(0)
+                reading.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    got += await reading
+        wanted = b"".join(sent)
+        got += await receive_exactly(transport, len(wanted) - len(got))
+        assert got == wanted
+
+    async def test_a_peer_that_closes_ends_the_reading(self, ends: tuple[Transport, Peer]) -> None:
+        transport, peer = ends
+        await peer.send(b"last words")
+        assert await receive_exactly(transport, 10) == b"last words"
+        await peer.close()
+        assert await has_ended(transport)
+
+    async def test_a_broken_connection_ends_a_receive_that_waits(self, ends: tuple[Transport, Peer]) -> None:
+        transport, peer = ends
+        async with asyncio.TaskGroup() as tasks:
+            reading = tasks.create_task(has_ended(transport))
+            await asyncio.sleep(0)
+            await peer.break_off()
+        assert reading.result()
+
+    async def test_sending_into_a_broken_connection_is_an_os_error(self, ends: tuple[Transport, Peer]) -> None:
+        transport, peer = ends
+        await peer.break_off()
+        with pytest.raises(OSError, match=r"."):
             await send_without_end(transport)
-        began_s = asyncio.get_running_loop().time()
+
+    async def test_send_waits_for_a_peer_that_does_not_read_and_goes_on_when_it_does(
+        self, ends: tuple[Transport, Peer]
+    ) -> None:
+        transport, peer = ends
+        data = DATA * 256
+        async with asyncio.TaskGroup() as tasks:
+            sending = tasks.create_task(transport.send(data))
+            done, _ = await asyncio.wait({sending}, timeout=A_WHILE_S)
+            assert not done
+            assert await peer.receive(len(data)) == data
+
+    async def test_a_send_that_waits_can_be_cancelled_and_closing_is_bounded(
+        self, ends: tuple[Transport, Peer]
+    ) -> None:
+        transport, _ = ends
+        loop = asyncio.get_running_loop()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(A_WHILE_S):
+                await send_without_end(transport)
+        began_s = loop.time()
         await transport.aclose()
-        assert asyncio.get_running_loop().time() - began_s < CLOSE_TIMEOUT_S + 0.5
+        assert loop.time() - began_s < CLOSE_TIMEOUT_S + 0.5
+        assert await has_ended(transport)
+
+    async def test_a_close_that_is_cancelled_aborts(self, ends: tuple[Transport, Peer]) -> None:
+        transport, _ = ends
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(A_WHILE_S):
+                await send_without_end(transport)
+        with contextlib.suppress(TimeoutError):  # memory is closed at once
+            async with asyncio.timeout(A_WHILE_S):
+                await transport.aclose()
+        async with asyncio.timeout(A_WHILE_S):
+            assert await has_ended(transport)
+
+    async def test_closing_twice_is_once(self, ends: tuple[Transport, Peer]) -> None:
+        transport, _ = ends
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(transport.aclose())
+            tasks.create_task(transport.aclose())
+        await transport.aclose()
+        assert await has_ended(transport)
+        with pytest.raises(OSError, match="onnection lost"):
+            await transport.send(b"too late")
+
+    async def test_closing_ends_a_receive_that_waits(self, ends: tuple[Transport, Peer]) -> None:
+        transport, _ = ends
+        async with asyncio.TaskGroup() as tasks:
+            reading = tasks.create_task(has_ended(transport))
+            await asyncio.sleep(0)
+            await transport.aclose()
+        assert reading.result()
+
+    async def test_what_was_sent_before_closing_still_arrives(self, ends: tuple[Transport, Peer]) -> None:
+        transport, peer = ends
+        async with asyncio.TaskGroup() as tasks:
+            reading = tasks.create_task(peer.receive(len(DATA)))
+            await transport.send(DATA)
+            await transport.aclose()
+        assert reading.result() == DATA
+
+    async def test_the_peer_has_a_name(self, ends: tuple[Transport, Peer]) -> None:
+        transport, _ = ends
+        assert transport.address
+        assert transport.peer.startswith(transport.address)
 
 
-async def test_a_reset_is_an_os_error() -> None:
+async def test_a_reset_is_an_os_error_that_says_so() -> None:
     async with tcp() as (transport, peer):
-        assert isinstance(peer, TcpPeer)
-        connection = peer.writer.get_extra_info("socket")
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00")
-        peer.writer.transport.abort()
-        with pytest.raises(OSError, match="reset"):
+        await peer.break_off()
+        with pytest.raises(ConnectionResetError, match="reset"):
             await transport.receive()
 
 
 async def test_the_options_that_a_robot_needs() -> None:
-    async with tcp() as (transport, peer):
-        assert isinstance(peer, TcpPeer)
+    async with tcp() as (transport, _):
         connection = transport._writer.get_extra_info("socket")  # type: ignore[attr-defined]
+        found = {name: connection.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) for name in KEEPALIVE}
+        assert found == KEEPALIVE
         assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
+        assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == USER_TIMEOUT_MS
         assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
         assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) <= 2 * SEND_BUFFER_BYTES  # Linux doubles it
-        assert transport.address == "127.0.0.1"
-        assert transport.peer.startswith("127.0.0.1:")
 
 
-async def test_ipv6_addresses_are_spelled_as_usual() -> None:
+@pytest.mark.parametrize(("host", "prefix"), [("127.0.0.1", "127.0.0.1:"), ("::1", "[::1]:")])
+async def test_addresses_are_spelled_as_usual(host: str, prefix: str) -> None:
     came: asyncio.Queue[Transport] = asyncio.Queue()
-    async with serve_tcp(TcpConfig(host="::1", port=0), came.put_nowait) as listener:
+    async with serve_tcp(TcpConfig(host=host, port=0), came.put_nowait) as listener:
         peer = TcpPeer(*await asyncio.open_connection(*listener.address))
         transport = await came.get()
-        assert transport.address == "::1"
-        assert transport.peer.startswith("[::1]:")
+        assert transport.address == host
+        assert transport.peer == f"{prefix}{peer.writer.get_extra_info('sockname')[1]}"
         await transport.aclose()
         await peer.close()
 
 
 async def test_a_taken_port_says_so() -> None:
     async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), lambda _: None) as listener:
-        with pytest.raises(ConfigError, match="is in use: another host for rosserial runs"):
+        with pytest.raises(ConfigError, match="is in use: another host for rosserial runs; stop it, or choose another"):
             async with serve_tcp(TcpConfig(host="127.0.0.1", port=listener.address[1]), lambda _: None):
                 raise AssertionError("two listeners on one port")
 
 
 @pytest.mark.parametrize(
+    ("config", "text"),
+    [
+        (TcpConfig(port=65536), r"^TCP 0\.0\.0\.0:65536: no such port; they go from 0 \(any free one\) to 65535$"),
+        (
+            TcpConfig(host="192.0.2.1"),
+            r"^TCP 192\.0\.2\.1:11411: cannot be listened on: Cannot assign requested address$",
+        ),
+        (TcpConfig(host="2001:db8::1"), r"^TCP \[2001:db8::1\]:11411: cannot be listened on: "),
+    ],
+)
+async def test_an_address_that_cannot_be_listened_on_says_why(config: TcpConfig, text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        async with serve_tcp(config, lambda _: None):
+            raise AssertionError("it listens")
+
+
+async def test_the_listener_outlives_a_lack_of_descriptors() -> None:
+    loop = asyncio.get_running_loop()
+    is_short = asyncio.Event()
+    loop.set_exception_handler(lambda _loop, _context: is_short.set())
+    came: asyncio.Queue[Transport] = asyncio.Queue()
+    usual = resource.getrlimit(resource.RLIMIT_NOFILE)
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait) as listener:
+        with socket.socket() as device:
+            device.setblocking(False)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (device.fileno() + 1, usual[1]))
+            try:
+                await loop.sock_connect(device, listener.address)
+                await is_short.wait()
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, usual)
+            transport = await came.get()  # asyncio tries again after a second
+            await transport.aclose()
+
+
+@pytest.mark.parametrize(
     ("path", "text"),
-    [("/dev/ttyNONE", "no such port; there are:"), ("/dev/null", "/dev/null: ")],
+    [
+        ("/dev/ttyNONE", r"/dev/ttyNONE: no such port; there are: "),
+        ("/dev/null", r"/dev/null: not a serial port"),
+        ("/dev", r"/dev: not a serial port"),
+    ],
 )
 async def test_a_port_that_cannot_be_opened_says_why(path: str, text: str) -> None:
     with pytest.raises(OSError, match=text):
         await open_serial(SerialConfig(path=path))
+
+
+async def test_an_impossible_baud_rate_says_so() -> None:
+    with pty_pair() as (_, path), pytest.raises(OSError, match=f"{path}: -1 baud: Not a valid baudrate"):
+        await open_serial(SerialConfig(path=path, baud=-1))
 
 
 async def test_a_port_that_another_program_has_says_so() -> None:
@@ -220,3 +390,12 @@ async def test_a_port_that_another_program_has_says_so() -> None:
         with pytest.raises(OSError, match="another program has it open"):
             await open_serial(SerialConfig(path=path))
         await first.aclose()
+
+
+async def test_a_port_that_vanishes_while_writing_leaves_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    async with serial() as (transport, peer):
+        await peer.close()
+        with pytest.raises(OSError, match="Input/output error"):
+            await transport.send(b"to nobody")
+        assert await has_ended(transport)
+    assert caplog.text == ""

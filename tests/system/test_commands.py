@@ -20,7 +20,7 @@ TRIGGER = [
 async def test_topics_echo_pub_and_call() -> None:
     async with serve() as daemon, fake_device(daemon.tcp, LED + TRIGGER) as device, asyncio.TaskGroup() as tasks:
         status, out, _ = await run("topics", "--json", "--url", daemon.url)
-        assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/led"])
+        assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/led", "/rosout"])
 
         listening = tasks.create_task(run("echo", "/led", "--count", "1", "--json", "--url", daemon.url))
         while json.loads((await run("topics", "--json", "--url", daemon.url))[1])[0]["subscribers"] < 2:

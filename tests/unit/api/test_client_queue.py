@@ -8,8 +8,8 @@ from hostlink.api.client_queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULTS, Clie
 
 def drain(queue: ClientQueue) -> list[bytes]:
     taken = []
-    while (data := queue.take()) is not None:
-        taken.append(data)
+    while (outgoing := queue.take()) is not None:
+        taken.append(outgoing.data)
     return taken
 
 

@@ -1,0 +1,54 @@
+"""The binary forms of a rosbridge message: `cbor`, decoded with typed arrays, and `cbor-raw`, bytes as they came."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import cbor2
+import numpy as np
+
+from hostlink.hub.message import Message
+from hostlink.messages.message_type import MessageType
+
+_NS_PER_S = 1_000_000_000
+# RFC 8746, little-endian: what roslibjs knows how to read.
+_TAGS = {
+    "uint16": (69, "<u2"),
+    "uint32": (70, "<u4"),
+    "uint64": (71, "<u8"),
+    "int8": (72, "<i1"),
+    "int16": (77, "<i2"),
+    "int32": (78, "<i4"),
+    "int64": (79, "<i8"),
+    "float32": (85, "<f4"),
+    "float64": (86, "<f8"),
+}
+
+
+def encode_cbor(topic: str, message: Message) -> bytes:
+    """The publish operation with its fields; BadPayload as `Message.decoded`."""
+    fields: Any = message.decoded
+    if message.type is not None:
+        fields = _with_typed_arrays(message.type, message.decoded)
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": fields})
+
+
+def encode_cbor_raw(topic: str, message: Message) -> bytes:
+    """The publish operation with the serialised message: rosserial's payload is ROS 1's."""
+    secs, nsecs = divmod(message.stamp_ns, _NS_PER_S)
+    raw = {"secs": secs, "nsecs": nsecs, "bytes": message.payload}
+    return cbor2.dumps({"op": "publish", "topic": topic, "msg": raw})
+
+
+def _with_typed_arrays(type_: MessageType, fields: Mapping[str, Any]) -> dict[str, Any]:
+    shaped = dict(fields)
+    for field in type_.fields:
+        value, nested = fields[field.name], type_.nested.get(field.type)
+        if nested is not None:
+            is_list = isinstance(value, list)
+            shaped[field.name] = (
+                [_with_typed_arrays(nested, item) for item in value] if is_list else _with_typed_arrays(nested, value)
+            )
+        elif isinstance(value, list) and field.type in _TAGS:
+            tag, layout = _TAGS[field.type]
+            shaped[field.name] = cbor2.CBORTag(tag, np.asarray(value, layout).tobytes())
+    return shaped

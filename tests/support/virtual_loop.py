@@ -1,0 +1,62 @@
+"""Virtual time: when nothing is ready, the clock jumps to the next timer. An hour of waiting takes about a millisecond.
+
+    def test_a_silent_device_is_dropped() -> None:
+        assert run_virtual(link.run()) is LinkEnd.IDLE
+
+For coroutines whose world is in memory (`memory_transport.py`): asking the loop for a socket is a NotImplementedError.
+`loop.time()` is virtual and starts at 0; `time.time()` is not.
+"""
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+class Deadlock(AssertionError):
+    """Every task waits, and no timer will wake one."""
+
+
+def run_virtual(coroutine: Coroutine[Any, Any, Result]) -> Result:
+    """Run to the end in a loop of its own; tasks that are left are cancelled. For plain `def` tests."""
+    with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+        return runner.run(coroutine)
+
+
+class VirtualLoop(asyncio.BaseEventLoop):
+    """An event loop that is its own selector: where others wait for sockets, it moves the clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._selector = self
+        self._clock_resolution = 1e-6  # the usual 1e-9 is lost in rounding after some months
+        self._now_s = 0.0
+
+    def time(self) -> float:
+        """Seconds since the loop was made."""
+        return self._now_s
+
+    def select(self, timeout: float | None) -> list[object]:
+        """Called between two rounds of callbacks; `timeout` is the time to the next timer, None: there is none."""
+        if timeout is None:
+            raise Deadlock(f"deadlock at {self._now_s:g} s: nothing is ready and no timer is set\n{self._waiting()}")
+        self._now_s += timeout
+        return []
+
+    def _waiting(self) -> str:
+        return "\n".join(sorted(f"  {task.get_name()} waits in {_place(task)}" for task in asyncio.all_tasks(self)))
+
+    def _process_events(self, events: list[object]) -> None:
+        """No socket, no event."""
+
+    def _write_to_self(self) -> None:
+        """Nobody waits in `select`, so nobody must be woken."""
+
+
+def _place(task: asyncio.Task[Any]) -> str:
+    stack = task.get_stack()
+    if not stack:
+        return "nothing yet"
+    frame = stack[-1]
+    return f"{frame.f_code.co_qualname}, {frame.f_code.co_filename}:{frame.f_lineno}"
