@@ -38,7 +38,7 @@ void feed(FuzzHal& hal, hostlink::Robot& robot, const uint8_t* bytes, size_t siz
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   FuzzHal hal;
-  hostlink::Robot robot(hal, "/robot_0/", static_cast<hostlink::Retry>(size % 2 == 0 ? 2 : 0));
+  hostlink::Robot robot(hal, "/robot_0/", static_cast<hostlink::Retry>(size % 3));
   robot.setup();
   while (size > 1) {  // each piece: how long to wait, how many bytes
     hal.now_us += data[0] * 1000u;

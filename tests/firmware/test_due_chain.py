@@ -85,3 +85,16 @@ async def test_a_passthrough_that_is_killed_stops_the_robot_and_comes_back(kind:
                     await daemon.read_log("robot.appeared")
                     assert time.monotonic() - began_s < 3.0
                     await drive(daemon, made, 0.3, until_ticks_s=50.0)
+
+
+async def test_a_device_that_restarts_is_driven_again_within_ten_seconds() -> None:
+    """A battery that drops, or a watchdog: neither the passthrough nor the host is told."""
+    async with serve() as daemon:
+        with esp8266.running("esp8266_native", daemon.tcp[1]) as sketch:
+            async with board("native", sketch.uart_port) as made:
+                await daemon.read_log("robot.appeared")
+                await drive(daemon, made, 0.3, until_ticks_s=50.0)
+            began_s = time.monotonic()
+            async with board("native", sketch.uart_port) as made:
+                await drive(daemon, made, 0.3, until_ticks_s=50.0)
+            assert time.monotonic() - began_s < 10.0

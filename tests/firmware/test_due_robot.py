@@ -8,7 +8,7 @@ import pytest
 from hostlink.protocol.control import Parameter, decode_log, decode_parameter_request, encode_parameter
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.sim.drive_train import DriveTrain
-from tests.firmware.due import Robot, robot
+from tests.firmware.due import Retry, Robot, robot
 
 METRES_PER_TICK = 2 * math.pi * 0.045 / 230.4
 PASS_S = 0.002  # the loop is called this often
@@ -257,3 +257,16 @@ def test_it_tells_the_host_why_it_stopped_what_it_refused_and_what_the_link_cost
         track.run(11.0)
         trouble = [text for text in logged(track.frames) if text.startswith("link:")]
         assert trouble == ["link: false starts of frames 3, frames refused 0, not sent 0"]
+
+
+def test_a_line_that_dribbles_does_not_keep_the_paper_s_clause_from_stopping() -> None:
+    """A byte each 8 ms: each ends one wait and begins the next, so that the turn does not end for seconds."""
+    with robot(Retry.PAPER) as firmware:
+        track = Track(firmware)
+        track.run(2.0, velocity(0.3, 0.0))
+        assert firmware.pwm[0] > 0
+        for byte in encode(100, bytes(480))[:80]:
+            firmware.feed(bytes([byte]))
+            track.now_s += 0.008
+            firmware.loop(track.now_s, *track.edges)
+        assert firmware.pwm == (0, 0)

@@ -43,8 +43,8 @@ void Robot::setup() {
 
 uint32_t Robot::loop() {
   const uint32_t wait_ms = node_.spin();
-  if (wait_ms > 0) return wait_ms;
   guard();
+  if (wait_ms > 0) return wait_ms;
   const uint32_t now_us = hal_.micros();
   if (now_us - due_since_us_ < kLoopUs) return 0;
   const uint32_t late_us = now_us - due_since_us_ - kLoopUs;
