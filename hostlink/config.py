@@ -62,6 +62,8 @@ class RobotConfig:
     max_angular_rad_s: float = 4.0
     max_linear_acceleration_m_s2: float | None = None
     max_angular_acceleration_rad_s2: float | None = None
+    max_linear_deceleration_m_s2: float | None = None  # None: a stop is a stop at once
+    max_angular_deceleration_rad_s2: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

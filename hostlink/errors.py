@@ -79,8 +79,13 @@ class BadRequest(HostlinkError):
 
 
 class RobotHeld(HostlinkError):
-    """Somebody with a higher priority drives the robot."""
+    """Somebody with a higher priority drives the robot, or it is locked."""
 
-    def __init__(self, robot: str, holder: str) -> None:
-        super().__init__(f"{robot}: {holder} drives it with a higher priority")
-        self.robot, self.holder = robot, holder
+    def __init__(self, robot: str, holder: str | None, *, lock_reason: str | None = None) -> None:
+        why = (
+            f"{holder} drives it with a higher priority"
+            if lock_reason is None
+            else f"locked: {lock_reason}; POST /api/robots/{robot}/unlock"
+        )
+        super().__init__(f"{robot}: {why}")
+        self.robot, self.holder, self.lock_reason = robot, holder, lock_reason

@@ -3,7 +3,8 @@
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, serial.waiting
 What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1
-Robots           robot.appeared, robot.gone, robot.stopped, robot.unreachable, odometry.unreadable
+Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.unlocked, robot.unreachable,
+                 odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.refused, client.unknown_op
 The daemon       daemon.started, daemon.stopping, daemon.stopped

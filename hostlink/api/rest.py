@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from aiohttp import web
@@ -23,8 +23,10 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.hub import Hub
+from hostlink.hub.robots import LOCK_REASON, MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.robot.velocity import Velocity
 
+Wanted = TypeVar("Wanted")
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 STATUS = {
@@ -46,6 +48,13 @@ class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
 
     linear: float
     angular: float
+    priority: Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)] = PROGRAM_PRIORITY
+
+
+class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """The body of POST lock, which may be empty: why, for the next who wants to drive."""
+
+    reason: str = LOCK_REASON
 
 
 class Rest:
@@ -63,6 +72,9 @@ class Rest:
             web.get(f"{robot}/odometry", self._odometry),
             web.put(f"{robot}/velocity", self._velocity),
             web.post(f"{robot}/stop", self._stop),
+            web.post("/api/stop", self._stop_all),
+            web.post(f"{robot}/lock", self._lock),
+            web.post(f"{robot}/unlock", self._unlock),
             web.post(f"{robot}/odometry/reset", self._reset_odometry),
             web.get("/api/links", self._links),
             web.get("/api/topics", self._topics),
@@ -85,12 +97,9 @@ class Rest:
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._hub.robots.find(request.match_info["name"])
-        try:
-            wanted = msgspec.json.decode(await request.read(), type=VelocityRequest)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise BadRequest(f'the body must be {{"linear": m/s, "angular": rad/s}}: {error}') from error
+        wanted = _read(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
-        limited = self._hub.robots.command(robot, velocity, owner=f"rest {request.remote}")
+        limited = self._hub.robots.command(robot, velocity, owner=f"rest {request.remote}", priority=wanted.priority)
         return reply(
             {
                 "velocity": {"linear_m_s": limited.linear_x_m_s, "angular_rad_s": limited.angular_z_rad_s},
@@ -102,6 +111,22 @@ class Rest:
     async def _stop(self, request: web.Request) -> web.Response:
         robot = self._hub.robots.find(request.match_info["name"])
         self._hub.robots.stop(robot)
+        return reply(robot_view(robot))
+
+    async def _stop_all(self, request: web.Request) -> web.Response:
+        for robot in self._hub.robots.all():
+            self._hub.robots.stop(robot)
+        return await self._robots(request)
+
+    async def _lock(self, request: web.Request) -> web.Response:
+        robot = self._hub.robots.find(request.match_info["name"])
+        wanted = _read(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty')
+        self._hub.robots.lock(robot, wanted.reason)
+        return reply(robot_view(robot))
+
+    async def _unlock(self, request: web.Request) -> web.Response:
+        robot = self._hub.robots.find(request.match_info["name"])
+        self._hub.robots.unlock(robot)
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
@@ -129,6 +154,13 @@ class Rest:
         is_ready = bool(robots) and not missing
         reason = "ready" if is_ready else f"not connected: {', '.join(missing) or 'no robot yet'}"
         return reply({"status": reason}, HTTPStatus.OK if is_ready else HTTPStatus.SERVICE_UNAVAILABLE)
+
+
+def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:
+    try:
+        return msgspec.json.decode(body, type=wanted)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BadRequest(f"the body must be {shape}: {error}") from error
 
 
 def reply(body: dict[str, Any], status: HTTPStatus = HTTPStatus.OK) -> web.Response:

@@ -15,7 +15,7 @@ from hostlink.api.throttle import Throttle
 from hostlink.errors import BadPayload, BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
-from hostlink.hub.robots import PROGRAM_PRIORITY
+from hostlink.hub.robots import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.services import DEFAULT_TIMEOUT_S
 from hostlink.hub.subscriptions import Unsubscribe
 from hostlink.logs import printable
@@ -24,7 +24,6 @@ log = structlog.get_logger()
 
 MAX_SUBSCRIPTIONS = 256
 MAX_CALLS = 32  # of services, under way at once
-MAX_PRIORITY = 100
 _BINARY = {"cbor": encode_cbor, "cbor-raw": encode_cbor_raw}
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client wants `status`
 

@@ -16,6 +16,9 @@ def robot_view(robot: Robot) -> dict[str, Any]:
         "velocity_topic": robot.topics.velocity,
         "odometry_topic": robot.topics.odometry,
         "holder": robot.gate.holder,
+        "priority": robot.gate.priority,
+        "locked": robot.gate.lock_reason is not None,
+        "lock_reason": robot.gate.lock_reason,
         "velocity": {
             "linear_m_s": robot.gate.current.linear_x_m_s,
             "angular_rad_s": robot.gate.current.angular_z_rad_s,

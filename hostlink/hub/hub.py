@@ -14,9 +14,9 @@ from hostlink.config import Config, LinkConfig
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.parameters import find_parameter
-from hostlink.hub.robots import PROGRAM_PRIORITY, Robots
-from hostlink.hub.services import Services
-from hostlink.hub.subscriptions import Topic, TopicGraph
+from hostlink.hub.robots import LOCK_REASON, PROGRAM_PRIORITY, Robots
+from hostlink.hub.services import Provider, Services
+from hostlink.hub.subscriptions import Topic, TopicGraph, resolve
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -122,7 +122,7 @@ class Hub:
                 connected = [robot for robot in self.robots.all() if robot.link is not None]
                 for _ in range(STOP_REPEATS if connected else 0):
                     for robot in connected:
-                        self.robots.stop(robot)
+                        self.robots.halt(robot)
                     await asyncio.sleep(STOP_INTERVAL_S)
                 for link in self.links():
                     link.session.stop()
@@ -174,8 +174,24 @@ class Hub:
         self._devices[link.number].announce(event.topics)
         if claim.robot is not None:
             self.robots.appear(claim.robot.name, claim.robot, link)
+            self._offer_lock(claim.robot.name)
         else:
             self.robots.vanish(link)
+
+    def _offer_lock(self, name: str) -> None:
+        """The emergency stop as services, so that programs and devices can call it."""
+        robot = self.robots.find(name)
+
+        async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
+            self.robots.lock(robot, LOCK_REASON)
+            return {"success": True, "message": f"{name} is locked until {name}/unlock is called"}
+
+        async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
+            self.robots.unlock(robot)
+            return {"success": True, "message": f"{name} may be driven"}
+
+        for service, answer in (("lock", lock), ("unlock", unlock)):
+            self.services.provide(Provider(resolve(f"{name}/{service}"), "std_srvs/Trigger", "hostlink", answer))
 
     def _replace(self, number: int) -> None:
         old = self._devices.get(number)

@@ -11,6 +11,7 @@ from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
 from hostlink.hub.message import Message
 from hostlink.hub.subscriptions import Deliver, Unsubscribe, resolve
 from hostlink.link.link import Link
+from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.directory import RobotTopics
 from hostlink.robot.odometry import OdometryView
@@ -20,9 +21,11 @@ from hostlink.robot.velocity_gate import Limits, VelocityGate
 log = structlog.get_logger()
 
 TICK_S = 0.05  # how late the end of a lease may be noticed
+LOCK_REASON = "emergency stop"  # of whoever does not say
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
-PROGRAM_PRIORITY = 50  # a client of the API that does not say
 DEMO_PRIORITY = 0  # whoever comes is more important
+PROGRAM_PRIORITY = 50  # a client of the API that does not say
+MAX_PRIORITY = 100  # a person at keys or a joystick says 60
 
 
 @dataclass(slots=True)
@@ -121,24 +124,38 @@ class Robots:
             raise DeviceGone(robot.name)
         limited = robot.gate.command(owner, velocity, priority=priority, now_s=_now_s())
         if robot.gate.holder in (owner, None):  # another's idle zero changes nothing, so it is no news for the device
-            self._step(robot, is_news=True)
-        self._wake.set()
+            self._tell(robot)
         return limited
 
     def stop(self, robot: Robot) -> None:
-        """Stop at once, whoever drives."""
+        """Stop, whoever drives, as fast as the robot's decelerations allow."""
         robot.gate.stop(now_s=_now_s())
-        self._step(robot, is_news=True)
-        self._wake.set()
+        self._tell(robot)
+
+    def halt(self, robot: Robot) -> None:
+        """Zero at once, whatever the limits say; for the daemon's own end."""
+        robot.gate.halt()
+        self._tell(robot)
+
+    def lock(self, robot: Robot, reason: str) -> None:
+        """The emergency stop: zero at once, and no command until `unlock`; also while the robot is not connected."""
+        robot.gate.lock(printable(reason))
+        log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
+        self._tell(robot)
+
+    def unlock(self, robot: Robot) -> None:
+        """Let the robot be driven again."""
+        if robot.gate.lock_reason is not None:
+            log.warning("robot.unlocked", robot=robot.name, reason=robot.gate.lock_reason)
+        robot.gate.unlock()
 
     def leave(self, owner: str) -> None:
         """A source of commands is gone: what it drives stops."""
         for robot in self._robots.values():
             if robot.gate.holder == owner:
                 log.info("robot.stopped", robot=robot.name, reason="owner left", owner=owner)
-            robot.gate.release(owner, now_s=_now_s())
-            self._step(robot, is_news=True)
-        self._wake.set()
+                robot.gate.release(owner, now_s=_now_s())
+                self._tell(robot)
 
     async def run(self) -> None:
         """Step every gate that is active; sleep while none is."""
@@ -155,6 +172,10 @@ class Robots:
         topic = resolve(robot.topics.velocity)
         if self._by_velocity_topic.get(topic) is robot:
             del self._by_velocity_topic[topic]
+
+    def _tell(self, robot: Robot) -> None:
+        self._step(robot, is_news=True)
+        self._wake.set()
 
     def _step(self, robot: Robot, *, is_news: bool = False) -> None:
         was_held_by = robot.gate.holder
@@ -186,6 +207,8 @@ class Robots:
             wheel_separation_m=config.wheel_separation_m,
             max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
             max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
+            max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
+            max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
         )
 
 

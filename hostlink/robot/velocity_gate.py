@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hostlink.errors import BadRequest, ConfigError, RobotHeld
 from hostlink.robot.kinematics import DifferentialDrive
@@ -11,6 +12,8 @@ from hostlink.robot.velocity import ZERO, Velocity
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 ZEROS = 3  # a single stop can be lost on a radio
 LONGEST_STEP_S = 0.1  # a step that comes late must not jump
+_ALL_OF_IT = 1 - 1e-9  # whatever rounding says, a way to zero loses speed to its very end, and a step reaches it
+LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot hears its zero again and again: it may have no watchdog of its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,12 +26,16 @@ class Limits:
     wheel_separation_m: float | None = None
     max_linear_acceleration_m_s2: float | None = None
     max_angular_acceleration_rad_s2: float | None = None
+    max_linear_deceleration_m_s2: float | None = None
+    max_angular_deceleration_rad_s2: float | None = None
 
     def __post_init__(self) -> None:
         """A limit below zero would turn velocities around, one that is not finite would let everything pass."""
         for name, limit in dataclasses.asdict(self).items():
             if limit is not None and not (math.isfinite(limit) and limit >= 0):
                 raise ConfigError("limits of a robot", f"{name} must be a finite number, zero or more, not {limit}")
+            if limit == 0 and "deceleration" in name:
+                raise ConfigError("limits of a robot", f"{name} must be above zero: the robot would never stop")
 
     def apply(self, velocity: Velocity) -> Velocity:
         """The same curve, slow enough for every limit."""
@@ -40,13 +47,20 @@ class Limits:
         return velocity if factor >= 1 else velocity.scaled(factor)
 
     def step(self, current: Velocity, target: Velocity, step_s: float) -> Velocity:
-        """From `current` as far towards `target` as the accelerations allow in `step_s`."""
-        change = Velocity(*(there - here for here, there in zip(current, target, strict=True)))
-        fraction = min(
-            _factor(change.linear_m_s, _times(self.max_linear_acceleration_m_s2, step_s)),
-            _factor(change.angular_rad_s, _times(self.max_angular_acceleration_rad_s2, step_s)),
+        """From `current` straight towards `target`, as far as accelerations and decelerations allow in `step_s`."""
+        linear = _reach(
+            current[:3],
+            target[:3],
+            _times(self.max_linear_acceleration_m_s2, step_s),
+            _times(self.max_linear_deceleration_m_s2, step_s),
         )
-        return current.toward(target, fraction)
+        angular = _reach(
+            current[3:],
+            target[3:],
+            _times(self.max_angular_acceleration_rad_s2, step_s),
+            _times(self.max_angular_deceleration_rad_s2, step_s),
+        )
+        return current.toward(target, min(linear, angular))
 
     def _fastest_wheel_m_s(self, velocity: Velocity) -> float:
         if self.wheel_separation_m is None:
@@ -65,6 +79,15 @@ class GateCounts:
     ignored_zeros: int = 0
     expired: int = 0
     stops: int = 0
+    locks: int = 0
+
+
+class _Lease(NamedTuple):
+    """Who drives, how important he is, and until when."""
+
+    owner: str
+    priority: int
+    deadline_s: float
 
 
 class VelocityGate:
@@ -73,58 +96,80 @@ class VelocityGate:
     | state    | event                                          | next     | `step` gives then                      |
     |----------|------------------------------------------------|----------|----------------------------------------|
     | idle     | -                                              | idle     | None: silence                          |
+    | slowing  | -                                              | slowing  | down to zero; after that: stopping     |
     | stopping | -                                              | stopping | zero, ZEROS times; after the last: idle |
     | held     | -                                              | held     | the velocity, on every call            |
     | idle     | zero                                           | stopping | zero, once: nobody wants to drive      |
-    | stopping | zero                                           | stopping | zero                                   |
-    | idle, stopping | command                                  | held     | the velocity; after `restart` zero first |
+    | slowing, stopping | zero                                  | as it is | as without it                          |
+    | idle, slowing, stopping | command                         | held     | the velocity; after `restart` zero first |
     | held     | command of the holder                          | held     | the velocity, for a lease from now     |
     | held     | zero of the holder                             | held     | down to zero, for the lease as it was  |
-    | held     | zero of the holder again, while still slowing  | held     | down to zero, for a lease from now     |
     | held     | zero of another                                | held     | no change: an idle zero is no wish     |
     | held     | command of another, of as high a priority      | held     | the other's, at the same accelerations |
     | held     | command of another, of a lower priority        | held     | no change: RobotHeld for the other     |
-    | held     | lease over, release by the holder              | stopping | zero, at once                          |
+    | held     | lease over, stop, release by the holder        | slowing  | down to zero at the deceleration limit, |
+    |          |                                                |          | at once without one                    |
     | held     | release by another                             | held     | no change                              |
-    | any      | stop, restart                                  | stopping | zero, at once                          |
+    | idle     | stop                                           | stopping | zero                                   |
+    | any      | halt, restart                                  | stopping | zero, at once                          |
+    | any      | lock                                           | locked   | zero at once, ZEROS times, then again  |
+    |          |                                                |          | every LOCKED_ZERO_INTERVAL_S           |
+    | locked   | any but unlock                                 | locked   | the same: RobotHeld for each command   |
+    | locked   | unlock                                         | stopping | the zeros that are left                |
     """
 
     def __init__(self, robot: str, limits: Limits, *, lease_s: float = LEASE_S) -> None:
         self.lease_s = lease_s
         self.current = ZERO
-        self.holder: str | None = None
+        self.lock_reason: str | None = None
         self.counts = GateCounts()
-        self._robot = robot
-        self._limits = limits
+        self._robot, self._limits = robot, limits
+        self._lease: _Lease | None = None
         self._target = ZERO
-        self._priority = 0
-        self._deadline_s = 0.0
-        self._zeros = 0  # that are still to be given before anything else
+        self._zeros = 0
+        self._zero_at_s = self._stepped_at_s = float("-inf")
         self._is_new_device = False
-        self._stepped_at_s = 0.0
+
+    @property
+    def holder(self) -> str | None:
+        """Who drives."""
+        return None if self._lease is None else self._lease.owner
+
+    @property
+    def priority(self) -> int | None:
+        """What another must have to take over."""
+        return None if self._lease is None else self._lease.priority
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the robot is driven, slows down, or may not have heard its stop yet."""
+        return self._lease is not None or self._zeros > 0 or not self.current.is_zero
 
     @property
     def is_active(self) -> bool:
-        """Whether `step` has something to say."""
-        return self.holder is not None or self._zeros > 0
+        """Whether `step` has something to say, now or later."""
+        return self.may_move or self.lock_reason is not None
 
     def command(self, owner: str, velocity: Velocity, *, priority: int, now_s: float) -> Velocity:
         """Drive for the length of a lease; returns the velocity within the limits. BadRequest, RobotHeld."""
+        if self.lock_reason is not None:
+            self.counts.refused += 1
+            raise RobotHeld(self._robot, None, lock_reason=self.lock_reason)
         if not velocity.is_finite:
             self.counts.refused += 1
             raise BadRequest(f"{self._robot}: a velocity must be made of finite numbers")
         self._expire(now_s)
+        lease = self._lease
         if velocity.is_zero and self.holder != owner:
             return self._take_idle_zero()
-        if self.holder is None:
-            self._stepped_at_s = now_s
-        elif self.holder != owner and priority < self._priority:
+        if lease is not None and lease.owner != owner and priority < lease.priority:
             self.counts.refused += 1
-            raise RobotHeld(self._robot, self.holder)
-        is_slowing = self._target.is_zero and not self.current.is_zero
-        if is_slowing or not velocity.is_zero:
-            self._deadline_s = now_s + self.lease_s
-        self.holder, self._priority, self._target = owner, priority, self._limits.apply(velocity)
+            raise RobotHeld(self._robot, lease.owner)
+        if lease is None and self.current.is_zero:
+            self._stepped_at_s = now_s
+        deadline_s = lease.deadline_s if lease is not None and velocity.is_zero else now_s + self.lease_s
+        self._lease = _Lease(owner, priority, deadline_s)
+        self._target = self._limits.apply(velocity)
         self._zeros = int(self._is_new_device)
         self.counts.commands += 1
         self.counts.limited += self._target != velocity
@@ -132,7 +177,7 @@ class VelocityGate:
 
     def _take_idle_zero(self) -> Velocity:
         """A zero of somebody who does not drive: told to a robot that stands, ignored while another drives."""
-        if self.holder is None:
+        if self._lease is None:
             self._zeros = max(self._zeros, 1)
             self.counts.commands += 1
         else:
@@ -143,41 +188,69 @@ class VelocityGate:
         """The owner is gone: if it drives, the robot stops."""
         self._expire(now_s)
         if self.holder == owner:
-            self._stop()
+            self._stop(now_s)
 
     def stop(self, *, now_s: float) -> None:
-        """Anybody may stop a robot, at any time."""
+        """Anybody may stop a robot, at any time; it brakes as hard as its limits allow."""
         self._expire(now_s)
         self.counts.stops += 1
-        self._stop()
+        self._stop(now_s)
+
+    def halt(self) -> None:
+        """Zero at once, whatever the limits say."""
+        self._lease = None
+        self.current = self._target = ZERO
+        self._zeros = ZEROS
 
     def restart(self) -> None:
-        """The device is new: nothing of before holds, and its first velocity is zero whatever comes."""
-        self._stop()
+        """The device is new: nothing of before holds but a lock, and its first velocity is zero whatever comes."""
+        self.halt()
         self._is_new_device = True
+
+    def lock(self, reason: str) -> None:
+        """The emergency stop: halt, and refuse every command until `unlock`."""
+        self.counts.locks += 1
+        self.lock_reason = reason
+        self.halt()
+
+    def unlock(self) -> None:
+        """Commands are taken again; nothing moves before one comes."""
+        self.lock_reason = None
 
     def step(self, now_s: float) -> Velocity | None:
         """The velocity to send now; None: nothing. Call it often while `is_active`, and after every command."""
         self._expire(now_s)
-        step_s = min(max(now_s - self._stepped_at_s, 0.0), LONGEST_STEP_S)
+        step_s = max(now_s - self._stepped_at_s, 0.0)
         self._stepped_at_s = now_s
+        if self._lease is None:  # braking keeps its time even when a step comes late
+            self.current = self._limits.step(self.current, ZERO, step_s)
+            return self._stand(now_s) if self.current.is_zero else self.current
+        if self._zeros > 0:
+            return self._stand(now_s)
+        self.current = self._limits.step(self.current, self._target, min(step_s, LONGEST_STEP_S))
+        return self.current
+
+    def _stand(self, now_s: float) -> Velocity | None:
+        """The zeros that are owed to a robot that stands."""
         if self._zeros > 0:
             self._zeros -= 1
             self._is_new_device = False
-            return ZERO
-        if self.holder is None:
+        elif self.lock_reason is None or now_s < self._zero_at_s + LOCKED_ZERO_INTERVAL_S:
             return None
-        self.current = self._limits.step(self.current, self._target, step_s)
-        return self.current
+        self._zero_at_s = now_s
+        return ZERO
 
     def _expire(self, now_s: float) -> None:
-        if self.holder is not None and now_s >= self._deadline_s:
+        if self._lease is not None and now_s >= self._lease.deadline_s:
             self.counts.expired += 1
-            self._stop()
+            self._stop(self._lease.deadline_s)
 
-    def _stop(self) -> None:
-        self.holder = None
-        self.current = self._target = ZERO
+    def _stop(self, at_s: float) -> None:
+        if self._lease is not None:
+            self._stepped_at_s = max(self._stepped_at_s, at_s)
+        self._lease = None
+        self.current = self._limits.step(self.current, ZERO, 0.0)  # zero, unless a deceleration is to be kept
+        self._target = ZERO
         self._zeros = ZEROS
 
 
@@ -186,5 +259,26 @@ def _factor(value: float, limit: float | None) -> float:
     return 1.0 if limit is None or value <= limit else limit / value
 
 
-def _times(rate: float | None, seconds: float) -> float | None:
-    return None if rate is None else rate * seconds
+def _times(rate: float | None, seconds: float) -> float:
+    return math.inf if rate is None else rate * seconds
+
+
+def _reach(here: tuple[float, ...], there: tuple[float, ...], faster: float, slower: float) -> float:
+    """What fraction of the way from one velocity to another a step may make, 1 at the most.
+
+    `faster` and `slower` are how much speed the step may gain or lose. The way is a straight line: it loses speed as
+    far as the point that is nearest to zero, and gains it from there.
+    """
+    if here == there:
+        return 1.0
+    largest = max(map(abs, (*here, *there)))  # in units of it no product of large or small numbers is lost
+    way = [end / largest - begin / largest for begin, end in zip(here, there, strict=True)]
+    length = math.hypot(*way)
+    losing = -sum(begin / largest * (step / length) for begin, step in zip(here, way, strict=True))
+    losing = length if losing > length * _ALL_OF_IT else max(losing, 0.0)
+    may_lose, may_gain = slower / largest, faster / largest
+    if losing > 0 and losing >= may_lose:
+        made = may_lose
+    else:
+        made = losing + may_gain * (1 - losing / may_lose if losing > 0 else 1)
+    return 1.0 if made > length * _ALL_OF_IT else made / length

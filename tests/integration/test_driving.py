@@ -12,6 +12,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
@@ -198,3 +199,106 @@ async def test_the_daemon_stops_every_robot_and_then_silences_it() -> None:
     commands = [frame for frame in frames if frame.topic_id == 100]
     assert len(commands) >= 3
     assert all(frame.payload == bytes(48) for frame in commands[-3:])
+
+
+async def locked(host: Daemon, body: bytes | None = None) -> None:
+    status, robot = await host.rest("POST", "/api/robots/robot_0/lock", body)
+    assert (status, robot["locked"], robot["holder"], robot["priority"]) == (200, True, None, None)
+
+
+async def test_a_lock_is_zero_past_every_ramp_and_refuses_everybody_until_it_is_opened() -> None:
+    config = Config(robots={"robot_0": RobotConfig(max_linear_deceleration_m_s2=0.1)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, "teleop", priority=100)
+        assert await device.velocity() == CURVE
+        await locked(host, b'{"reason": "a hand in the wheel"}')
+        assert await device.velocity_other_than(CURVE) == ZERO
+        with pytest.raises(RobotHeld, match="robot_0: locked: a hand in the wheel; POST /api/robots/robot_0/unlock"):
+            drive(host, "teleop", priority=100)
+        body = b'{"linear": 0.1, "angular": 0, "priority": 100}'
+        status, error = await host.rest("PUT", "/api/robots/robot_0/velocity", body)
+        assert (status, error["error"]["kind"]) == (409, "RobotHeld")
+        assert [await device.velocity() for _ in range(4)] == [ZERO] * 4  # one of them half a second later
+        status, robot = await host.rest("POST", "/api/robots/robot_0/unlock")
+        assert (status, robot["locked"], robot["lock_reason"]) == (200, False, None)
+        drive(host)
+        assert await device.velocity_other_than(ZERO) == CURVE
+
+
+async def test_a_lock_holds_over_a_reconnect() -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await greeted(device)
+            drive(host)
+            await locked(host)
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
+        assert (await host.get("/api/robots/robot_0"))["lock_reason"] == "emergency stop"
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await greeted(device)
+            with pytest.raises(RobotHeld):
+                drive(host)
+            assert await device.velocity() == ZERO
+
+
+async def test_a_robot_that_is_away_can_be_locked() -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await greeted(device)
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
+        await locked(host)
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await greeted(device)
+            with pytest.raises(RobotHeld):
+                drive(host)
+
+
+async def test_the_lock_is_a_service_for_programs() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await greeted(device)
+        drive(host)
+        answer = await program.call("/robot_0/lock")
+        assert answer == {"success": True, "message": "robot_0 is locked until robot_0/unlock is called"}
+        assert await device.velocity_other_than(CURVE) == ZERO
+        assert host.hub.robots.find("robot_0").gate.lock_reason == "emergency stop"
+        assert (await program.call("/robot_0/unlock"))["success"] is True
+        drive(host)
+        assert await device.velocity_other_than(ZERO) == CURVE
+
+
+async def test_everything_stops_at_one_request() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("robot_0")) as first,
+        fake_device(host.tcp, robot_topics("robot_1")) as second,
+    ):
+        for name, device in (("robot_0", first), ("robot_1", second)):
+            await greeted(device)
+            host.hub.robots.command(host.hub.robots.find(name), Velocity(0.2, angular_z_rad_s=0.5), owner="test")
+        status, body = await host.rest("POST", "/api/stop")
+        assert (status, [robot["holder"] for robot in body["robots"]]) == (200, [None, None])
+        assert await first.velocity_other_than(CURVE) == ZERO
+        assert await second.velocity_other_than(CURVE) == ZERO
+
+
+async def test_a_stop_brakes_as_gently_as_is_configured() -> None:
+    config = Config(robots={"robot_0": RobotConfig(max_linear_deceleration_m_s2=1.0)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, velocity=(0.3, 0.0))
+        assert await device.velocity() == (0.3, 0.0)
+        assert (await host.rest("POST", "/api/robots/robot_0/stop"))[0] == 200
+        speeds = [0.3]
+        while speeds[-1] != 0:
+            speeds.append((await device.velocity())[0])
+        assert len(speeds) > 3
+        assert speeds == sorted(speeds, reverse=True)
+        assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
+
+
+async def test_priorities_are_taken_from_rest_and_shown() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0, "priority": 70}')
+        assert (await host.get("/api/robots/robot_0"))["priority"] == 70
+        with pytest.raises(RobotHeld):
+            drive(host, "teleop", priority=60)

@@ -11,7 +11,14 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from hostlink.errors import BadRequest, RobotHeld
 from hostlink.robot.kinematics import DifferentialDrive
 from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import LEASE_S, LONGEST_STEP_S, ZEROS, Limits, VelocityGate
+from hostlink.robot.velocity_gate import (
+    LEASE_S,
+    LOCKED_ZERO_INTERVAL_S,
+    LONGEST_STEP_S,
+    ZEROS,
+    Limits,
+    VelocityGate,
+)
 
 SLACK = 1 + 1e-9  # of a scaled double
 
@@ -28,6 +35,8 @@ limits_of_all = st.builds(
     limits_of_speed,
     max_linear_acceleration_m_s2=bounds,
     max_angular_acceleration_rad_s2=bounds,
+    max_linear_deceleration_m_s2=bounds,
+    max_angular_deceleration_rad_s2=bounds,
 )
 components = st.just(0.0) | st.floats(-3, 3)
 nothing = st.just(0.0)
@@ -78,6 +87,26 @@ def test_any_finite_command_gives_finite_velocities(limits: Limits, asked: Veloc
         assert given_.is_finite
 
 
+def seconds_of(here: tuple[float, ...], there: tuple[float, ...], gain: float | None, loss: float | None) -> float:
+    """How long a straight way between two velocities takes at the least; None: no limit."""
+    way = [end - begin for begin, end in zip(here, there, strict=True)]
+    length = math.hypot(*way)
+    if length < 1e-12:  # less than any rounding
+        return 0.0
+    nearest = -sum(begin * step for begin, step in zip(here, way, strict=True)) / length**2  # to zero; 1: the end
+    losing = min(max(nearest, 0.0), 1.0) * length
+    return share(losing, loss) + share(length - losing, gain)
+
+
+def braked(velocity: Velocity, limits: Limits, seconds: float) -> Velocity:
+    """What is left of a velocity after so much braking: the axis that needs longest leads."""
+    needed_s = max(
+        share(velocity.linear_m_s, limits.max_linear_deceleration_m_s2),
+        share(velocity.angular_rad_s, limits.max_angular_deceleration_rad_s2),
+    )
+    return velocity.scaled(1 - seconds / needed_s) if seconds < needed_s else ZERO
+
+
 class GateHistory(RuleBasedStateMachine):
     """A gate as the hub uses it: a step after each command and in between, now and then late."""
 
@@ -91,10 +120,10 @@ class GateHistory(RuleBasedStateMachine):
         self.holder: str | None = None
         self.priority = 0
         self.wanted = ZERO
-        self.commanded_at_s = self.moved_at_s = -math.inf  # the holder's last command, and its last that is not zero
         self.deadline_s = -math.inf
         self.zeros = 0  # that the gate still owes
-        self.is_new_device = False
+        self.zero_at_s = -math.inf
+        self.is_new_device = self.is_locked = False
 
     # -- what happens -------------------------------------------------------------------------------------------------
 
@@ -106,34 +135,37 @@ class GateHistory(RuleBasedStateMachine):
     @rule(owner=owners, velocity=movements, priority=priorities)
     def somebody_drives(self, owner: str, velocity: Velocity, priority: int) -> None:
         self.notice_the_end()
-        if self.holder not in (None, owner) and priority < self.priority:
+        if self.is_locked or (self.holder not in (None, owner) and priority < self.priority):
             with pytest.raises(RobotHeld) as refusal:
                 self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
-            assert refusal.value.holder == self.holder
+            assert (refusal.value.holder, refusal.value.lock_reason) == (
+                self.holder,
+                "smoke" if self.is_locked else None,
+            )
             return
         limited = self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
         assert limited == self.limits.apply(velocity)
+        if self.holder is None and self.given.is_zero:
+            self.stepped_at_s = self.now_s
         self.holder, self.priority, self.wanted = owner, priority, limited
-        self.commanded_at_s = self.moved_at_s = self.now_s
         self.deadline_s = self.now_s + LEASE_S
         self.zeros = int(self.is_new_device)
         self.step()
 
+    @precondition(lambda self: not self.is_locked)
     @rule(owner=owners, priority=priorities)
     def somebody_sends_zero(self, owner: str, priority: int) -> None:
         self.notice_the_end()
         assert self.gate.command(owner, ZERO, priority=priority, now_s=self.now_s) == ZERO
         if self.holder == owner:
-            if self.wanted.is_zero and not self.given.is_zero:
-                self.deadline_s = self.now_s + LEASE_S
-            self.commanded_at_s, self.priority, self.wanted = self.now_s, priority, ZERO
+            self.priority, self.wanted = priority, ZERO
         elif self.holder is None:
             self.zeros = max(self.zeros, 1)
         self.step()
 
     @rule(owner=owners, velocity=not_finite, priority=priorities)
     def somebody_sends_no_number(self, owner: str, velocity: Velocity, priority: int) -> None:
-        with pytest.raises(BadRequest):
+        with pytest.raises(RobotHeld if self.is_locked else BadRequest):
             self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
         self.step()
 
@@ -142,29 +174,50 @@ class GateHistory(RuleBasedStateMachine):
         self.notice_the_end()
         self.gate.release(owner, now_s=self.now_s)
         if self.holder == owner:
-            self.end()
+            self.end(self.now_s)
         assert self.gate.holder != owner
 
     @rule()
     def somebody_stops_it(self) -> None:
+        self.notice_the_end()
         self.gate.stop(now_s=self.now_s)
-        self.end()
-        assert (self.gate.holder, self.gate.current) == (None, ZERO)
+        self.end(self.now_s)
+        assert self.gate.holder is None
 
     @rule()
     def the_device_restarts(self) -> None:
         self.gate.restart()
-        self.end()
+        self.halt()
         self.is_new_device = True
 
     @rule()
+    def the_daemon_ends(self) -> None:
+        self.gate.halt()
+        self.halt()
+
+    @rule()
+    def somebody_locks_it(self) -> None:
+        self.gate.lock("smoke")
+        self.halt()
+        self.is_locked = True
+
+    @rule()
+    def somebody_unlocks_it(self) -> None:
+        self.gate.unlock()
+        self.is_locked = False
+
+    @rule()
     def silence_falls(self) -> None:
-        self.now_s += LEASE_S
+        self.now_s += 1000.0  # longer than any ramp
         self.notice_the_end()
         owed = self.zeros
         given_ = [self.step() for _ in range(ZEROS + 2)]
-        assert given_ == [ZERO] * owed + [None] * (ZEROS + 2 - owed)
-        assert not self.gate.is_active
+        assert given_[:owed] == [ZERO] * owed
+        if self.is_locked:
+            assert set(given_) <= {ZERO, None}
+        else:
+            assert given_[owed:] == [None] * (ZEROS + 2 - owed)
+        assert not self.gate.may_move
 
     @precondition(lambda self: self.holder is not None)
     @rule()
@@ -180,43 +233,57 @@ class GateHistory(RuleBasedStateMachine):
         given_ = self.gate.step(self.now_s)
         self.stepped_at_s = self.now_s
         assert self.gate.holder == self.holder
-        if self.zeros > 0:
+        assert not self.is_locked or given_ in (ZERO, None)
+        if self.holder is None:
+            self.check_end(before, given_, dt_s)
+        elif self.zeros > 0:
             assert given_ == ZERO
             self.zeros -= 1
             self.is_new_device = False
-        elif self.holder is None:
-            assert given_ is None
         else:
             assert given_ is not None
             self.check_drive(before, given_, min(dt_s, LONGEST_STEP_S))
-            self.given = given_
-        assert self.gate.is_active == (self.holder is not None or self.zeros > 0)
+        self.given = self.gate.current
+        assert self.gate.may_move == (self.holder is not None or self.zeros > 0 or not self.given.is_zero)
+        assert self.gate.is_active == (self.gate.may_move or self.is_locked)
         return given_
 
-    def check_drive(self, before: Velocity, given_: Velocity, dt_s: float) -> None:
-        assert use(given_, self.limits) <= SLACK
-        change = Velocity(*(there - here for here, there in zip(before, given_, strict=True)))
-        rounding = 1e-9  # of metres and radians a second
-        if self.limits.max_linear_acceleration_m_s2 is not None:
-            assert change.linear_m_s <= self.limits.max_linear_acceleration_m_s2 * dt_s + rounding
-        if self.limits.max_angular_acceleration_rad_s2 is not None:
-            assert change.angular_rad_s <= self.limits.max_angular_acceleration_rad_s2 * dt_s + rounding
-        assert self.now_s < self.commanded_at_s + LEASE_S
-        has_ramps = (self.limits.max_linear_acceleration_m_s2, self.limits.max_angular_acceleration_rad_s2) != (
-            None,
-            None,
-        )
-        if has_ramps:
-            assert self.now_s < self.moved_at_s + LEASE_S or self.wanted.is_zero
+    def check_end(self, before: Velocity, given_: Velocity | None, dt_s: float) -> None:
+        """Nobody drives: down to zero as fast as may be, then the zeros that are owed, then silence."""
+        left = braked(before, self.limits, dt_s)
+        assert self.gate.current == pytest.approx(left, abs=1e-6)
+        if not self.gate.current.is_zero:
+            assert given_ == self.gate.current
+        elif self.zeros > 0 or (self.is_locked and self.now_s >= self.zero_at_s + LOCKED_ZERO_INTERVAL_S):
+            assert given_ == ZERO
+            self.zero_at_s = self.now_s
+            self.zeros = max(self.zeros - 1, 0)
+            self.is_new_device = False
         else:
+            assert given_ is None
+
+    def check_drive(self, before: Velocity, given_: Velocity, dt_s: float) -> None:
+        limits = self.limits
+        assert use(given_, limits) <= SLACK
+        gains = (limits.max_linear_acceleration_m_s2, limits.max_angular_acceleration_rad_s2)
+        losses = (limits.max_linear_deceleration_m_s2, limits.max_angular_deceleration_rad_s2)
+        assert seconds_of(before[:3], given_[:3], gains[0], losses[0]) <= dt_s + 1e-6
+        assert seconds_of(before[3:], given_[3:], gains[1], losses[1]) <= dt_s + 1e-6
+        assert self.now_s < self.deadline_s
+        if (*gains, *losses) == (None,) * 4:
             assert given_ == self.wanted
-            assert self.now_s < self.moved_at_s + LEASE_S
 
     def notice_the_end(self) -> None:
         if self.holder is not None and self.now_s >= self.deadline_s:
-            self.end()
+            self.end(self.deadline_s)
 
-    def end(self) -> None:
+    def end(self, at_s: float) -> None:
+        if self.holder is not None:
+            self.stepped_at_s = max(self.stepped_at_s, at_s)
+        self.holder = None
+        self.zeros = ZEROS
+
+    def halt(self) -> None:
         self.holder = None
         self.given, self.zeros = ZERO, ZEROS
 

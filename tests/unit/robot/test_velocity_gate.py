@@ -303,33 +303,161 @@ def test_a_clock_that_goes_back_changes_nothing() -> None:
     assert ours.step(1.0) == pytest.approx(Velocity(0.1))
 
 
-def test_a_take_over_ramps_from_where_the_robot_is() -> None:
-    ours = gate(GENTLE)
-    ours.command("ann", FORWARD, priority=50, now_s=0.0)
-    ours.step(0.1)
-    ours.command("bob", Velocity(-0.3), priority=50, now_s=0.1)
-    assert ours.step(0.1) == pytest.approx(Velocity(0.1))
-    assert ours.step(0.2) == pytest.approx(ZERO)
+# -- decelerations ----------------------------------------------------------------------------------------------------
+
+HEAVY = dataclasses.replace(GENTLE, max_linear_deceleration_m_s2=2.0, max_angular_deceleration_rad_s2=20.0)
 
 
-def test_zeros_of_the_holder_hold_until_the_ramp_has_ended() -> None:
-    ours = VelocityGate("robot_0", dataclasses.replace(GENTLE, max_linear_acceleration_m_s2=0.5))
-    for tenths in range(10):
-        ours.command("ann", FORWARD, priority=50, now_s=tenths / 10)
+def moving(limits: Limits, velocity: Velocity = FORWARD) -> VelocityGate:
+    """`ann` has driven at this velocity for a while, until 1.0 s."""
+    ours = gate(limits)
+    for tenths in range(11):
+        ours.command("ann", velocity, priority=50, now_s=tenths / 10)
         ours.step(tenths / 10)
-    given = []
-    for tenths in range(10, 22):
-        ours.command("ann", ZERO, priority=50, now_s=tenths / 10)
-        given.append(ours.step(tenths / 10))
-    slowing = [Velocity(0.25), Velocity(0.2), Velocity(0.15), Velocity(0.1), Velocity(0.05)]
-    assert given[:5] == [pytest.approx(velocity) for velocity in slowing]
-    assert all(velocity == pytest.approx(ZERO) for velocity in given[5:])
-    assert ours.holder is None
+    assert ours.current == velocity
+    return ours
 
 
-def test_a_stop_does_not_ramp() -> None:
-    ours = gate(GENTLE)
-    ours.command("ann", FORWARD, priority=50, now_s=0.0)
-    ours.step(0.1)
-    ours.stop(now_s=0.1)
+def test_a_take_over_ramps_from_where_the_robot_is() -> None:
+    ours = moving(HEAVY)
+    ours.command("bob", Velocity(-0.3), priority=50, now_s=1.0)
+    given = [ours.step(1.0 + number * 0.1) for number in range(4)]
+    assert given == [
+        FORWARD,
+        pytest.approx(Velocity(0.1)),
+        pytest.approx(Velocity(-0.05)),  # half of the step loses 0.1 m/s, the other half gains 0.05
+        pytest.approx(Velocity(-0.15)),
+    ]
+
+
+def test_without_a_deceleration_limit_speed_is_lost_at_once_and_gained_slowly() -> None:
+    ours = moving(GENTLE)
+    ours.command("ann", Velocity(0.1), priority=50, now_s=1.0)
+    assert ours.step(1.0) == Velocity(0.1)
+    ours.command("ann", Velocity(-0.3), priority=50, now_s=1.1)
+    assert ours.step(1.1) == pytest.approx(Velocity(-0.1))  # all of 0.1 is lost, 0.1 is gained
+    ours.command("ann", ZERO, priority=50, now_s=1.2)
+    assert ours.step(1.2) == ZERO
+
+
+def test_both_axes_slow_down_together_so_that_the_curve_stays() -> None:
+    ours = moving(dataclasses.replace(FREE, max_linear_deceleration_m_s2=1.0), TURN)
+    ours.stop(now_s=1.0)
+    given = outputs(ours, 1.0, 4)
+    assert given == [pytest.approx(TURN.scaled(factor)) for factor in (1.0, 0.75, 0.5, 0.25)]
+    assert outputs(ours, 1.2) == STOPPED
+
+
+@pytest.mark.parametrize("way", ["stop", "release", "expiry"])
+def test_every_end_of_a_lease_slows_down_and_then_tells_zero_three_times(way: str) -> None:
+    ours = moving(HEAVY)
+    end_s = 1.5 if way == "expiry" else 1.2
+    if way == "stop":
+        ours.stop(now_s=end_s)
+    elif way == "release":
+        ours.release("ann", now_s=end_s)
+    assert ours.step(end_s) == FORWARD
+    assert (ours.holder, ours.is_active) == (None, True)
+    assert outputs(ours, end_s + 0.05, 7) == [
+        pytest.approx(Velocity(0.2)),
+        pytest.approx(Velocity(0.1)),
+        *STOPPED,
+    ]
+
+
+def test_a_step_that_comes_late_has_braked_in_time() -> None:
+    """The device's own watchdog has stopped it by then: nothing may set it going again."""
+    ours = moving(HEAVY)
+    assert ours.step(1.7) == ZERO
+
+
+def test_stops_one_after_another_do_not_hold_the_ramp_up() -> None:
+    ours = moving(HEAVY)
+    for number in range(200):
+        ours.stop(now_s=1.0 + number / 1000)
+        given = ours.step(1.0 + number / 1000)
+    assert given == ZERO
+
+
+def test_an_idle_zero_does_not_cut_the_ramp() -> None:
+    ours = moving(HEAVY)
+    ours.stop(now_s=1.0)
+    ours.command("bob", ZERO, priority=100, now_s=1.05)
+    assert ours.step(1.05) == pytest.approx(Velocity(0.2))
+
+
+def test_who_drives_while_it_slows_down_takes_it_from_there() -> None:
+    ours = moving(HEAVY)
+    ours.stop(now_s=1.0)
+    ours.step(1.1)
+    ours.command("bob", FORWARD, priority=0, now_s=1.1)
+    assert ours.step(1.15) == pytest.approx(Velocity(0.15))
+
+
+def test_a_deceleration_of_zero_would_never_stop() -> None:
+    with pytest.raises(ConfigError, match="max_linear_deceleration_m_s2 must be above zero: the robot would never"):
+        Limits(max_linear_deceleration_m_s2=0.0)
+
+
+def test_a_stop_without_a_deceleration_limit_does_not_ramp() -> None:
+    ours = moving(GENTLE)
+    ours.stop(now_s=1.0)
+    assert outputs(ours, 1.0) == STOPPED
+
+
+def test_a_halt_and_a_new_device_bypass_the_ramp() -> None:
+    for end in (VelocityGate.halt, VelocityGate.restart):
+        ours = moving(HEAVY)
+        end(ours)
+        assert ours.current == ZERO
+        assert outputs(ours, 1.0) == STOPPED
+
+
+# -- the lock ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_lock_is_zero_at_once_past_every_ramp_and_then_zero_again_and_again() -> None:
+    ours = moving(HEAVY)
+    ours.lock("smoke")
+    assert (ours.holder, ours.priority, ours.current, ours.lock_reason) == (None, None, ZERO, "smoke")
+    given = outputs(ours, 1.0, 25)  # for 1.25 s
+    assert given == [ZERO] * 3 + [None] * 9 + [ZERO] + [None] * 9 + [ZERO] + [None] * 2
+    assert ours.counts.locks == 1
+
+
+@pytest.mark.parametrize("velocity", [FORWARD, ZERO, Velocity(math.nan)])
+def test_a_locked_robot_refuses_every_command(velocity: Velocity) -> None:
+    ours = held()
+    ours.lock("smoke")
+    for owner in ("ann", "bob"):
+        with pytest.raises(RobotHeld, match="robot_0: locked: smoke; POST /api/robots/robot_0/unlock"):
+            ours.command(owner, velocity, priority=100, now_s=0.1)
     assert ours.step(0.1) == ZERO
+    assert ours.counts.refused == 2
+
+
+def test_only_unlock_opens_a_lock() -> None:
+    ours = held()
+    ours.lock("smoke")
+    ours.stop(now_s=0.1)
+    ours.release("ann", now_s=0.1)
+    ours.halt()
+    ours.restart()
+    assert ours.step(100.0) == ZERO
+    assert ours.lock_reason == "smoke"
+    ours.unlock()
+    outputs(ours, 100.1, 3)
+    assert ours.step(100.3) is None
+    assert ours.command("bob", TURN, priority=0, now_s=100.3) == TURN
+    assert ours.step(100.3) == TURN
+
+
+def test_a_locked_robot_that_has_heard_its_zeros_stands() -> None:
+    ours = held()
+    ours.lock("smoke")
+    outputs(ours, 0.1, 3)
+    assert (ours.may_move, ours.is_active) == (False, True)
+
+
+def test_the_priority_of_the_holder_is_known() -> None:
+    assert held(priority=60).priority == 60
