@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import ipaddress
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -23,21 +24,50 @@ class TcpConfig:
 
     host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
     port: int = 11411  # the port of every rosserial TCP client
+    allow: tuple[str, ...] = ()  # networks that may connect, as "192.168.4.0/24"; none named: everybody
+    max_connections: int = 256  # a fourth of the descriptors that a process usually has
+    max_connections_per_address: int = 64  # a fleet behind one address, as the simulated one
+
+    def __post_init__(self) -> None:
+        for network in self.allow:
+            ipaddress.ip_network(network)  # its ValueError names it
+        if min(self.max_connections, self.max_connections_per_address) < 1:
+            raise ValueError("a bound on connections must be at least 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SerialConfig:
     """One serial port with a device on it."""
 
-    path: str
-    baud: int = 57600  # rosserial's default
+    path: str | None = None  # "/dev/ttyACM0", or a pattern that fits one port: "/dev/serial/by-id/usb-Arduino*"
+    usb_serial: str | None = None  # instead: the serial number of the USB device, whatever its port is called today
+    baud: int | tuple[int, ...] = 57600  # rosserial's default; several are tried in turn until frames come
+    baud_try_s: float = 4.5  # for each of several; the host asks every 2 s, so twice at each
+    on_open: Literal["leave", "reset"] = "leave"  # the board's DTR line: leave it as it is, or reset the board
+
+    def __post_init__(self) -> None:
+        if (self.path is None) == (self.usb_serial is None):
+            raise ValueError("a serial port needs either path or usb_serial")
+        if self.baud == ():
+            raise ValueError("a serial port needs a baud rate")
+
+    @property
+    def name(self) -> str:
+        """What stays when the port is plugged in again; `address` of a robot means this."""
+        return self.usb_serial or self.path or ""
+
+    @property
+    def bauds(self) -> tuple[int, ...]:
+        """The rates to try."""
+        return (self.baud,) if isinstance(self.baud, int) else self.baud
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkConfig:
     """How one live connection is watched and paced."""
 
-    idle_timeout_s: float | None = 11.0  # a device without time answers falls silent after 11 s; None: wait forever
+    silence_timeout_s: float | None = 5.0  # of one that asks for the time, each 2.5 s as all do: two were missed
+    idle_timeout_s: float | None = 11.0  # of one that never asks; without answers a device falls silent after 11 s
     write_timeout_s: float = 5.0  # a socket that takes nothing for two of the device's time requests is dead
     uart_bytes_s: int | None = None  # None: as fast as the socket; 3840 for the paper's robot (38400 baud)
 

@@ -27,6 +27,7 @@ class LinkEnd(Enum):
     IDLE = "idle"
     REPLACED = "replaced"
     REFUSED = "refused"
+    GAVE_WAY = "gave_way"
     STOPPED = "stopped"
     BROKEN = "broken"
     CRASHED = "crashed"
@@ -108,9 +109,8 @@ class Link:
 
     async def _read(self) -> LinkEnd:
         loop = asyncio.get_running_loop()
-        idle_timeout_s = self._config.idle_timeout_s
         try:
-            async with asyncio.timeout(idle_timeout_s) as self._deadline:
+            async with asyncio.timeout(self._silence_limit_s()) as self._deadline:
                 if self._end is not None:
                     return self._end
                 self._tell(self.session.open(now_s=loop.time()))
@@ -120,13 +120,20 @@ class Link:
                     self._trouble.look(self.session, now_s)
                     if self._end is not None:
                         return self._end
-                    if idle_timeout_s is not None:
-                        self._deadline.reschedule(now_s + idle_timeout_s)
+                    limit_s = self._silence_limit_s()
+                    self._deadline.reschedule(None if limit_s is None else now_s + limit_s)
         except TimeoutError:
             return LinkEnd.IDLE
         finally:
             self._deadline = None
         return LinkEnd.PEER_CLOSED
+
+    def _silence_limit_s(self) -> float | None:
+        """How long not a byte may come; shorter for a device that has shown that it asks for the time regularly."""
+        limits = [self._config.idle_timeout_s]
+        if self.session.is_asking_time:
+            limits.append(self._config.silence_timeout_s)
+        return min((limit_s for limit_s in limits if limit_s is not None), default=None)
 
     def _tell(self, found: list[Event]) -> None:
         for event in found:

@@ -3,13 +3,13 @@
 It owns the stream, the topics and the outbox. The Link moves the bytes and tells the time.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from struct import error as StructError  # noqa: N812 - a class, named like one
 
 from hostlink.errors import FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 from hostlink.protocol import events
+from hostlink.protocol.ask_clock import AskClock
 from hostlink.protocol.control import (
     Parameter,
     TopicInfo,
@@ -32,12 +32,8 @@ from hostlink.protocol.outbox import Outbox
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import TopicTable
 
-ASK_INTERVAL_S = 1.0  # PROTOCOL.md: at most one request for topics a second
-ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
 NEGOTIATION_QUIET_S = 0.5  # a device tells its topics without a pause; WiFi may put one in
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
-SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
-MAX_SAME_ASKS = 3  # for one gap or one unknown id; a device that does not mend it never will
 DEFAULT_BUFFER_BYTES = 512  # rosserial's
 
 _KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_CLIENT_PUBLISHER)
@@ -67,7 +63,8 @@ class Session:
     | asking      | `open`, a wish to ask    | at once, then every 2 s without an answer | a TopicInfo                 |
     | negotiating | the first TopicInfo      | no                                        | 0.5 s quiet, another frame |
     | ready       | the end of a negotiation | unknown id, gap or damage (3 times each); | a TopicInfo                 |
-    |             |                          | no time request for 5 s                   |                             |
+    |             |                          | no time request for 5 s, or not a byte    |                             |
+    |             |                          | for 3.5 s from one that asks for the time |                             |
 
     A wish waits until the last request is 1 s old. Messages of known topics are delivered in every state.
     """
@@ -77,17 +74,15 @@ class Session:
         *,
         check: Callable[[TopicInfo], int | None],
         uart_bytes_s: int | None = None,
-        silence_s: float = SILENCE_S,
     ) -> None:
         """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
         self.counts = SessionCounts()
         self._check = check
-        self._silence_s = silence_s
         self._topics = TopicTable()
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._outbox = Outbox(uart_bytes_s=uart_bytes_s)
         self._refused: dict[int, HostlinkError] = {}
-        self._clock = _AskClock()
+        self._clock = AskClock()
         self._known: tuple[TopicInfo, ...] = ()
         self._skipped_tail = b""
         self._is_protocol_1 = False
@@ -116,13 +111,13 @@ class Session:
         if self._topics.is_negotiating and now_s >= self._clock.told_at_s + NEGOTIATION_QUIET_S:
             self._clock.is_negotiation_damaged |= self._stream.pending_bytes > 0
             found.append(self._finish_negotiation())
-        self._clock.tick(now_s, self._silence_s)
+        self._clock.tick(now_s)
         found += self._ask_if_due(now_s)
         return found
 
     def deadline_s(self) -> float:
         """When `tick` must be called next if nothing comes before."""
-        times = [self._clock.deadline_s(self._silence_s)]
+        times = [self._clock.deadline_s()]
         if self._stream.pending_bytes:
             times.append(self._clock.heard_at_s + STALLED_FRAME_S)
         if self._topics.is_negotiating:
@@ -147,6 +142,11 @@ class Session:
     def topics(self) -> tuple[TopicInfo, ...]:
         """The usable endpoints of the last negotiation."""
         return self._known
+
+    @property
+    def is_asking_time(self) -> bool:
+        """Whether the device asks for the time as often as a rosserial client does; its silence then says something."""
+        return self._clock.is_asking_time
 
     @property
     def replaced(self) -> int:
@@ -229,7 +229,7 @@ class Session:
 
     def _take_control(self, frame: Frame, now_s: float) -> Iterator[events.Event]:
         if frame.topic_id == Id.TIME:
-            self._clock.time_requested_at_s = now_s
+            self._clock.take_time_request(now_s)
             self._outbox.put_time()
             yield events.TimeRequested()
         elif frame.topic_id == Id.LOG and (log := decode_log(frame.payload)) is not None:
@@ -309,68 +309,6 @@ class Session:
         if fixed_bytes is not None and len(payload) != fixed_bytes:
             raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
         return _fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
-
-
-class _AskClock:
-    """When the session asks for topics: the wish, its limits and the times that it depends on."""
-
-    def __init__(self) -> None:
-        self.heard_at_s = 0.0
-        self.told_at_s = 0.0
-        self.time_requested_at_s = 0.0
-        self.is_answered = True
-        self.is_negotiation_damaged = False
-        self._asked_at_s = float("-inf")
-        self._wish: str | None = None
-        self._same_asks: Counter[object] = Counter()
-
-    def open(self, now_s: float) -> None:
-        self.heard_at_s = self.time_requested_at_s = now_s
-        self._wish = "connected"
-
-    def wish(self, reason: str, *, about: object) -> None:
-        """Want to ask, unless it was asked for the same cause too often already."""
-        if self._wish is None and self._same_asks[about] < MAX_SAME_ASKS:
-            self._same_asks[about] += 1
-            self._wish = reason
-
-    def forget_same_asks(self) -> None:
-        self._same_asks.clear()
-
-    def finish(self, gap_at: int | None) -> None:
-        """A negotiation ended: earlier wishes are granted, what was lost in it is a new one."""
-        self._wish = None
-        if gap_at is not None:
-            self.wish("gap", about="loss")
-        elif self.is_negotiation_damaged:
-            self.wish("damaged", about="loss")
-        else:
-            self._same_asks.pop("loss", None)
-        self.is_negotiation_damaged = False
-
-    def tick(self, now_s: float, silence_s: float) -> None:
-        if not self.is_answered:
-            if now_s >= self._asked_at_s + ANSWER_TIMEOUT_S:
-                self._wish = self._wish or "no_answer"
-        elif now_s >= self.time_requested_at_s + silence_s:
-            self.time_requested_at_s = now_s
-            self._wish = self._wish or "no_time_requests"
-
-    def take_wish(self, now_s: float) -> str | None:
-        """The reason to ask now; None: nothing to ask, or asked less than a second ago."""
-        if self._wish is None or now_s < self._asked_at_s + ASK_INTERVAL_S:
-            return None
-        reason, self._wish = self._wish, None
-        self._asked_at_s = now_s
-        self.is_answered = False
-        return reason
-
-    def deadline_s(self, silence_s: float) -> float:
-        if self._wish is not None:
-            return self._asked_at_s + ASK_INTERVAL_S
-        if not self.is_answered:
-            return self._asked_at_s + ANSWER_TIMEOUT_S
-        return self.time_requested_at_s + silence_s
 
 
 def _buffer_bytes(info: TopicInfo) -> int:

@@ -26,6 +26,10 @@ def test_every_part_is_read(tmp_path: Path) -> None:
         [[serial]]
         path = "/dev/ttyACM0"
         baud = 38400
+        [[serial]]
+        usb_serial = "7543031303535190A0A1"
+        baud = [57600, 115200]
+        on_open = "reset"
         [link]
         uart_bytes_s = 3840
         [api]
@@ -40,7 +44,12 @@ def test_every_part_is_read(tmp_path: Path) -> None:
     """
     config = load(write(tmp_path, text))
     assert config.tcp.port == 11511
-    assert config.serial == (SerialConfig(path="/dev/ttyACM0", baud=38400),)
+    assert config.serial == (
+        SerialConfig(path="/dev/ttyACM0", baud=38400),
+        SerialConfig(usb_serial="7543031303535190A0A1", baud=(57600, 115200), on_open="reset"),
+    )
+    assert [port.name for port in config.serial] == ["/dev/ttyACM0", "7543031303535190A0A1"]
+    assert [port.bauds for port in config.serial] == [(38400,), (57600, 115200)]
     assert config.link.uart_bytes_s == 3840
     assert config.api.port == 9191
     assert config.robots == {
@@ -55,9 +64,16 @@ def test_every_part_is_read(tmp_path: Path) -> None:
     [
         ("[tpc]\nport = 1", "unknown key tpc; did you mean tcp?"),
         ("[robots.a]\nmax_whel_m_s = 1.0", "unknown key robots.a.max_whel_m_s; did you mean max_wheel_m_s?"),
-        ("[[serial]]\npath = 'x'\nspeed = 3", "unknown key serial.0.speed; known: baud, path"),
+        (
+            "[[serial]]\npath = 'x'\nspeed = 3",
+            "unknown key serial.0.speed; known: baud, baud_try_s, on_open, path, usb_serial",
+        ),
         ("[tcp]\nport = 'x'", "Expected `int`, got `str` - at `$.tcp.port`"),
-        ("[[serial]]\nbaud = 3", "Object missing required field `path` - at `$.serial[0]`"),
+        ("[[serial]]\nbaud = 3", "a serial port needs either path or usb_serial - at `$.serial[0]`"),
+        ("[[serial]]\npath = 'x'\nbaud = []", "a serial port needs a baud rate - at `$.serial[0]`"),
+        ("[[serial]]\npath = 'x'\non_open = 'jump'", "Invalid enum value 'jump' - at `$.serial[0].on_open`"),
+        ("[tcp]\nallow = ['192.168.4.2/24']", "192.168.4.2/24 has host bits set - at `$.tcp`"),
+        ("[tcp]\nmax_connections = 0", "a bound on connections must be at least 1 - at `$.tcp`"),
         ("x = [", "is not TOML: Invalid value (at end of document)"),
     ],
 )
