@@ -139,7 +139,7 @@ class Rest:
         return reply({"reset": robot.topics.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
-        return reply({"links": link_views(self._hub), "crashes": self._hub.crashes})
+        return reply({"links": link_views(self._hub), "crashes": self._hub.crashes, "refused": self._hub.refused})
 
     async def _topics(self, _: web.Request) -> web.Response:
         return reply({"topics": topic_views(self._hub)})

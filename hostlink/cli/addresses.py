@@ -15,8 +15,9 @@ def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
 
 
 def parse_serial(text: str) -> SerialConfig:
-    """`/dev/ttyACM0` or `/dev/ttyACM0@57600`."""
-    path, at, baud = text.partition("@")
-    if not path or (at and not (baud.isdecimal() and int(baud))):
+    """`/dev/ttyACM0`, `/dev/ttyACM0@57600`, or with rates to try `/dev/ttyACM0@57600,115200`."""
+    path, at, rates = text.partition("@")
+    bauds = rates.split(",") if at else []
+    if not path or not all(baud.isdecimal() and int(baud) for baud in bauds):
         raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
-    return SerialConfig(path=path, baud=int(baud)) if at else SerialConfig(path=path)
+    return SerialConfig(path=path, baud=tuple(map(int, bauds))) if at else SerialConfig(path=path)

@@ -14,16 +14,16 @@ import typer
 from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.addresses import parse_address, parse_serial
-from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig, load
+from hostlink.config import ApiConfig, Config, load
 from hostlink.errors import ConfigError
+from hostlink.hub.door import Door
 from hostlink.hub.hub import Hub
+from hostlink.hub.serial_port import serve_serial
 from hostlink.messages.catalog import Catalog
-from hostlink.transport.serial import open_serial
 from hostlink.transport.tcp import serve_tcp
 
 log = structlog.get_logger()
 
-SERIAL_RETRY_S = 1.0  # a port that vanished is looked for this often
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -41,7 +41,8 @@ async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
     hub = Hub(config, Catalog(config.message_folders))
     try:
         async with asyncio.TaskGroup() as tasks, _hub_running(hub, tasks), serve_api(config.api, hub) as api:
-            async with serve_tcp(config.tcp, hub.connect) as listener, _serial_ports(hub, config, tasks):
+            door = Door(hub, config.tcp)
+            async with serve_tcp(config.tcp, door.enter) as listener, _serial_ports(hub, config, tasks):
                 log.info("daemon.started", tcp="{}:{}".format(*listener.address), api=api)
                 yield hub, Addresses(listener.address, api)
                 log.info("daemon.stopping")
@@ -63,29 +64,12 @@ async def _hub_running(hub: Hub, tasks: asyncio.TaskGroup) -> AsyncIterator[None
 
 @contextlib.asynccontextmanager
 async def _serial_ports(hub: Hub, config: Config, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
-    ports = [tasks.create_task(_serve_serial(hub, port), name=port.path) for port in config.serial]
+    ports = [tasks.create_task(serve_serial(hub, port), name=port.name) for port in config.serial]
     try:
         yield
     finally:
         for port in ports:
             port.cancel()
-
-
-async def _serve_serial(hub: Hub, config: SerialConfig) -> None:
-    """Serve one serial port as long as the daemon runs, also when it vanishes and comes back."""
-    said = ""
-    link_config = dataclasses.replace(hub.config.link, idle_timeout_s=None)  # opening a port again resets a Due
-    while True:
-        try:
-            transport = await open_serial(config)
-        except OSError as error:
-            if str(error) != said:
-                said = str(error)
-                log.warning("serial.waiting", port=config.path, reason=said)
-        else:
-            said = ""
-            await hub.serve(transport, link_config)
-        await asyncio.sleep(SERIAL_RETRY_S)
 
 
 @contextlib.contextmanager
@@ -144,7 +128,7 @@ def merge(
     """The configuration with the flags over it."""
     if listen is not None:
         host, port = parse_address("--listen", listen, config.tcp.host)
-        config = dataclasses.replace(config, tcp=TcpConfig(host=host, port=port))
+        config = dataclasses.replace(config, tcp=dataclasses.replace(config.tcp, host=host, port=port))
     if api is not None:
         host, port = parse_address("--api", api, config.api.host)
         config = dataclasses.replace(config, api=ApiConfig(host=host, port=port))

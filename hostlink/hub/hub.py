@@ -4,7 +4,8 @@ import asyncio
 import contextlib
 import itertools
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import structlog
@@ -47,8 +48,9 @@ class Hub:
         self.topics = TopicGraph(catalog)
         self.services = Services(catalog)
         self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
-        self.is_running = asyncio.Event()  # once set, devices may `connect`
+        self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.crashes = 0
+        self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause
         self.parameters = dict(config.parameters)  # what devices ask for; clients may change it
         self._rosout = self.topics.advertise("/rosout", "hostlink", type_name="rosgraph_msgs/Log")
         self.config = config
@@ -75,19 +77,19 @@ class Hub:
     # -- links --------------------------------------------------------------------------------------------------------
 
     async def run(self) -> None:
-        """Serve until cancelled; the parent of every link that `connect` begins."""
+        """Serve until cancelled; the parent of whatever is spawned."""
         async with asyncio.TaskGroup() as self._tasks:
             self.is_running.set()
             await self.robots.run()
 
-    def connect(self, transport: Transport) -> None:
-        """A device came: serve it in a task of its own."""
+    def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
+        """Run something for a device as long as it takes, at most as long as the hub."""
         if self._tasks is None:
             raise RuntimeError("the hub does not run yet")
-        self._tasks.create_task(self.serve(transport), name=f"link to {transport.peer}")
+        self._tasks.create_task(work, name=name)
 
-    async def serve(self, transport: Transport, link_config: LinkConfig | None = None) -> LinkEnd:
-        """Serve one connection from open to its end."""
+    def open(self, transport: Transport, link_config: LinkConfig | None = None) -> Link:
+        """A link for one connection, to be served from now on."""
         config = self.config.link if link_config is None else link_config
         session = Session(
             check=lambda info: check_type(self.catalog, info),
@@ -95,6 +97,10 @@ class Hub:
         )
         link = Link(transport, session, config, number=next(self._numbers), on_event=self._react)
         self._devices[link.number] = Device(link, self.topics, self.services, self.catalog)
+        return link
+
+    async def serve(self, link: Link) -> LinkEnd:
+        """Serve an opened link to its end."""
         end = LinkEnd.STOPPED
         with bound_contextvars(link=link.number, peer=printable(link.peer)):
             log.info("link.opened")
@@ -233,8 +239,7 @@ class Hub:
             log.warning("service.late", service=printable(event.service.name))
 
     def _serve_device(self, link: Link, event: events.ServiceRequested) -> None:
-        assert self._tasks is not None  # noqa: S101 - links are its children
-        self._tasks.create_task(self._answer_device(link, event), name=f"service call of link {link.number}")
+        self.spawn(self._answer_device(link, event), name=f"service call of link {link.number}")
 
     async def _answer_device(self, link: Link, event: events.ServiceRequested) -> None:
         try:

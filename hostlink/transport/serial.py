@@ -1,20 +1,22 @@
-"""Devices on serial ports: pyserial opens them, pyserial-asyncio moves the bytes."""
+"""Devices on serial ports: pyserial opens them, in a thread (a driver may block); pyserial-asyncio moves the bytes."""
 
 import asyncio
 import contextlib
 import errno
 import os
 import termios
-from pathlib import Path
+from typing import Protocol
 
 import serial
 import serial_asyncio
 
 from hostlink.config import SerialConfig
-from hostlink.transport.base import READ_BYTES, Transport
+from hostlink.transport.base import READ_BYTES
+from hostlink.transport.ports import find_port
 from hostlink.transport.stream import StreamTransport
 
-BY_ID = Path("/dev/serial/by-id")
+DTR_PULSE_S = 0.1  # the boards' capacitor needs a tenth of it
+_CFLAG = 2  # its place in what tcgetattr gives
 LEAVE_CHECK_S = 0.01  # 10 ms are 58 bytes at 57600 baud
 _ADVICE = {
     errno.EACCES: "no permission: add this user to the group dialout, then log in again",
@@ -25,29 +27,91 @@ _ADVICE = {
 }
 
 
-async def open_serial(config: SerialConfig) -> Transport:
-    """Open the port, for this program alone; an OSError says what to do."""
+async def open_serial(config: SerialConfig) -> "SerialTransport":
+    """Find the port and open it, for this program alone; an OSError says what to do."""
+    loop = asyncio.get_running_loop()
+    opening = loop.run_in_executor(None, _open, config)
     try:
-        port = _Port(serial.Serial(config.path, baudrate=config.baud, exclusive=True))
-    except (OSError, termios.error) as error:  # pyserial lets the second through
-        number = _error_number(error)
-        raise OSError(number or errno.EIO, f"{config.path}: {_explain(number, error)}") from error
-    except (ValueError, OverflowError) as error:
-        raise OSError(errno.EINVAL, f"{config.path}: {config.baud} baud: {error}") from error
+        port, path = await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_close_opened)
+        raise
+    try:
+        if config.on_open == "reset":
+            await pulse(port)
+        return await _streams(port, path, config.name)
+    except BaseException:
+        port.close()
+        raise
+
+
+async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
     loop = asyncio.get_running_loop()
     reader = asyncio.StreamReader(limit=READ_BYTES, loop=loop)
     protocol = asyncio.StreamReaderProtocol(reader, loop=loop)
     transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, port)
     writer = asyncio.StreamWriter(transport, protocol, reader, loop)
-    return SerialTransport(port, reader, writer, config.path)
+    return SerialTransport(port, reader, writer, peer=path, address=address)
+
+
+def _open(config: SerialConfig) -> tuple["_Port", str]:
+    path = find_port(config)
+    try:
+        port = serial.Serial(path, baudrate=config.bauds[0], exclusive=True)
+        _keep_dtr(port.fileno())
+    except (OSError, termios.error) as error:  # pyserial lets the second through
+        number = _error_number(error)
+        raise OSError(number or errno.EIO, f"{path}: {_explain(number, error)}") from error
+    except (ValueError, OverflowError) as error:
+        raise OSError(errno.EINVAL, f"{path}: {config.bauds[0]} baud: {error}") from error
+    return _Port(port), path
+
+
+def _close_opened(opening: "asyncio.Future[tuple[_Port, str]]") -> None:
+    """Nobody waits for the port any more that a thread has opened."""
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result()[0].close()
+
+
+def _keep_dtr(descriptor: int) -> None:
+    """Closing the port leaves its DTR line on, so that opening it the next time is no reset."""
+    settings = termios.tcgetattr(descriptor)
+    settings[_CFLAG] &= ~termios.HUPCL
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+
+
+class DtrLine(Protocol):
+    """Of a port, the line that resets its board."""
+
+    def set_dtr(self, *, is_on: bool) -> None: ...
+
+
+async def pulse(port: DtrLine) -> None:
+    """Let DTR go and take it again: the reset of most boards. A port without that line has nothing to reset."""
+    with contextlib.suppress(OSError):
+        port.set_dtr(is_on=False)
+        await asyncio.sleep(DTR_PULSE_S)
+        port.set_dtr(is_on=True)
 
 
 class SerialTransport(StreamTransport):
     """A stream over a `_Port`, which knows what the stream does not: why a write failed, what has not left yet."""
 
-    def __init__(self, port: "_Port", reader: asyncio.StreamReader, writer: asyncio.StreamWriter, path: str) -> None:
-        super().__init__(reader, writer, peer=path, address=path)
+    def __init__(
+        self,
+        port: "_Port",
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        *,
+        peer: str,
+        address: str,
+    ) -> None:
+        super().__init__(reader, writer, peer=peer, address=address)
         self._port = port
+
+    def set_baud(self, baud: int) -> None:
+        """Go on at another rate; the port stays open, because opening one again may reset its board."""
+        self._port.set_baud(baud)
 
     async def send(self, data: bytes) -> None:
         """Returns when the kernel has it."""
@@ -83,6 +147,15 @@ class _Port:
 
     def fileno(self) -> int:
         return int(self._port.fileno())
+
+    def set_baud(self, baud: int) -> None:
+        try:
+            self._port.baudrate = baud
+        except termios.error as error:  # it is no OSError
+            raise OSError(*error.args) from error
+
+    def set_dtr(self, *, is_on: bool) -> None:
+        self._port.dtr = is_on
 
     def waiting_bytes(self) -> int:
         """What the kernel has not given to the device yet."""
@@ -127,9 +200,4 @@ def _error_number(error: Exception) -> int | None:
 
 
 def _explain(number: int | None, error: Exception) -> str:
-    if number is None:
-        return str(error)
-    if number == errno.ENOENT:
-        known = sorted(str(path) for path in BY_ID.glob("*"))
-        return f"no such port; there are: {', '.join(known) or 'none'}"
-    return _ADVICE.get(number, os.strerror(number))
+    return str(error) if number is None else _ADVICE.get(number, os.strerror(number))

@@ -1,0 +1,60 @@
+"""Admission: which connections over TCP may be there at once. Nobody takes a robot's place by connecting often."""
+
+import ipaddress
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hostlink.config import TcpConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Guest:
+    """One connection that is served."""
+
+    number: int
+    address: str
+    has_told_topics: bool  # as every device does within a second; whoever did is never sent away for another
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a connection may stay: why not, or who must go for it."""
+
+    refusal: str | None = None
+    gives_way: int | None = None
+
+
+class Admission:
+    """
+    | a connection comes                | what happens                                                             |
+    |-----------------------------------|--------------------------------------------------------------------------|
+    | from outside the allowed networks | refused: not_allowed                                                     |
+    | over the bound of its address     | refused: too_many_of_address                                             |
+    | over the bound of all             | of those that told no topics, the oldest of the address that has most of |
+    |                                   | them gives way; without any it is refused: too_many                      |
+    """
+
+    def __init__(self, config: TcpConfig) -> None:
+        self._config = config
+        self._allowed = [ipaddress.ip_network(network) for network in config.allow]
+
+    def judge(self, address: str, guests: Sequence[Guest]) -> Verdict:
+        """`guests`: those that are there, oldest first."""
+        if self._allowed and not is_within(address, self._allowed):
+            return Verdict(refusal="not_allowed")
+        if sum(guest.address == address for guest in guests) >= self._config.max_connections_per_address:
+            return Verdict(refusal="too_many_of_address")
+        if len(guests) < self._config.max_connections:
+            return Verdict()
+        strangers = [guest for guest in guests if not guest.has_told_topics]
+        if not strangers:
+            return Verdict(refusal="too_many")
+        counts = Counter(guest.address for guest in strangers)
+        return Verdict(gives_way=max(strangers, key=lambda guest: counts[guest.address]).number)  # the first of equals
+
+
+def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress.IPv6Network]) -> bool:
+    """Whether one of the networks has the address."""
+    found = ipaddress.ip_address(address)
+    return any(found in network for network in networks)

@@ -1,0 +1,63 @@
+"""Door: the TCP listener's side of the hub. It lets connections in or not, as Admission says, and counts those."""
+
+import asyncio
+from collections import Counter
+
+import structlog
+
+from hostlink.config import TcpConfig
+from hostlink.hub.admission import Admission, Guest
+from hostlink.hub.hub import Hub
+from hostlink.link.link import Link, LinkEnd
+from hostlink.logs import printable
+from hostlink.transport.base import Transport
+
+log = structlog.get_logger()
+
+TELL_INTERVAL_S = 10.0  # whoever is refused comes again at once
+
+
+class Door:
+    """Owns the connections that came over TCP."""
+
+    def __init__(self, hub: Hub, config: TcpConfig) -> None:
+        self._hub = hub
+        self._admission = Admission(config)
+        self._links: dict[int, Link] = {}  # oldest first
+        self._tell_at_s = float("-inf")
+        self._untold: Counter[str] = Counter()
+
+    def enter(self, transport: Transport) -> None:
+        """A device has connected."""
+        guests = [
+            Guest(link.number, link.address, has_told_topics=link.session.counts.negotiations > 0)
+            for link in self._links.values()
+        ]
+        verdict = self._admission.judge(transport.address, guests)
+        if verdict.refusal is not None:
+            self._count(verdict.refusal, transport.peer)
+            self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")
+            return
+        if verdict.gives_way is not None:
+            leaving = self._links.pop(verdict.gives_way)
+            self._count(LinkEnd.GAVE_WAY.value, leaving.peer)
+            leaving.end(LinkEnd.GAVE_WAY)
+        link = self._hub.open(transport)
+        self._links[link.number] = link
+        self._hub.spawn(self._serve(link), name=f"link to {transport.peer}")
+
+    async def _serve(self, link: Link) -> None:
+        try:
+            await self._hub.serve(link)
+        finally:
+            self._links.pop(link.number, None)
+
+    def _count(self, cause: str, peer: str) -> None:
+        """Count it; tell the first, then at most one in TELL_INTERVAL_S, with what came since."""
+        self._hub.refused[cause] += 1
+        self._untold[cause] += 1
+        now_s = asyncio.get_running_loop().time()
+        if now_s >= self._tell_at_s:
+            self._tell_at_s = now_s + TELL_INTERVAL_S
+            log.warning("connection.refused", cause=cause, peer=printable(peer), **self._untold)
+            self._untold.clear()

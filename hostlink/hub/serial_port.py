@@ -1,0 +1,54 @@
+"""A serial port's side of the hub: opened, served, and found again when it has vanished, as long as the daemon runs."""
+
+import asyncio
+import dataclasses
+import itertools
+
+import structlog
+
+from hostlink.config import SerialConfig
+from hostlink.hub.hub import Hub
+from hostlink.link.link import Link
+from hostlink.transport.serial import SerialTransport, open_serial
+
+log = structlog.get_logger()
+
+RETRY_S = 1.0  # a port that vanished is looked for this often
+
+
+async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
+    """Serve until cancelled."""
+    said = ""
+    link_config = dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None)
+    while True:  # silence ends no link here: a port says by itself when it is gone, and opening one may reset a board
+        try:
+            transport = await open_serial(config)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            if reason != said:
+                said = reason
+                log.warning("serial.waiting", port=config.name, reason=reason)
+        else:
+            said = ""
+            link = hub.open(transport, link_config)
+            async with asyncio.TaskGroup() as tasks:
+                trying = tasks.create_task(_try_bauds(transport, link, config), name=f"baud rate of {config.name}")
+                await hub.serve(link)
+                trying.cancel()
+        await asyncio.sleep(retry_s)
+
+
+async def _try_bauds(transport: SerialTransport, link: Link, config: SerialConfig) -> None:
+    """One rate after the other, until a frame has come whole."""
+    if len(config.bauds) == 1:
+        return
+    for baud in itertools.cycle(config.bauds):
+        log.debug("serial.baud_tried", port=config.name, baud=baud)
+        try:
+            transport.set_baud(baud)
+        except OSError:  # the port has vanished; the link finds that by itself
+            return
+        await asyncio.sleep(config.baud_try_s)
+        if link.session.counts.frames_from_device:
+            log.info("serial.baud_found", port=config.name, baud=baud)
+            return

@@ -1,0 +1,74 @@
+"""The port for devices under people who should not be there: robots come in, and are counted in."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, TcpConfig
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.waiting import expect
+
+ROBOT, CROWD = "127.0.0.2", "127.0.0.3"
+
+
+@contextlib.asynccontextmanager
+async def strangers(address: tuple[str, int], count: int, *, local_host: str) -> AsyncIterator[None]:
+    """So many connections that never say a word."""
+    writers = []
+    for _ in range(count):
+        _, writer = await asyncio.open_connection(*address, local_addr=(local_host, 0))
+        writers.append(writer)
+    try:
+        yield
+    finally:
+        for writer in writers:
+            writer.transport.abort()
+
+
+async def test_an_address_that_is_not_allowed_hears_nothing_and_is_counted() -> None:
+    config = Config(tcp=TcpConfig(allow=(f"{ROBOT}/32",)))
+    async with daemon(config) as host:
+        async with fake_device(host.tcp, local_host=CROWD) as stranger:
+            await stranger.closed()
+        async with fake_device(host.tcp, robot_topics(), local_host=ROBOT):
+            links = await host.get("/api/links")
+    assert [link["peer"].split(":")[0] for link in links["links"]] == [ROBOT]
+    assert links["refused"] == {"not_allowed": 1}
+
+
+async def test_a_crowd_that_says_nothing_does_not_keep_a_robot_out() -> None:
+    """Neither one that comes from a single address, nor one from many."""
+    config = Config(tcp=TcpConfig(max_connections=20, max_connections_per_address=15))
+    with capture_logs() as lines:
+        async with daemon(config) as host, strangers(host.tcp, 300, local_host=CROWD):
+            await expect(lambda: host.hub.refused["too_many_of_address"] == 285)
+            async with strangers(host.tcp, 15, local_host="127.0.0.4"):
+                await expect(lambda: host.hub.refused["gave_way"] == 10)
+                async with fake_device(host.tcp, robot_topics(), local_host=ROBOT) as device:
+                    await device.send(pose(1.0))
+                    await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+                    await expect(lambda: len(host.hub.links()) == 20)
+                    assert host.hub.refused == {"too_many_of_address": 285, "gave_way": 11}
+                    assert host.hub.robots.find("robot_0").link is not None
+    told = [line for line in lines if line["event"] == "connection.refused"]
+    assert len(told) == 1  # not one for each
+    assert told[0]["cause"] == "too_many_of_address"
+
+
+async def test_a_device_that_told_its_topics_is_not_sent_away_for_another() -> None:
+    config = Config(tcp=TcpConfig(max_connections=2))
+    async with (
+        daemon(config) as host,
+        fake_device(host.tcp, robot_topics("a")) as first,
+        fake_device(host.tcp, robot_topics("b")) as second,
+    ):
+        async with fake_device(host.tcp, local_host=CROWD) as late:
+            await late.closed()
+        await first.send(pose(1.0))
+        await second.send(pose(1.0))
+        for name in ("/a/odometry", "/b/odometry"):
+            await expect(lambda name=name: host.hub.topics.find(name).messages == 1)
+        assert host.hub.refused == {"too_many": 1}

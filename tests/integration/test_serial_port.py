@@ -1,0 +1,189 @@
+"""A serial port that vanishes, comes back under another name, or talks at a rate that must be found."""
+
+import asyncio
+import contextlib
+import os
+import termios
+import tty
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import SerialConfig
+from hostlink.hub.hub import Hub
+from hostlink.hub.serial_port import serve_serial
+from hostlink.protocol.control import encode_topic_info
+from hostlink.protocol.frame import Id, encode
+from hostlink.transport.ports import choose_by_serial, find_port
+from hostlink.transport.serial import DTR_PULSE_S, open_serial, pulse
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import robot_topics
+from tests.support.pty_pair import pty_pair
+from tests.support.resources import held, open_descriptors
+from tests.support.virtual_loop import run_virtual
+from tests.support.waiting import expect
+
+RETRY_S = 0.01
+ANNOUNCEMENT = (
+    encode(Id.TIME, bytes(8)) + b"".join(encode(i.kind, encode_topic_info(i)) for i in robot_topics())
+) + encode(Id.TIME, bytes(8))
+CFLAG, OUTPUT_SPEED = 2, 5
+
+
+class Board:
+    """A device on a pseudo terminal: answers each request for topics, if the port has the rate that it talks at."""
+
+    def __init__(self, *, baud: int | None = None) -> None:
+        self.descriptor, self._theirs = os.openpty()
+        for end in (self.descriptor, self._theirs):
+            tty.setraw(end, termios.TCSANOW)
+        self.path = os.ttyname(self._theirs)
+        self.speeds_asked: list[int] = []
+        self._speed = None if baud is None else getattr(termios, f"B{baud}")
+        os.set_blocking(self.descriptor, False)
+        asyncio.get_running_loop().add_reader(self.descriptor, self._answer)
+
+    def _answer(self) -> None:
+        with contextlib.suppress(OSError):  # nobody has the other end open
+            if encode(Id.PUBLISHER, b"") in os.read(self.descriptor, 4096):
+                speed = termios.tcgetattr(self.descriptor)[OUTPUT_SPEED]
+                self.speeds_asked.append(speed)
+                os.write(self.descriptor, ANNOUNCEMENT if self._speed in (None, speed) else b"\x00\xf0garbage")
+
+    def unplug(self) -> None:
+        asyncio.get_running_loop().remove_reader(self.descriptor)
+        for end in (self.descriptor, self._theirs):
+            os.close(end)
+
+
+@contextlib.asynccontextmanager
+async def served(config: SerialConfig) -> AsyncIterator[Daemon]:
+    """A daemon with one serial port that is looked for without a pause."""
+    async with daemon() as host, asyncio.TaskGroup() as tasks:
+        port = tasks.create_task(serve_serial(host.hub, config, retry_s=RETRY_S))
+        yield host
+        port.cancel()
+
+
+def is_connected(hub: Hub) -> Callable[[], bool]:
+    return lambda: hub.robots.find("robot_0").link is not None
+
+
+async def test_a_board_that_comes_back_under_another_name_is_found_again(tmp_path: Path) -> None:
+    by_id = tmp_path / "usb-Arduino_7543-if00"
+    with capture_logs() as lines:
+        async with served(SerialConfig(path=str(tmp_path / "usb-Arduino_*"))) as host:
+            await expect(lambda: any(line["event"] == "serial.waiting" for line in lines))
+            for _ in range(3):
+                board = Board()
+                by_id.symlink_to(board.path)
+                await expect(is_connected(host.hub))
+                assert host.hub.links()[0].address == str(tmp_path / "usb-Arduino_*")
+                by_id.unlink()
+                board.unplug()
+                await expect(lambda: not host.hub.links())
+    waiting = next(line["reason"] for line in lines if line["event"] == "serial.waiting")
+    assert "[Errno" not in waiting
+    assert "no such port; there are:" in waiting
+
+
+async def test_the_rates_are_tried_until_frames_come() -> None:
+    board = Board(baud=115200)
+    config = SerialConfig(path=board.path, baud=(57600, 115200), baud_try_s=1.5)  # the second request comes after 2 s
+    with capture_logs() as lines:
+        async with served(config) as host:
+            await expect(is_connected(host.hub))
+            assert [link.number for link in host.hub.links()] == [1]  # the port was opened once
+            await expect(lambda: any(line["event"] == "serial.baud_found" for line in lines))
+    assert board.speeds_asked == [termios.B57600, termios.B115200]
+    assert next(line["baud"] for line in lines if line["event"] == "serial.baud_found") == 115200
+    board.unplug()
+
+
+async def test_a_port_that_vanishes_while_its_rate_is_looked_for_is_waited_for() -> None:
+    board = Board(baud=9600)
+    with capture_logs() as lines:
+        async with served(SerialConfig(path=board.path, baud=(57600, 115200), baud_try_s=0.01)) as host:
+            await expect(lambda: board.speeds_asked)
+            board.unplug()
+            await expect(lambda: any(line["event"] == "serial.waiting" for line in lines))
+            assert host.hub.crashes == 0
+
+
+async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_path: Path) -> None:
+    path = tmp_path / "port"
+    seen = []
+    async with served(SerialConfig(path=str(path))) as host:
+        for turn in range(100):
+            board = Board()
+            path.symlink_to(board.path)
+            await expect(is_connected(host.hub))
+            path.unlink()
+            board.unplug()
+            await expect(lambda: not host.hub.links())
+            if turn >= 10:  # the pool of threads has grown to its size
+                seen.append(held())
+    for counts in zip(*seen, strict=True):
+        assert max(counts) - min(counts) <= 2  # a thread more, a descriptor that is just open
+
+
+@pytest.mark.parametrize("on_open", ["leave", "reset"])
+async def test_closing_a_port_leaves_the_line_on_that_resets_a_board(on_open: Literal["leave", "reset"]) -> None:
+    with pty_pair() as (descriptor, path):
+        transport = await open_serial(SerialConfig(path=path, on_open=on_open))
+        assert not termios.tcgetattr(descriptor)[CFLAG] & termios.HUPCL
+        await transport.send(b"ready")
+        await transport.aclose()
+
+
+class Line:
+    """The DTR line of a port."""
+
+    def __init__(self) -> None:
+        self.states: list[tuple[float, bool]] = []
+
+    def set_dtr(self, *, is_on: bool) -> None:
+        self.states.append((asyncio.get_running_loop().time(), is_on))
+
+
+def test_a_reset_lets_the_line_go_for_a_tenth_of_a_second() -> None:
+    line = Line()
+    run_virtual(pulse(line))
+    assert line.states == [(0.0, False), (DTR_PULSE_S, True)]
+
+
+async def test_an_opening_that_nobody_waits_for_any_more_leaves_no_port_open() -> None:
+    with contextlib.ExitStack() as lines:
+        paths = [lines.enter_context(pty_pair())[1] for _ in range(20)]
+        before = open_descriptors()
+        for turn, path in enumerate(paths):
+            async with asyncio.TaskGroup() as tasks:
+                opening = tasks.create_task(open_serial(SerialConfig(path=path)))
+                for _ in range(turn % 4 + 1):
+                    await asyncio.sleep(0)
+                opening.cancel()
+        await asyncio.get_running_loop().shutdown_default_executor()  # every thread has opened what it was to open
+        await expect(lambda: open_descriptors() <= before)
+
+
+def test_a_pattern_that_fits_two_ports_is_not_guessed(tmp_path: Path) -> None:
+    for name in ("ttyACM0", "ttyACM1"):
+        (tmp_path / name).touch()
+    with pytest.raises(OSError, match=r"ttyACM\*: fits 2 ports: .*ttyACM0, .*ttyACM1; say which"):
+        find_port(SerialConfig(path=str(tmp_path / "ttyACM*")))
+    assert find_port(SerialConfig(path=str(tmp_path / "*1"))) == str(tmp_path / "ttyACM1")
+
+
+def test_a_usb_device_is_known_by_its_serial_number() -> None:
+    found = {"/dev/ttyACM1": "7543", "/dev/ttyACM0": "8000", "/dev/ttyACM2": "7543"}
+    assert choose_by_serial("7543", found) == "/dev/ttyACM1"
+    with pytest.raises(OSError, match=r"^\[Errno 2\] 9999: no USB device .*; there are: 7543 \(/dev/ttyACM1\), 7543"):
+        choose_by_serial("9999", found)
+
+
+def test_a_usb_device_that_is_not_there_says_so() -> None:
+    with pytest.raises(OSError, match="no-such-number: no USB device with this serial number; there are: "):
+        find_port(SerialConfig(usb_serial="no-such-number"))

@@ -1,0 +1,73 @@
+"""Who may connect, and who gives way."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.config import TcpConfig
+from hostlink.hub.admission import Admission, Guest, Verdict
+
+ROBOT, OTHER, CROWD = "192.168.4.2", "192.168.4.3", "10.0.0.1"
+
+
+def guests(*entries: tuple[str, bool]) -> list[Guest]:
+    return [Guest(number, address, has_told_topics=told) for number, (address, told) in enumerate(entries)]
+
+
+@pytest.mark.parametrize(
+    ("allow", "address", "refusal"),
+    [
+        ((), ROBOT, None),
+        (("192.168.4.0/24",), ROBOT, None),
+        (("10.0.0.0/8", "192.168.4.2"), ROBOT, None),
+        (("192.168.4.0/24",), "192.168.5.2", "not_allowed"),
+        (("192.168.4.0/24",), "::1", "not_allowed"),
+        (("fe80::/10",), "fe80::1%eth0", None),
+        (("::/0",), ROBOT, "not_allowed"),
+    ],
+)
+def test_only_the_networks_that_are_named_may_connect(
+    allow: tuple[str, ...], address: str, refusal: str | None
+) -> None:
+    assert Admission(TcpConfig(allow=allow)).judge(address, []) == Verdict(refusal=refusal)
+
+
+def test_one_address_may_have_so_many_connections() -> None:
+    admission = Admission(TcpConfig(max_connections_per_address=2))
+    there = guests((ROBOT, True), (ROBOT, False))
+    assert admission.judge(ROBOT, there) == Verdict(refusal="too_many_of_address")
+    assert admission.judge(OTHER, there) == Verdict()
+
+
+def test_the_oldest_stranger_of_the_address_with_the_most_of_them_gives_way() -> None:
+    admission = Admission(TcpConfig(max_connections=6))
+    there = guests((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
+    assert admission.judge(ROBOT, there) == Verdict(gives_way=2)
+
+
+def test_nobody_who_told_topics_gives_way() -> None:
+    admission = Admission(TcpConfig(max_connections=2))
+    assert admission.judge(CROWD, guests((ROBOT, True), (OTHER, True))) == Verdict(refusal="too_many")
+
+
+@given(st.lists(st.tuples(st.sampled_from([ROBOT, OTHER, CROWD]), st.booleans()), max_size=60))
+def test_whoever_comes_the_bounds_hold_and_robots_stay(arrivals: list[tuple[str, bool]]) -> None:
+    config = TcpConfig(max_connections=5, max_connections_per_address=3)
+    admission = Admission(config)
+    there: list[Guest] = []
+    robots = set()
+    for number, (address, told) in enumerate(arrivals):
+        verdict = admission.judge(address, there)
+        there = [guest for guest in there if guest.number != verdict.gives_way]
+        if verdict.refusal is None:
+            there.append(Guest(number, address, has_told_topics=told))
+            robots |= {number} if told else set()
+        assert len(there) <= config.max_connections
+        assert sum(guest.address == address for guest in there) <= config.max_connections_per_address
+        assert robots <= {guest.number for guest in there}
+
+
+@pytest.mark.parametrize("network", ["192.168.4.2/24", "robots"])
+def test_a_network_that_is_none_is_refused(network: str) -> None:
+    with pytest.raises(ValueError, match=network):
+        TcpConfig(allow=(network,))
