@@ -11,6 +11,7 @@ import structlog
 from hostlink.api.cbor import encode_cbor, encode_cbor_raw
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.client_services import ClientServices
+from hostlink.api.drive import Drive
 from hostlink.api.throttle import Throttle
 from hostlink.errors import BadPayload, BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
@@ -85,6 +86,7 @@ class RosbridgeClient:
             "unadvertise_service": self._unadvertise_service,
             "service_response": self._services_respond,
             "set_level": self._set_level,
+            "drive": Drive(name, hub.robots, queue).receive,
             "auth": _accept,
             "send_action_goal": self._refuse_action,
         }

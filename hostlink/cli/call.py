@@ -24,5 +24,5 @@ def command(
 
 
 async def _call(url: str, service: str, request: dict[str, object], timeout_s: float) -> object:
-    async with connect(url) as host:
+    async with connect(url, reconnect=False) as host:
         return await host.call(service, request, timeout_s=timeout_s)

@@ -24,7 +24,10 @@ def command(
 
 async def _echo(url: str, topic: str, count: int, throttle_ms: int, *, as_json: bool) -> None:
     seen = 0
-    async with connect(url) as host, host.subscribe(topic, throttle_rate_ms=throttle_ms) as messages:
+    async with (
+        connect(url, reconnect=False) as host,
+        host.subscribe(topic, throttle_rate_ms=throttle_ms) as messages,
+    ):
         async for message in messages:
             text = json_text.dumps(message, ensure_ascii=False)
             sys.stdout.write((text if as_json else f"{topic}  {text}") + "\n")

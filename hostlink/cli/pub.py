@@ -10,8 +10,6 @@ from hostlink.cli.arguments import json_object
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import HostlinkError
 
-ANSWER_S = 0.3  # a refusal comes within it, on one machine and on a network
-
 
 def command(
     topic: Annotated[str, typer.Argument(show_default=False)],
@@ -31,7 +29,7 @@ def command(
 
 
 async def _pub(url: str, topic: str, message: dict[str, object], type_name: str, rate_hz: float, count: int) -> None:
-    async with connect(url) as host:
+    async with connect(url, reconnect=False) as host:
         sent = 0
         while not count or sent < count:
             if sent:
@@ -43,7 +41,7 @@ async def _pub(url: str, topic: str, message: dict[str, object], type_name: str,
 
 
 async def _hear_refusal(host: Host, topic: str) -> None:
-    await asyncio.sleep(ANSWER_S)
+    await host.settle()
     refusal = host.take_refusal(topic)
     if refusal:
         raise HostlinkError(refusal)

@@ -5,14 +5,14 @@ import contextlib
 import math
 import os
 import signal
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.keys import Key, KeyReader
 from hostlink.cli.terminal import Terminal, draw, key_terminal
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.client import DEFAULT_URL, Host, RobotState, connect
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
 
 PRIORITY = 60  # a person at the keys comes before a program
@@ -57,12 +57,12 @@ def command(
 
 
 async def _teleop(url: str, name: str | None, driving: Driving, keys: list[str]) -> None:
-    async with connect(url) as host:
+    async with connect(url, reconnect=False) as host:
         found = await _choose(host, name)
     with key_terminal() as terminal, _Keyboard(terminal, driving) as keyboard:
         while not keyboard.is_done:
             try:
-                async with connect(url) as host:
+                async with connect(url, reconnect=False) as host:
                     await _drive(host, found, keyboard, keys)
             except HostlinkError as lost:
                 keyboard.driving.stop()  # what was held when the link went must not move the robot when it is back
@@ -122,7 +122,7 @@ async def _send(host: Host, topic: str, velocity: tuple[float, float]) -> str:
     return refusal
 
 
-def _screen(state: dict[str, Any], driving: Driving, now_s: float, keys: list[str], refusal: str) -> list[str]:
+def _screen(state: RobotState, driving: Driving, now_s: float, keys: list[str], refusal: str) -> list[str]:
     linear_m_s, angular_rad_s = driving.velocity(now_s)
     odometry = state["odometry"]
     lines = [

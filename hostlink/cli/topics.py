@@ -20,7 +20,7 @@ def command(
 
 
 async def _topics(url: str, *, as_json: bool) -> None:
-    async with connect(url) as host:
+    async with connect(url, reconnect=False) as host:
         topics = await host.topics()
     if as_json:
         sys.stdout.write(json_text.dumps(topics) + "\n")

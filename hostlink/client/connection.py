@@ -1,0 +1,224 @@
+"""Connection: the WebSocket to hostlink, made again whenever it is lost. It knows requests and answers, no robots."""
+
+import asyncio
+import contextlib
+import itertools
+import random
+import socket
+import struct
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from typing import Any
+
+import aiohttp
+import msgspec
+from aiohttp import WSMsgType
+
+from hostlink.client.door import REQUEST_TIMEOUT_S, Door
+from hostlink.errors import HostlinkError
+
+PING_INTERVAL_S = 0.2
+SILENCE_S = 0.6  # three pings without an answer; the robot's lease is 0.5 s, so it stands by then
+SECOND_CHANCE_S = 0.25  # for a pong when it was this program that did not run
+LATE_S = 0.1  # a timer that is so late tells of this program, not of the network
+FIRST_WAIT_S = 0.05
+LONGEST_WAIT_S = 1.0
+ATTEMPT_TIMEOUT_S = 1.0
+_NO_LINGER = struct.pack("ii", 1, 0)
+
+Message = dict[str, Any]
+
+
+class Connection:
+    """`run` it, beside whoever uses it.
+
+    | state     | event                               | next      | then                                             |
+    |-----------|-------------------------------------|-----------|--------------------------------------------------|
+    | connected | closed by the other side, an error  | lost      | `on_lost`; who waits for an answer gets an error |
+    | connected | nothing heard for SILENCE_S         | lost      | the same; what was not sent yet is thrown away   |
+    | lost      | a WebSocket is open                 | connected | `on_open`                                        |
+    | lost      | `send`, `ask`                       | lost      | HostlinkError                                    |
+    """
+
+    def __init__(self, door: Door, *, reconnects: bool) -> None:
+        self.is_connected = False
+        self.handlers: dict[str, Callable[[Message], None]] = {}  # by op, for what is no answer to `ask`
+        self.on_open: list[Callable[[], Awaitable[None]]] = []
+        self.on_lost: list[Callable[[HostlinkError], None]] = []
+        self._door = door
+        self._reconnects = reconnects
+        self._socket: aiohttp.ClientWebSocketResponse | None = None
+        self._reason = "not open yet"
+        self._numbers = itertools.count(1)
+        self._answers: dict[str, asyncio.Future[Message | None]] = {}
+
+    async def open(self) -> None:
+        """Connect. HostlinkError when that cannot be done."""
+        self._socket = await self._door.open_socket()
+        self.is_connected = True
+        for restore in self.on_open:
+            await restore()
+
+    async def run(self) -> None:
+        """Read; connect again when the connection is lost. Ends by cancellation, or with the connection if not."""
+        while True:
+            reason = await self._serve()
+            await self._lose(reason)
+            if not self._reconnects:
+                return
+            await self._reopen()
+
+    async def send(self, request: Mapping[str, Any]) -> None:
+        """Send one operation; HostlinkError while there is no connection."""
+        if self._socket is None or not self.is_connected:
+            raise self.lost()
+        try:
+            await self._socket.send_str(msgspec.json.encode(request).decode())
+        except (aiohttp.ClientError, OSError) as error:  # `run` notices it too
+            raise self.lost(str(error)) from error
+
+    async def ask(self, request: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Message:
+        """Send an operation that is answered; HostlinkError when it is refused, or no answer comes."""
+        key = f"{request['op']}:{next(self._numbers)}"
+        waiting: asyncio.Future[Message | None] = asyncio.get_running_loop().create_future()
+        self._answers[key] = waiting
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self.send({**request, "id": key})
+                answer = await waiting
+        except TimeoutError:
+            raise HostlinkError(f"hostlink at {self._door.url} did not answer within {timeout_s:g} s") from None
+        finally:
+            del self._answers[key]
+        if answer is None:
+            raise self.lost()
+        if answer["op"] == "status":
+            raise HostlinkError(str(answer["msg"]))
+        return answer
+
+    async def aclose(self) -> None:
+        """Close it in good order; whatever was sent before arrives before."""
+        if self._socket is not None and self.is_connected:
+            self.is_connected = False
+            await self._socket.close()
+
+    def lost(self, reason: str = "") -> HostlinkError:
+        """The error of everything that needs the connection while there is none."""
+        what_next = "; it is made again by itself" if self._reconnects else ""
+        cause = reason or self._reason
+        return HostlinkError(f"the connection to hostlink at {self._door.url} is lost: {cause}{what_next}")
+
+    # -- reading ------------------------------------------------------------------------------------------------------
+
+    async def _serve(self) -> str:
+        """Read until the connection is lost; returns why."""
+        assert self._socket is not None  # noqa: S101 - `open` came before
+        async with asyncio.TaskGroup() as tasks:
+            pings = tasks.create_task(self._ping(self._socket), name="pings")
+            try:
+                return await self._read(self._socket)
+            finally:
+                pings.cancel()
+
+    async def _ping(self, socket_: aiohttp.ClientWebSocketResponse) -> None:
+        with contextlib.suppress(aiohttp.ClientError, OSError):  # the reader notices it too
+            while True:
+                await socket_.ping()
+                await asyncio.sleep(PING_INTERVAL_S)
+
+    async def _read(self, socket_: aiohttp.ClientWebSocketResponse) -> str:
+        while True:
+            try:
+                message = await _receive(socket_)
+            except TimeoutError:
+                return f"nothing was heard from it for {SILENCE_S:g} s"
+            except (aiohttp.ClientError, OSError) as error:
+                return str(error)
+            if message.type is WSMsgType.TEXT:
+                self._take(msgspec.json.decode(message.data))
+            elif message.type is WSMsgType.PING:
+                with contextlib.suppress(aiohttp.ClientError, OSError):
+                    await socket_.pong(message.data)
+            elif message.type not in (WSMsgType.PONG, WSMsgType.BINARY):
+                return _closing_words(socket_, message)
+
+    def _take(self, message: Message) -> None:
+        waiting = self._answers.get(str(message.get("id")))
+        if waiting is not None:
+            if not waiting.done():
+                waiting.set_result(message)
+        elif (handler := self.handlers.get(str(message.get("op")))) is not None:
+            handler(message)
+
+    # -- losing it and coming back ------------------------------------------------------------------------------------
+
+    async def _lose(self, reason: str) -> None:
+        """Nobody waits for it in vain, and nothing of it is sent any more."""
+        self.is_connected = False
+        self._reason = reason
+        for waiting in self._answers.values():
+            if not waiting.done():
+                waiting.set_result(None)
+        for tell in self.on_lost:
+            tell(self.lost())
+        await self._discard()
+
+    async def _discard(self) -> None:
+        self.is_connected = False
+        if self._socket is not None:
+            _cut(self._socket)
+            await self._socket.close()
+            self._socket = None
+
+    async def _reopen(self) -> None:
+        for wait_s in waits():
+            await asyncio.sleep(wait_s)
+            try:
+                async with asyncio.timeout(ATTEMPT_TIMEOUT_S):
+                    await self.open()
+            except HostlinkError as error:
+                self._reason = str(error)
+            except TimeoutError:
+                self._reason = f"no answer within {ATTEMPT_TIMEOUT_S:g} s"
+            else:
+                return
+            await self._discard()
+
+
+def waits() -> Iterator[float]:
+    """Seconds before each attempt: doubling, and up to half shorter by chance: many clients must not come at once."""
+    wait_s = FIRST_WAIT_S
+    while True:
+        yield wait_s * random.uniform(0.5, 1.0)  # noqa: S311 - nobody gains by guessing it
+        wait_s = min(2 * wait_s, LONGEST_WAIT_S)
+
+
+async def _receive(socket_: aiohttp.ClientWebSocketResponse) -> aiohttp.WSMessage:
+    """The next message of any kind; TimeoutError when the other side is silent, but not when this program slept."""
+    loop = asyncio.get_running_loop()
+    deadline_s = loop.time() + SILENCE_S
+    try:
+        async with asyncio.timeout_at(deadline_s):
+            return await socket_.receive()
+    except TimeoutError:
+        if loop.time() < deadline_s + LATE_S:
+            raise
+    await socket_.ping()
+    async with asyncio.timeout(SECOND_CHANCE_S):
+        return await socket_.receive()
+
+
+def _closing_words(socket_: aiohttp.ClientWebSocketResponse, message: aiohttp.WSMessage) -> str:
+    if message.type is WSMsgType.ERROR:
+        return f"what came is no WebSocket: {message.data}"
+    if message.type is WSMsgType.CLOSE and message.extra:
+        return f"it said: {message.extra}"
+    return "it was closed" if socket_.close_code else "it broke off"
+
+
+def _cut(socket_: aiohttp.ClientWebSocketResponse) -> None:
+    """Throw away what the kernel still holds: it would reach the daemon when the network is back, as a late command."""
+    raw = socket_.get_extra_info("socket")
+    if raw is not None:
+        with contextlib.suppress(OSError):  # it is closed already
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+            raw.shutdown(socket.SHUT_RDWR)

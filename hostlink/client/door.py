@@ -1,0 +1,103 @@
+"""Door: HTTP to one hostlink. It knows the address and the token, and says in words what went wrong."""
+
+import asyncio
+import ssl
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import aiohttp
+import msgspec
+
+from hostlink.errors import HostlinkError
+
+REQUEST_TIMEOUT_S = 5.0
+CLOSE_TIMEOUT_S = 1.0
+_SCHEMES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
+_ADVICE = {
+    HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...)",
+    HTTPStatus.FORBIDDEN: "this token, or this place, may not do that: ask whoever runs it",
+    HTTPStatus.NOT_FOUND: "what answers there is no hostlink, or an older one: look at the address and the port",
+    HTTPStatus.TOO_MANY_REQUESTS: "it has as many clients as it takes: close some",
+    HTTPStatus.SERVICE_UNAVAILABLE: "it is not ready, or has as many clients as it takes: try again later",
+}
+
+
+class Door:
+    """Requests, and the WebSocket. Every error is a HostlinkError."""
+
+    def __init__(self, url: str, token: str | None, context: ssl.SSLContext | None) -> None:
+        """`url` may be http, https, ws or wss, and may end in `?token=...`."""
+        parts = urlsplit(url if "://" in url else f"http://{url}")
+        if parts.scheme not in _SCHEMES or not parts.hostname:
+            raise HostlinkError(f"{url!r} is no address of a hostlink: write it as http://HOST:9090")
+        self.url = f"{_SCHEMES[parts.scheme]}://{parts.netloc}{parts.path.rstrip('/')}"
+        token = token or parse_qs(parts.query).get("token", [""])[0]
+        self._session = aiohttp.ClientSession(
+            timeout=aiohttp.ClientTimeout(total=REQUEST_TIMEOUT_S),
+            headers={"Authorization": f"Bearer {token}"} if token else None,
+            connector=aiohttp.TCPConnector(ssl=True if context is None else context),
+        )
+
+    async def aclose(self) -> None:
+        """Close every connection."""
+        await self._session.close()
+
+    async def open_socket(self) -> aiohttp.ClientWebSocketResponse:
+        """A new WebSocket; its pings and pongs are the caller's."""
+        timeout = aiohttp.ClientWSTimeout(ws_close=CLOSE_TIMEOUT_S)
+        try:
+            return await self._session.ws_connect(f"{self.url}/", autoping=False, timeout=timeout, max_msg_size=0)
+        except aiohttp.WSServerHandshakeError as error:
+            raise HostlinkError(f"hostlink at {self.url} refuses: {_advise(error.status)}") from error
+        except (aiohttp.ClientError, OSError, ValueError) as error:
+            raise HostlinkError(self._explain(error)) from error
+
+    async def request(
+        self, method: str, path: str, body: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
+    ) -> dict[str, Any]:
+        """A request of the REST door, and its JSON; HostlinkError with the daemon's reason when it refuses."""
+        try:
+            async with (
+                asyncio.timeout(timeout_s),
+                self._session.request(method, self.url + path, json=body) as response,
+            ):
+                answer: Any = msgspec.json.decode(await response.read())
+        except msgspec.DecodeError as error:
+            raise HostlinkError(f"{self.url}{path}: {_advise(response.status)}") from error
+        except TimeoutError as error:
+            raise HostlinkError(f"hostlink at {self.url} did not answer within {timeout_s:g} s") from error
+        except (aiohttp.ClientError, OSError) as error:
+            raise HostlinkError(self._explain(error)) from error
+        if not isinstance(answer, dict):
+            raise HostlinkError(f"{self.url}{path}: {_ADVICE[HTTPStatus.NOT_FOUND]}")
+        if "error" in answer:
+            raise HostlinkError(_reason(answer["error"], response.status))
+        return answer
+
+    def _explain(self, error: Exception) -> str:
+        match error:
+            case aiohttp.ClientConnectorCertificateError():
+                cause = f"its certificate is not trusted ({error.certificate_error}): connect(url, ssl=...) takes yours"
+            case aiohttp.ClientSSLError():
+                cause = "it does not speak TLS there: begin the address with http://"
+            case aiohttp.ClientConnectorDNSError():
+                cause = "no computer of that name: look at the address, or write its number"
+            case aiohttp.ServerDisconnectedError():
+                cause = "it closed the connection: what answers there may be no hostlink, or want https://"
+            case TimeoutError():
+                cause = f"no answer within {REQUEST_TIMEOUT_S:g} s: look at the address, the network and its firewalls"
+            case _:
+                cause = f"is `hostlink serve` running there? ({error})"
+        return f"no hostlink at {self.url}: {cause}"
+
+
+def _advise(status: int) -> str:
+    return _ADVICE.get(HTTPStatus(status), f"HTTP {status}: what answers there may be no hostlink")
+
+
+def _reason(error: Any, status: int) -> str:
+    """The daemon's own words, and what to do about a token."""
+    told = str(error.get("reason", error)) if isinstance(error, dict) else str(error)
+    return f"{told}: {_advise(status)}" if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) else told

@@ -1,0 +1,203 @@
+"""Host: a running hostlink as its users see it, and `connect`, the way to get one."""
+
+import asyncio
+import contextlib
+import ssl
+import weakref
+from collections.abc import AsyncIterator, Mapping
+from typing import Any, cast
+
+from hostlink.client.connection import Connection
+from hostlink.client.door import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, Door
+from hostlink.client.driver import Driver
+from hostlink.client.mailbox import Mailbox
+from hostlink.client.robot import PRIORITY, Robot
+from hostlink.client.topics import Subscription, Topics
+from hostlink.client.views import ConnectionChange, RobotState, TopicState
+from hostlink.errors import HostlinkError
+
+DEFAULT_URL = "http://127.0.0.1:9090"
+
+
+@contextlib.asynccontextmanager
+async def connect(
+    url: str = DEFAULT_URL,
+    *,
+    token: str | None = None,
+    ssl: ssl.SSLContext | None = None,
+    reconnect: bool = True,
+) -> AsyncIterator["Host"]:
+    """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
+
+    `url`: http, https, ws or wss. `token`: what the daemon's configuration asks for, also as `?token=` in the URL.
+    `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
+    and advertisements too, velocities never; without it, whatever waits for a message raises.
+
+    Raises HostlinkError when there is no hostlink at `url`, or it refuses.
+    """
+    door = Door(url, token, ssl)
+    try:
+        host = Host(door, reconnect=reconnect)
+        async with host.running():
+            yield host
+    finally:
+        await door.aclose()
+
+
+class Host:
+    """A running hostlink. Get one from `connect`."""
+
+    def __init__(self, door: Door, *, reconnect: bool) -> None:
+        self.url = door.url
+        self._door = door
+        self._connection = Connection(door, reconnects=reconnect)
+        self._connection.on_open.append(self._begin)
+        self._connection.on_lost.append(self._lose)
+        self._topics = Topics(self._connection)
+        self._driver = Driver(self._connection)
+        self._connection.on_open.append(self._tell_of_return)
+        self._ends_when_lost = not reconnect
+        self._lost: HostlinkError | None = None
+        self._watchers: weakref.WeakSet[Mailbox[ConnectionChange]] = weakref.WeakSet()
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Connected for the length of the block; `connect` uses it."""
+        await self._connection.open()
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                reader = tasks.create_task(self._connection.run(), name="reader")
+                repeater = tasks.create_task(self._driver.repeat(), name="repeater")
+                try:
+                    yield
+                finally:
+                    repeater.cancel()
+                    await self._leave()
+                    reader.cancel()
+        except BaseExceptionGroup as group:  # what went wrong in the caller's block is the caller's own error
+            raise group.exceptions[0] from None
+
+    # -- asking -------------------------------------------------------------------------------------------------------
+
+    async def robots(self) -> list[RobotState]:
+        """Every robot: name, connected, holder, velocity (m/s, rad/s), odometry (m, rad)."""
+        return cast(list[RobotState], (await self.get("/api/robots"))["robots"])
+
+    async def topics(self) -> list[TopicState]:
+        """Every topic: name, type, publishers, subscribers, messages."""
+        return cast(list[TopicState], (await self.get("/api/topics"))["topics"])
+
+    async def links(self) -> list[dict[str, Any]]:
+        """Every live connection of a device, with its counters."""
+        return cast(list[dict[str, Any]], (await self.get("/api/links"))["links"])
+
+    def robot(self, name: str, *, priority: int = PRIORITY) -> Robot:
+        """The robot of that name; that it exists is found out by the first use.
+
+        `priority`, 0 to 100: a command of a higher one takes the robot over, one of a lower is refused. A program is
+        50, teleop 60.
+        """
+        return Robot(name, priority, door=self._door, driver=self._driver, topics=self._topics)
+
+    # -- topics and services ------------------------------------------------------------------------------------------
+
+    async def publish(
+        self, topic: str, message: Mapping[str, Any], *, type_name: str = "", priority: int = PRIORITY
+    ) -> None:
+        """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
+
+        HostlinkError: there is no connection, or an earlier message on this topic was refused.
+        """
+        await self._topics.publish(topic, message, type_name, priority)
+
+    def take_refusal(self, topic: str) -> str:
+        """Why a message that was published on the topic was refused since the last call; empty if none was."""
+        return self._topics.take_refusal(topic)
+
+    def advertise(self, topic: str, type_name: str) -> contextlib.AbstractAsyncContextManager[None]:
+        """Be a publisher of the topic for the length of the block, across losses of the connection too.
+
+        HostlinkError when it begins: there is no connection. That the type is unknown is told by the next `publish`.
+        """
+        return self._topics.advertise(topic, type_name)
+
+    def subscribe(
+        self, topic: str, *, type_name: str = "", throttle_rate_ms: int = 0, queue_length: int = 0
+    ) -> contextlib.AbstractAsyncContextManager[Subscription]:
+        """The messages of a topic, from now on, for the length of the block, across losses of the connection too.
+
+        With `throttle_rate_ms` at most one message in so many milliseconds; the newest `queue_length` wait. Messages
+        are dicts as in docs/api.md. `dropped` of what this gives counts what the block was too slow for: the newest
+        256 wait. HostlinkError: no connection when it begins; in the iteration, that the subscription was refused.
+        """
+        return self._topics.subscribe(topic, type_name, throttle_rate_ms, queue_length)
+
+    async def call(self, service: str, arguments: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Any:
+        """Call a service; returns its response.
+
+        HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
+        meanwhile: then nobody knows whether it was done, and it is not asked again.
+        """
+        request = {"op": "call_service", "service": service, "args": arguments, "timeout": timeout_s}
+        answer = await self._connection.ask(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
+        if not answer["result"]:
+            raise HostlinkError(str(answer["values"]))
+        return answer["values"]
+
+    # -- the connection -----------------------------------------------------------------------------------------------
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the connection is there; a cut shows within a second."""
+        return self._connection.is_connected
+
+    def connection(self) -> Mailbox[ConnectionChange]:
+        """Each loss and each return of the connection from now on, with the robots whose velocity was dropped."""
+        watcher: Mailbox[ConnectionChange] = Mailbox()
+        self._watchers.add(watcher)
+        return watcher
+
+    async def get(self, path: str) -> dict[str, Any]:
+        """A GET of the REST door; HostlinkError with the daemon's reason when it refuses."""
+        return await self._door.request("GET", path)
+
+    async def post(self, path: str) -> dict[str, Any]:
+        """A POST of the REST door; HostlinkError with the daemon's reason when it refuses."""
+        return await self._door.request("POST", path)
+
+    async def send(self, request: Mapping[str, Any]) -> None:
+        """Send one rosbridge operation; HostlinkError when there is no connection."""
+        await self._connection.send(request)
+
+    async def settle(self) -> None:
+        """Wait until the daemon has read what was sent so far; a refusal of it is known then."""
+        await self._connection.ask({"op": "call_service", "service": "/rosapi/get_time", "args": {}})
+
+    async def _begin(self) -> None:
+        await self.send({"op": "set_level", "level": "error"})
+
+    async def _tell_of_return(self) -> None:
+        if self._lost is not None:
+            self._lost = None
+            self._tell(ConnectionChange(is_connected=True, reason=""))
+
+    def _lose(self, lost: HostlinkError) -> None:
+        self._lost = lost
+        dropped = self._driver.break_all(str(lost))
+        if self._ends_when_lost:
+            self._topics.end(lost)
+        self._tell(ConnectionChange(is_connected=False, reason=str(lost), dropped=dropped))
+
+    def _tell(self, change: ConnectionChange) -> None:
+        for watcher in self._watchers:
+            watcher.put(change)
+
+    async def _leave(self) -> None:
+        """Stop what is driven; a connection that is gone has stopped it already."""
+        with contextlib.suppress(HostlinkError, TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                for name in self._driver.robots:
+                    await self.robot(name).stop()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await self._connection.aclose()

@@ -1,0 +1,90 @@
+"""Robot: one robot of a host, as a script drives and reads it."""
+
+from collections.abc import AsyncIterator
+from typing import cast
+from urllib.parse import quote
+
+from hostlink.client.door import CLOSE_TIMEOUT_S, Door
+from hostlink.client.driver import Driver
+from hostlink.client.topics import Topics
+from hostlink.client.views import Odometry, RobotState
+from hostlink.errors import HostlinkError
+
+PRIORITY = 50  # of a program; a person at the keys is 60
+
+
+class Robot:
+    """One robot of a host; get one from `Host.robot`."""
+
+    def __init__(self, name: str, priority: int, *, door: Door, driver: Driver, topics: Topics) -> None:
+        self.name = name.strip("/")
+        self.priority = priority
+        self._door, self._driver, self._topics = door, driver, topics
+        self._path = f"/api/robots/{quote(self.name, safe='')}"
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether this connection holds a velocity of the robot."""
+        return self.name in self._driver.robots
+
+    async def state(self) -> RobotState:
+        """Connected, holder, velocity (m/s, rad/s) and odometry, as they are now.
+
+        HostlinkError: no robot of that name, no hostlink.
+        """
+        return cast(RobotState, await self._door.request("GET", self._path))
+
+    async def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+        """Drive until the next `drive` or `stop`, or until the connection's block is left.
+
+        m/s forward, rad/s counter-clockwise. Returns when the daemon has taken the command; it is then repeated ten
+        times a second. `drive(0, 0)` slows down and goes on driving; `stop()` stops and lets go.
+
+        HostlinkError, and the robot is not driven: no robot of that name, its device is not connected, somebody with a
+        higher priority drives it or it is locked, the numbers are not finite, there is no connection to hostlink.
+        Also once after the velocity that was held before was dropped: by a cut of the connection, by such a refusal,
+        because the robot's device connected again or this program did not run for half a second.
+        """
+        await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority)
+
+    async def stop(self) -> None:
+        """Stop, whoever drives, as fast as the robot's decelerations allow.
+
+        HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
+        """
+        self._driver.let_go(self.name)
+        await self._door.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
+
+    async def lock(self, reason: str) -> None:
+        """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
+
+        HostlinkError: hostlink was not reached within a second.
+        """
+        self._driver.let_go(self.name)
+        await self._door.request("POST", f"{self._path}/lock", {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
+
+    async def unlock(self) -> None:
+        """Let it be driven again; nothing that was held before drives it. HostlinkError: hostlink was not reached."""
+        await self._door.request("POST", f"{self._path}/unlock")
+
+    async def reset_odometry(self) -> None:
+        """Make the present place the origin. HostlinkError: the robot cannot do that, or is not connected."""
+        await self._door.request("POST", f"{self._path}/odometry/reset")
+
+    async def odometry(self) -> AsyncIterator[Odometry]:
+        """Each new pose (m, rad) once, with twist (m/s, rad/s), wall stamp (ns), age (s) and rate (Hz).
+
+        It waits while the robot or the connection is gone, and goes on when it is back. HostlinkError when it begins:
+        no robot of that name, no hostlink.
+        """
+        topic = (await self.state())["odometry_topic"]
+        count = 0
+        async with self._topics.subscribe(topic, "", 0, 0) as news:
+            async for _ in news:
+                try:
+                    odometry = (await self.state())["odometry"]
+                except HostlinkError:
+                    continue  # between two connections: the next news comes with the new one
+                if odometry is not None and odometry["count"] != count:
+                    count = odometry["count"]
+                    yield odometry

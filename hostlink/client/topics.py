@@ -1,0 +1,102 @@
+"""Topics: what this client has subscribed and advertised; made again after each loss of the connection."""
+
+import contextlib
+import itertools
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from hostlink.client.connection import Connection
+from hostlink.client.mailbox import Mailbox
+from hostlink.errors import HostlinkError
+
+Subscription = Mailbox[dict[str, Any]]
+
+
+@dataclass(slots=True)
+class _Wish:
+    topic: str
+    request: Mapping[str, Any]
+    mailbox: Subscription = field(default_factory=Mailbox)
+
+
+class Topics:
+    """Subscriptions, each with an id of its own, advertisements, and refusals of what was published."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._numbers = itertools.count(1)
+        self._wishes: dict[str, _Wish] = {}
+        self._advertised: dict[str, str] = {}
+        self._refusals: dict[str, str] = {}
+        connection.handlers |= {"publish": self._deliver, "status": self._hear_refusal}
+        connection.on_open.append(self._restore)
+
+    async def publish(self, topic: str, message: Mapping[str, Any], type_name: str, priority: int) -> None:
+        """Send one message. A refusal of an earlier one on this topic is raised here."""
+        refusal = self.take_refusal(topic)
+        if refusal:
+            raise HostlinkError(refusal)
+        request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "msg": message, "priority": priority}
+        await self._connection.send(request | _typed(type_name))
+
+    def take_refusal(self, topic: str) -> str:
+        """Why a message that was published on the topic was refused since the last call; empty if none was."""
+        return self._refusals.pop(topic, "")
+
+    @contextlib.asynccontextmanager
+    async def advertise(self, topic: str, type_name: str) -> AsyncIterator[None]:
+        """Be a publisher of the topic for the length of the block."""
+        request = {"op": "advertise", "id": f"publish:{topic}", "topic": topic, "type": type_name}
+        await self._connection.send(request)
+        self._advertised[topic] = type_name
+        try:
+            yield
+        finally:
+            del self._advertised[topic]
+            with contextlib.suppress(HostlinkError):  # with the connection gone, so is the advertisement
+                await self._connection.send({"op": "unadvertise", "topic": topic})
+
+    @contextlib.asynccontextmanager
+    async def subscribe(
+        self, topic: str, type_name: str, throttle_rate_ms: int, queue_length: int
+    ) -> AsyncIterator[Subscription]:
+        """The messages of a topic, from now on, for the length of the block."""
+        key = f"subscribe:{next(self._numbers)}"
+        limits = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
+        request = {"op": "subscribe", "id": key, "topic": topic, **limits, **_typed(type_name)}
+        await self._connection.send(request)
+        wish = self._wishes[key] = _Wish(topic, request)
+        try:
+            yield wish.mailbox
+        finally:
+            del self._wishes[key]
+            with contextlib.suppress(HostlinkError):  # with the connection gone, so is the subscription
+                await self._connection.send({"op": "unsubscribe", "id": key, "topic": topic})
+
+    def end(self, error: HostlinkError) -> None:
+        """Nothing will come any more: every iteration raises."""
+        for wish in self._wishes.values():
+            wish.mailbox.put(error)
+
+    async def _restore(self) -> None:
+        for topic, type_name in self._advertised.items():
+            await self._connection.send({"op": "advertise", "topic": topic, "type": type_name})
+        for wish in list(self._wishes.values()):
+            await self._connection.send(wish.request)
+
+    def _deliver(self, message: dict[str, Any]) -> None:
+        for wish in self._wishes.values():
+            if wish.topic == message["topic"]:
+                wish.mailbox.put(message["msg"])
+
+    def _hear_refusal(self, message: dict[str, Any]) -> None:
+        key, reason = str(message.get("id", "")), str(message["msg"])
+        if key in self._wishes:
+            self._wishes[key].mailbox.put(HostlinkError(reason))
+        elif key.startswith("publish:"):
+            self._refusals[key.removeprefix("publish:")] = reason
+
+
+def _typed(type_name: str) -> dict[str, str]:
+    return {"type": type_name} if type_name else {}

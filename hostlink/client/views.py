@@ -1,0 +1,66 @@
+"""What the client hands to its users: the JSON of hostlink's REST door as typed dicts; numbers carry their unit."""
+
+from dataclasses import dataclass
+from typing import NotRequired, TypedDict
+
+
+class Pose(TypedDict):
+    """Where the robot says that it is, in the frame in which its odometry began (REP 103)."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float  # counter-clockwise, in (-pi, pi]
+
+
+class Twist(TypedDict):
+    """How the robot moves: forward, and counter-clockwise."""
+
+    linear_m_s: float
+    angular_rad_s: float
+
+
+class Odometry(TypedDict):
+    """A pose that the robot told, and what follows from it."""
+
+    pose: Pose
+    twist: Twist
+    stamp_ns: int  # wall time at which it reached the daemon
+    age_s: float  # since then, when this was sent
+    rate_hz: float  # at which poses come
+    count: int  # of poses since the daemon knows the robot
+    restarts: NotRequired[int]  # of its device that were seen
+
+
+class RobotState(TypedDict):
+    """A robot as the daemon sees it now."""
+
+    name: str
+    connected: bool
+    link: int | None  # the number of its device's connection
+    velocity_topic: str
+    odometry_topic: str
+    holder: str | None  # who drives it
+    velocity: Twist  # as commanded, within the limits
+    odometry: Odometry | None  # None: no pose came yet
+    priority: NotRequired[int | None]  # of the holder
+    locked: NotRequired[bool]
+    lock_reason: NotRequired[str | None]
+
+
+class TopicState(TypedDict):
+    """A topic of the graph."""
+
+    name: str
+    type: str  # as geometry_msgs/Twist; empty until somebody says
+    publishers: int
+    subscribers: int
+    messages: int  # that have passed
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionChange:
+    """The connection to the daemon was lost, or is there again."""
+
+    is_connected: bool
+    reason: str  # why it was lost
+    dropped: tuple[str, ...] = ()  # the robots that were driven: they stop, and nothing drives them again by itself

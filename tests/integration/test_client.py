@@ -1,0 +1,373 @@
+"""hostlink.client against a daemon: what it does for a script, and what it says when it cannot."""
+
+import asyncio
+import contextlib
+import math
+import struct
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+import pytest
+from aiohttp import web
+
+from hostlink.client import Host, connect
+from hostlink.client.connection import waits
+from hostlink.errors import HostlinkError
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.waiting import expect
+
+ZERO = (0.0, 0.0)
+LED = topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")
+TRIGGER = [
+    topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
+    topic(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/trigger", "std_srvs/Trigger"),
+]
+
+
+async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2) -> str:
+    """Why a drive is refused."""
+    with pytest.raises(HostlinkError) as caught:
+        await host.robot(name).drive(linear_m_s, 0.0)
+    return str(caught.value)
+
+
+def take_over(host: Daemon) -> None:
+    """As a person at the keys."""
+    robot = host.hub.robots.find("robot_0")
+    host.hub.robots.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+
+
+@contextlib.asynccontextmanager
+async def serving(answer: Callable[[web.Request], Awaitable[web.StreamResponse]]) -> AsyncIterator[str]:
+    """Something on HTTP that is no hostlink."""
+    app = web.Application()
+    app.router.add_get("/{path:.*}", answer)
+    runner = web.AppRunner(app, shutdown_timeout=0.1)
+    await runner.setup()
+    site = web.TCPSite(runner, "127.0.0.1", 0)
+    await site.start()
+    try:
+        yield "http://{}:{}".format(*runner.addresses[0][:2])
+    finally:
+        await runner.cleanup()
+
+
+# -- driving ----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_robot_is_driven_until_the_block_is_left() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        async with connect(host.url) as me:
+            robot = me.robot("robot_0")
+            await robot.drive(0.2, 0.5)
+            assert robot.is_driven
+            assert (await robot.state())["velocity"] == {"linear_m_s": 0.2, "angular_rad_s": 0.5}
+            for _ in range(10):  # at 10 Hz twice the length of a lease
+                assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
+        assert await device.velocity_other_than((0.2, 0.5)) == ZERO
+        assert host.hub.robots.find("robot_0").gate.holder is None
+
+
+async def test_stop_stops_and_nothing_is_repeated() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        await robot.stop()
+        assert not robot.is_driven
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
+        assert [await device.velocity() for _ in range(3)] == [ZERO] * 3
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.3):
+                await device.velocity()
+
+
+async def test_two_robots_are_driven_at_once() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("robot_0")) as first,
+        fake_device(host.tcp, robot_topics("robot_1")) as second,
+        connect(host.url) as me,
+    ):
+        await me.robot("robot_0").drive(0.2, 0.0)
+        await me.robot("/robot_1").drive(0.1, 0.0)
+        for _ in range(5):
+            assert await first.velocity_other_than(ZERO) == (0.2, 0.0)
+            assert await second.velocity_other_than(ZERO) == (0.1, 0.0)
+
+
+async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_held() -> None:
+    async with daemon() as host, connect(host.url) as me:
+        async with fake_device(host.tcp, robot_topics()):
+            assert await refused(me, name="robot_9") == "no robot named robot_9; known: robot_0"
+            assert await refused(me, linear_m_s=math.nan) == "robot_0: a velocity must be made of finite numbers"
+            take_over(host)
+            assert await refused(me) == "robot_0: a person drives it with a higher priority"
+            await me.robot("robot_0", priority=70).drive(0.2, 0.0)
+            assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.2)
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
+        await expect(lambda: not me.robot("robot_0").is_driven)
+        assert "its device is not connected" in await refused(me)  # what broke the hold
+        assert await refused(me) == "robot_0: its device is not connected"
+
+
+async def test_a_held_velocity_that_is_overruled_is_dropped_and_the_next_drive_says_so_once() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        take_over(host)
+        await expect(lambda: not robot.is_driven)
+        host.hub.leave("a person")
+        assert await refused(me) == (
+            "robot_0 was stopped, drive again if it is still meant: robot_0: a person drives it with a higher priority"
+        )
+        await robot.drive(0.3, 0.0)
+        assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.3)
+
+
+async def test_a_device_that_connects_again_is_not_driven_by_what_was_held_before() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        async with fake_device(host.tcp, robot_topics()) as new:  # replaces the old one at once
+            await expect(lambda: not robot.is_driven)
+            assert "its device has connected again since" in await refused(me)
+            await robot.drive(0.1, 0.0)
+            assert await new.velocity_other_than(ZERO) == (0.1, 0.0)
+
+
+async def test_a_lock_drops_what_another_script_holds_and_opening_it_moves_nothing() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()),
+        connect(host.url) as me,
+        connect(host.url) as he,
+    ):
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        await he.robot("robot_0").lock("somebody stands there")
+        await expect(lambda: not robot.is_driven)
+        await he.robot("robot_0").unlock()
+        assert "somebody stands there" in await refused(me)
+        assert host.hub.robots.find("robot_0").gate.holder is None
+        await robot.drive(0.2, 0.0)
+
+
+async def test_a_drive_that_is_cancelled_is_not_held() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0):
+                await me.robot("robot_0").drive(0.2, 0.0)
+        assert not me.robot("robot_0").is_driven
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"linear": "fast"}, "drive: Expected `float`, got `str` - at `$.linear`"),
+        ({"priority": 101}, "drive: priority must be a number from 0 to 100"),
+        ({"robot": 7}, "drive: Expected `str`, got `int` - at `$.robot`"),
+    ],
+)
+async def test_a_drive_that_makes_no_sense_is_answered_with_the_reason(
+    fields: dict[str, object], complaint: str
+) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), host.session.ws_connect(host.url) as socket:
+        await socket.send_json({"op": "drive", "id": 1, "robot": "robot_0", "linear": 0.1, "angular": 0.0} | fields)
+        answer = await socket.receive_json(timeout=5)
+    assert (answer["op"], answer["id"], answer["result"], answer["reason"]) == ("drive_result", 1, False, complaint)
+
+
+# -- reading ----------------------------------------------------------------------------------------------------------
+
+
+async def test_odometry_gives_each_new_pose_once() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
+        seen: list[float] = []
+        async with asyncio.timeout(5):
+            async with asyncio.TaskGroup() as tasks:
+
+                async def tell() -> None:
+                    await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
+                    for number in range(1, 6):
+                        await device.send(pose(float(number)))
+                        await expect(lambda number=number: len(seen) == number)
+
+                telling = tasks.create_task(tell())
+                async for odometry in me.robot("robot_0").odometry():
+                    seen.append(odometry["pose"]["x_m"])
+                    if len(seen) == 5:
+                        break
+                await telling
+    assert seen == [1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+async def test_odometry_of_a_robot_that_nobody_knows_is_an_error() -> None:
+    async with daemon() as host, connect(host.url) as me:
+        with pytest.raises(HostlinkError, match="no robot named nobody"):
+            await anext(aiter(me.robot("nobody").odometry()))
+
+
+# -- topics and services ----------------------------------------------------------------------------------------------
+
+
+async def test_publish_subscribe_and_advertise() -> None:
+    async with (
+        daemon() as host,
+        connect(host.url) as other,
+        connect(host.url) as me,
+        me.subscribe("/chat", type_name="std_msgs/String") as messages,
+    ):
+        await me.settle()
+        async with other.advertise("/chat", "std_msgs/String"):
+            await other.settle()
+            assert next(each for each in await me.topics() if each["name"] == "/chat")["publishers"] == 1
+            await other.publish("/chat", {"data": "hello"})
+            assert await anext(messages) == {"data": "hello"}
+        await other.settle()
+        assert next(each for each in await me.topics() if each["name"] == "/chat")["publishers"] == 0
+
+
+async def test_two_subscriptions_of_one_topic_live_apart() -> None:
+    async with daemon() as host, connect(host.url) as me:
+        async with me.subscribe("/chat", type_name="std_msgs/String") as first:
+            async with me.subscribe("/chat") as second:
+                await me.publish("/chat", {"data": "1"})
+                assert (await anext(first), await anext(second)) == ({"data": "1"}, {"data": "1"})
+            await me.publish("/chat", {"data": "2"})
+            assert await anext(first) == {"data": "2"}
+        await me.settle()
+        assert host.hub.topics.find_or_none("/chat") is None
+
+
+async def test_a_reader_that_is_too_slow_loses_the_oldest_and_can_see_how_many() -> None:
+    async with (
+        daemon() as host,
+        connect(host.url) as me,
+        me.subscribe("/count", type_name="std_msgs/Int32") as messages,
+    ):
+        for number in range(300):
+            await me.publish("/count", {"data": number})
+        await me.settle()
+        assert messages.dropped == 44
+        assert await anext(messages) == {"data": 44}
+
+
+async def test_refusals_reach_whoever_asked() -> None:
+    async with daemon() as host, fake_device(host.tcp, [LED]), connect(host.url) as me:
+        await me.publish("/led", {"dta": True})
+        await me.settle()
+        with pytest.raises(HostlinkError, match="dta"):
+            await me.publish("/led", {"data": True})
+        async with me.subscribe("/led", type_name="std_msgs/Int32") as messages:
+            with pytest.raises(HostlinkError, match="/led: wanted std_msgs/Bool, got std_msgs/Int32"):
+                await anext(messages)
+
+
+async def test_call() -> None:
+    async with daemon() as host, fake_device(host.tcp, TRIGGER) as device, connect(host.url) as me:
+        async with asyncio.TaskGroup() as tasks:
+            calling = tasks.create_task(me.call("/trigger", {}))
+            await device.frame(101)
+            await device.send(encode(125, b"\x01" + struct.pack("<I", 2) + b"ok"))
+        assert calling.result() == {"success": True, "message": "ok"}
+        with pytest.raises(HostlinkError, match="no service named /nope"):
+            await me.call("/nope", {})
+        with pytest.raises(HostlinkError, match=r"/trigger: no answer within 0.05 s"):
+            await me.call("/trigger", {}, timeout_s=0.05)
+
+
+async def test_what_goes_wrong_in_the_block_is_raised_as_it_is() -> None:
+    async with daemon() as host:
+        with pytest.raises(ZeroDivisionError):
+            async with connect(host.url):
+                raise ZeroDivisionError
+        with pytest.raises(ExceptionGroup) as caught:
+            async with connect(host.url):
+                raise ExceptionGroup("mine", [ZeroDivisionError()])
+        assert caught.value.message == "mine"
+
+
+# -- getting in -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change", ["{}", "{}/", "ws{1}", "{2}"])
+async def test_addresses_may_be_written_in_many_ways(change: str) -> None:
+    async with daemon() as host:
+        url = change.format(host.url, host.url.removeprefix("http"), host.url.removeprefix("http://"))
+        async with connect(url) as me:
+            assert (me.url, await me.robots()) == (host.url, [])
+
+
+async def test_a_token_goes_with_every_request() -> None:
+    seen: list[tuple[str, str]] = []
+
+    async def answer(request: web.Request) -> web.StreamResponse:
+        seen.append((request.path, request.headers.get("Authorization", "")))
+        if request.path == "/":
+            socket = web.WebSocketResponse()
+            await socket.prepare(request)
+            async for _ in socket:
+                pass
+            return socket
+        return web.json_response({"robots": []})
+
+    async with serving(answer) as url:
+        async with connect(url, token="secret") as me:  # noqa: S106 - of this test
+            await me.robots()
+        async with connect(f"{url}/?token=other"):
+            pass
+    assert seen == [("/", "Bearer secret"), ("/api/robots", "Bearer secret"), ("/", "Bearer other")]
+
+
+@pytest.mark.parametrize(
+    ("status", "advice"),
+    [
+        (401, "it wants a token that it knows: connect(url, token=...)"),
+        (403, "this token, or this place, may not do that"),
+        (404, "what answers there is no hostlink"),
+        (500, "HTTP 500: what answers there may be no hostlink"),
+    ],
+)
+async def test_a_door_that_does_not_open_says_what_to_do(status: int, advice: str) -> None:
+    async def answer(_: web.Request) -> web.StreamResponse:
+        return web.Response(status=status)
+
+    async with serving(answer) as url:
+        with pytest.raises(HostlinkError) as caught:
+            async with connect(url):
+                pass
+    assert str(caught.value).startswith(f"hostlink at {url} refuses: {advice}")
+
+
+@pytest.mark.parametrize(
+    ("url", "advice"),
+    [
+        ("http://127.0.0.1:1", "no hostlink at http://127.0.0.1:1: is `hostlink serve` running there?"),
+        ("ftp://127.0.0.1", "'ftp://127.0.0.1' is no address of a hostlink: write it as http://HOST:9090"),
+        ("http://", "'http://' is no address of a hostlink"),
+    ],
+)
+async def test_an_address_without_hostlink_says_what_to_do(url: str, advice: str) -> None:
+    with pytest.raises(HostlinkError) as caught:
+        async with connect(url):
+            pass
+    assert str(caught.value).startswith(advice)
+
+
+async def test_tls_where_there_is_none_says_so() -> None:
+    async with daemon() as host:
+        url = host.url.replace("http:", "https:")
+        with pytest.raises(HostlinkError, match="it does not speak TLS there: begin the address with http://"):
+            async with connect(url):
+                pass
+
+
+def test_attempts_come_at_most_a_second_apart_and_not_in_step() -> None:
+    first = [wait_s for wait_s, _ in zip(waits(), range(50), strict=False)]
+    second = [wait_s for wait_s, _ in zip(waits(), range(50), strict=False)]
+    assert max(first) <= 1.0
+    assert first[0] <= 0.05
+    assert min(first[10:]) >= 0.5
+    assert first != second

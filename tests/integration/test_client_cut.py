@@ -1,0 +1,179 @@
+"""The network between a script and the daemon is cut in every way: the robot stops, the script is told, and is back."""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+import pytest
+
+from hostlink.client import ConnectionChange, Host, Robot, connect
+from hostlink.client.mailbox import Mailbox
+from hostlink.errors import HostlinkError
+from hostlink.hub.robots import Robot as RobotOfHub
+from hostlink.sim.robot import SimulatedRobot
+from tests.support.daemon import Daemon, daemon
+from tests.support.proxy import Line, Proxy, proxy
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+NOTICED_S = 1.0
+STOPPED_M_S = 0.005
+BACK_S = 3.0
+
+
+@dataclass
+class World:
+    """A robot that is driven by a script, whose connection goes over a line that can be cut."""
+
+    host: Daemon
+    line: Proxy
+    me: Host
+    robot: Robot
+    body: SimulatedRobot
+    changes: Mailbox[ConnectionChange]
+
+    @property
+    def seen(self) -> RobotOfHub:
+        """The robot as the daemon sees it."""
+        return self.host.hub.robots.find("robot_0")
+
+    async def change(self) -> ConnectionChange:
+        async with asyncio.timeout(BACK_S):
+            return await anext(self.changes)
+
+    async def lost(self) -> ConnectionChange:
+        """The loss, as the script is told it, within a second of now."""
+        began_s = time.monotonic()
+        change = await self.change()
+        assert time.monotonic() - began_s < NOTICED_S
+        assert (change.is_connected, self.me.is_connected) == (False, False)
+        return change
+
+    async def stands(self) -> None:
+        """The robot stands, in the daemon's view and in truth."""
+        await expect(lambda: self.seen.gate.holder is None and self.seen.gate.current.is_zero)
+        await expect(lambda: abs(self.body.speed_m_s) < STOPPED_M_S)
+
+    async def stays(self, seconds: float = 0.4) -> None:
+        """Nothing drives it by itself."""
+        with pytest.raises(TimeoutError):
+            await expect(
+                lambda: self.seen.gate.holder is not None or abs(self.body.speed_m_s) > STOPPED_M_S, timeout_s=seconds
+            )
+
+
+@contextlib.asynccontextmanager
+async def driven() -> AsyncIterator[World]:
+    async with (
+        daemon() as host,
+        simulated_robot(host.tcp) as body,
+        proxy(("127.0.0.1", int(host.url.rpartition(":")[2]))) as line,
+        connect(line.url) as me,
+    ):
+        robot = me.robot("robot_0")
+        world = World(host, line, me, robot, body, me.connection())
+        await expect(lambda: world.seen.link is not None)
+        await robot.drive(0.2, 0.0)
+        await expect(lambda: body.speed_m_s > 0.02)
+        yield world
+
+
+async def drive_is_dropped(world: World) -> None:
+    """The script is told once, then it may drive again."""
+    assert not world.robot.is_driven
+    with pytest.raises(HostlinkError, match="robot_0 was stopped, drive again if it is still meant: the connection"):
+        await world.robot.drive(0.2, 0.0)
+    await world.robot.drive(0.1, 0.0)
+    await expect(lambda: world.body.speed_m_s > 0.02)
+
+
+@pytest.mark.parametrize("line", [Line.SWALLOWS, Line.STALLS])
+async def test_a_line_that_is_dead_is_noticed_within_a_second_and_the_robot_stands(line: Line) -> None:
+    async with driven() as world:
+        world.line.set_line(line)
+        change = await world.lost()
+        assert change.dropped == ("robot_0",)
+        assert "nothing was heard from it" in change.reason
+        await world.stands()
+        world.line.set_line(Line.WORKS)
+        assert (await world.change()).is_connected
+        assert world.me.is_connected
+        await world.stays()
+        await drive_is_dropped(world)
+
+
+async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
+    async with driven() as world:
+        world.line.set_line(Line.STALLS)
+        await world.lost()
+        commands = world.seen.gate.counts.commands
+        await world.stands()
+        await world.stays()  # longer than the last command holds
+        world.line.set_line(Line.WORKS)
+        assert (await world.change()).is_connected
+        await world.stays()
+        assert world.seen.gate.counts.commands == commands
+
+
+async def test_during_the_cut_everything_says_so_at_once() -> None:
+    async with driven() as world:
+        world.line.set_line(Line.SWALLOWS)
+        with pytest.raises(HostlinkError, match=r"is lost: nothing was heard from it for 0\.6 s; it is made again by"):
+            await world.me.call("/rosapi/get_time", {})  # under way when the line dies
+        for attempt in (
+            world.robot.drive(0.2, 0.0),
+            world.me.publish("/chat", {"data": "x"}, type_name="std_msgs/String"),
+            world.me.call("/rosapi/get_time", {}),
+        ):
+            began_s = time.monotonic()
+            with pytest.raises(HostlinkError, match="the connection"):
+                await attempt
+            assert time.monotonic() - began_s < 0.1
+
+
+async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_held() -> None:
+    async with driven() as world:
+        world.line.set_line(Line.SWALLOWS)
+        began_s = time.monotonic()
+        with pytest.raises(HostlinkError, match="the connection"):
+            await world.robot.drive(0.3, 0.0)
+        assert time.monotonic() - began_s < NOTICED_S
+        assert not world.robot.is_driven
+        await world.stands()
+
+
+async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_advertisements() -> None:
+    async with (
+        driven() as world,
+        world.me.subscribe("/robot_0/odometry") as poses,
+        world.me.advertise("/chat", "std_msgs/String"),
+    ):
+        odometry = world.robot.odometry()
+        await anext(odometry)
+        world.line.break_off()
+        assert (await world.lost()).dropped == ("robot_0",)
+        await world.stands()
+        assert (await world.change()).is_connected
+        poses.take_all()
+        await anext(poses)
+        await anext(odometry)
+        await expect(lambda: world.host.hub.topics.find("/chat").publishers)
+        await drive_is_dropped(world)
+
+
+async def test_a_cut_is_told_again_and_again_as_long_as_it_comes() -> None:
+    async with driven() as world:
+        for _ in range(3):
+            world.line.break_off()
+            await world.lost()
+            assert (await world.change()).is_connected
+
+
+async def test_the_block_can_be_left_while_the_line_is_dead() -> None:
+    async with driven() as world:
+        world.line.set_line(Line.SWALLOWS)
+        began_s = time.monotonic()
+    assert time.monotonic() - began_s < 4.0
+    assert world.body.speed_m_s < STOPPED_M_S

@@ -1,0 +1,84 @@
+"""A TCP proxy between a client and a server, whose line a test cuts: as a radio, a cable, a tunnel would."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from enum import Enum
+
+READ_BYTES = 65536
+
+
+class Line(Enum):
+    """What becomes of the bytes."""
+
+    WORKS = "works"
+    SWALLOWS = "swallows"  # as a radio out of reach: what is sent is gone
+    STALLS = "stalls"  # as a full tunnel: what is sent arrives when it works again
+
+
+class Proxy:
+    """Every connection through it shares one line."""
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        self.target = target
+        self.url = ""
+        self.is_refusing = False
+        self._line = Line.WORKS
+        self._works = asyncio.Event()
+        self._works.set()
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    def set_line(self, line: Line) -> None:
+        self._line = line
+        if line is Line.WORKS:
+            self._works.set()
+        else:
+            self._works.clear()
+
+    def break_off(self) -> None:
+        """Reset every connection."""
+        for writer in self._writers:
+            writer.transport.abort()
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.add(writer)
+        try:
+            if self.is_refusing:
+                return
+            with contextlib.suppress(OSError):
+                there_reader, there_writer = await asyncio.open_connection(*self.target)
+                self._writers.add(there_writer)
+                async with asyncio.TaskGroup() as tasks:
+                    tasks.create_task(self._carry(reader, there_writer))
+                    tasks.create_task(self._carry(there_reader, writer))
+        finally:
+            self._writers.discard(writer)
+            writer.transport.abort()
+
+    async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            with contextlib.suppress(OSError):
+                while data := await reader.read(READ_BYTES):
+                    if self._line is Line.STALLS:
+                        await self._works.wait()
+                    if self._line is Line.WORKS:
+                        writer.write(data)
+                        await writer.drain()
+            await self._works.wait()  # that one end is gone is no more told than anything else
+        finally:
+            self._writers.discard(writer)
+            writer.close()
+
+
+@contextlib.asynccontextmanager
+async def proxy(target: tuple[str, int]) -> AsyncIterator[Proxy]:
+    """A proxy to the target, on a port of its own."""
+    new = Proxy(target)
+    server = await asyncio.start_server(new.serve, "127.0.0.1", 0)
+    new.url = "http://{}:{}".format(*server.sockets[0].getsockname()[:2])
+    try:
+        yield new
+    finally:
+        server.close()
+        new.set_line(Line.WORKS)
+        new.break_off()

@@ -1,0 +1,61 @@
+"""hostlink.client against the daemon as a process that is killed; and a script that does not run for a while."""
+
+import asyncio
+import socket
+import time
+
+import pytest
+
+from hostlink.client import connect
+from hostlink.errors import HostlinkError
+from tests.support.process import serve, simulated
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+
+def free_ports() -> tuple[int, int]:
+    """Two ports that were free a moment ago."""
+    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+        return one.getsockname()[1], other.getsockname()[1]
+
+
+async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives() -> None:
+    device_port, api_port = free_ports()
+    ports = ("--listen", f"127.0.0.1:{device_port}", "--api", f"127.0.0.1:{api_port}")
+    async with simulated_robot(("127.0.0.1", device_port)) as body, serve(*ports) as first:
+        await first.read_log("robot.appeared")
+        async with connect(first.url) as me:
+            changes, robot = me.connection(), me.robot("robot_0")
+            await robot.drive(0.2, 0.0)
+            await expect(lambda: body.speed_m_s > 0.02)
+            odometry = robot.odometry()
+            await anext(odometry)
+            first.child.kill()
+            async with asyncio.timeout(1.0):
+                assert (await anext(changes)).dropped == ("robot_0",)
+            await expect(lambda: abs(body.speed_m_s) < 0.005)  # by its own watchdog: nobody could tell it
+            with pytest.raises(HostlinkError, match="the connection"):
+                await robot.drive(0.2, 0.0)
+            async with serve(*ports) as second:
+                await second.read_log("robot.appeared")
+                async with asyncio.timeout(5):
+                    assert (await anext(changes)).is_connected
+                    await anext(odometry)
+                assert (await robot.state())["holder"] is None
+                assert abs(body.speed_m_s) < 0.005
+                await robot.drive(0.1, 0.0)  # the loss was told by the drive before
+                await expect(lambda: body.speed_m_s > 0.02)
+
+
+async def test_a_script_that_does_not_run_for_a_while_is_no_cut_but_it_holds_nothing_any_more() -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await daemon.read_log("robot.appeared")
+        async with connect(daemon.url) as me:
+            changes, robot = me.connection(), me.robot("robot_0")
+            await robot.drive(0.2, 0.0)
+            time.sleep(0.9)  # noqa: ASYNC251 - what the test is about
+            await expect(lambda: not robot.is_driven)
+            with pytest.raises(HostlinkError, match=r"this program did not run for \d\.\d s"):
+                await robot.drive(0.2, 0.0)
+            await me.settle()
+            assert changes.take_all() == []
