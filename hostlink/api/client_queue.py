@@ -7,6 +7,7 @@ from typing import NamedTuple
 MAX_MESSAGES = 1024
 MAX_BYTES = 8 * 1024 * 1024
 MAX_RESULTS = 256
+MAX_RESULT_BYTES = 8 * 1024 * 1024
 
 
 class Outgoing(NamedTuple):
@@ -29,9 +30,12 @@ class ClientQueue:
         self._order = 0
         self._messages = 0
         self._bytes = 0
+        self._result_bytes = 0
         self._topics: dict[str, deque[Outgoing]] = {}
         self._results: deque[Outgoing] = deque()
         self._news = asyncio.Event()
+        self._room = asyncio.Event()
+        self._room.set()
 
     def put_message(self, topic: str, data: bytes, *, is_binary: bool = False) -> None:
         """Queue telemetry; over a bound the oldest of this topic goes, else the oldest of the longest."""
@@ -45,10 +49,13 @@ class ClientQueue:
 
     def put_result(self, data: bytes) -> None:
         """Queue an answer or an event."""
-        if len(self._results) >= MAX_RESULTS:
+        is_too_large = self._results and self._result_bytes + len(data) > MAX_RESULT_BYTES
+        if is_too_large or len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
         else:
             self._results.append(Outgoing(self._next_order(), data, is_binary=False))
+            self._result_bytes += len(data)
+        self._note_room()
         self._news.set()
 
     def forget(self, topic: str) -> None:
@@ -61,7 +68,10 @@ class ClientQueue:
         """The oldest of all, or None."""
         topic = min(self._topics, key=lambda name: self._topics[name][0].order, default=None)
         if self._results and (topic is None or self._results[0].order < self._topics[topic][0].order):
-            return self._results.popleft()
+            result = self._results.popleft()
+            self._result_bytes -= len(result.data)
+            self._note_room()
+            return result
         if topic is None:
             self._news.clear()
             return None
@@ -74,6 +84,16 @@ class ClientQueue:
     async def wait(self) -> None:
         """Wait until something was put."""
         await self._news.wait()
+
+    async def room(self) -> None:
+        """Wait while results fill half of the queue: whoever asks for more must read first."""
+        await self._room.wait()
+
+    def _note_room(self) -> None:
+        if len(self._results) > MAX_RESULTS // 2 or self._result_bytes > MAX_RESULT_BYTES // 2:
+            self._room.clear()
+        else:
+            self._room.set()
 
     def _next_order(self) -> int:
         self._order += 1

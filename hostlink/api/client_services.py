@@ -2,73 +2,90 @@
 
 import asyncio
 import itertools
+import reprlib
 from collections.abc import Mapping
-from typing import Any
 
 import msgspec
 
 from hostlink.api.client_queue import ClientQueue
+from hostlink.api.request import Request
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.services import Provider, Services
 from hostlink.hub.subscriptions import resolve
+from hostlink.messages.catalog import Catalog
 
 MAX_SERVICES = 64
+_Answer = asyncio.Future[Mapping[str, object]]
 
 
 class ClientServices:
     """Offered, called and answered; when the client leaves, every call that waits for it fails at once."""
 
-    def __init__(self, client: str, services: Services, queue: ClientQueue) -> None:
-        self._client, self._services, self._queue = client, services, queue
+    def __init__(self, client: str, services: Services, catalog: Catalog, queue: ClientQueue) -> None:
+        self._client, self._services, self._catalog, self._queue = client, services, catalog, queue
         self._numbers = itertools.count(1)
         self._names: set[str] = set()
-        self._waiting: dict[str, tuple[str, asyncio.Future[Mapping[str, object]]]] = {}
+        self._waiting: dict[str, tuple[str, _Answer]] = {}
 
-    def advertise(self, name: str, type_name: str) -> None:
+    @property
+    def names(self) -> list[str]:
+        """The services."""
+        return sorted(self._names)
+
+    def advertise(self, request: Request) -> None:
         """Offer a service; the newest offer of a name counts."""
-        if len(self._names) >= MAX_SERVICES:
-            raise BadRequest(f"more than {MAX_SERVICES} services")
+        name, type_name = request.text("service"), request.text("type")
         resolved = resolve(name)
+        if len(self._names | {resolved}) > MAX_SERVICES:
+            raise BadRequest(f"more than {MAX_SERVICES} services")
 
-        async def answer(request: Mapping[str, object]) -> Mapping[str, object]:
-            return await self._ask(name, request)
+        async def answer(arguments: Mapping[str, object]) -> Mapping[str, object]:
+            return await self._ask(name, type_name, arguments)
 
         self._services.provide(Provider(resolved, type_name, self._client, answer))
         self._names.add(resolved)
 
-    def unadvertise(self, name: str) -> None:
+    def unadvertise(self, request: Request) -> None:
         """Offer it no more."""
-        self._services.withdraw(name, self._client)
-        self._names.discard(resolve(name))
+        self._withdraw(resolve(request.text("service")))
 
-    def respond(self, request: dict[str, Any]) -> None:
+    def respond(self, request: Request) -> None:
         """Take the client's `service_response`; one that nobody waits for is late, and harmless."""
-        _, future = self._waiting.get(str(request.get("id")), ("", None))
-        if future is None or future.done():
+        name, answer = self._waiting.get(str(request.id), ("", None))
+        if answer is None or answer.done():
             return
-        values = request.get("values")
-        if request.get("result", True) is False:
-            future.set_exception(BadRequest(f"{request.get('service')}: {values}"))
-        elif isinstance(values, dict):
-            future.set_result(values)
+        values = request.fields.get("values")
+        if request.fields.get("result", True) is False:
+            answer.set_exception(BadRequest(f"{name}: {values if isinstance(values, str) else reprlib.repr(values)}"))
+        elif isinstance(values, dict | None):
+            answer.set_result(values or {})
         else:
-            future.set_exception(BadRequest(f"{request.get('service')}: its answer is no object"))
+            answer.set_exception(BadRequest(f"{name}: its answer is no object"))
 
     def close(self) -> None:
         """The client is gone."""
-        for name in list(self._names):
-            self.unadvertise(name)
-        for name, future in self._waiting.values():
-            if not future.done():
-                future.set_exception(UnknownTopic("service", name))
+        for name in self.names:
+            self._withdraw(name)
+        for name, answer in self._waiting.values():
+            if not answer.done():
+                answer.set_exception(UnknownTopic("service", name))
 
-    async def _ask(self, name: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
+    def _withdraw(self, name: str) -> None:
+        self._services.withdraw(name, self._client)
+        self._names.discard(name)
+
+    async def _ask(self, name: str, type_name: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
+        """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""
+        type_ = self._catalog.service(type_name)
+        if type_ is not None:
+            arguments = type_.request.decode(type_.request.encode(arguments))
         key = f"{self._client} {next(self._numbers)}"
-        future: asyncio.Future[Mapping[str, object]] = asyncio.get_running_loop().create_future()
-        self._waiting[key] = (name, future)
+        answer: _Answer = asyncio.get_running_loop().create_future()
+        self._waiting[key] = (name, answer)
         call = {"op": "call_service", "id": key, "service": name, "args": arguments}
         self._queue.put_result(msgspec.json.encode(call))
         try:
-            return await future
+            values = await answer
         finally:
             del self._waiting[key]
+        return values if type_ is None else type_.response.decode(type_.response.encode(values))

@@ -1,22 +1,21 @@
 """rosapi: the services by which rosbridge's clients look at the graph, answered from the hub as it is now."""
 
+import socket
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
 from typing import Any
 
-import msgspec
-
+from hostlink.api.parameters import Parameters
+from hostlink.api.stamps import to_time
+from hostlink.api.typedefs import describe
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.hub import Hub
-from hostlink.hub.services import DeviceService, Provider
-from hostlink.hub.subscriptions import resolve
-from hostlink.messages.message_type import MessageType
+from hostlink.hub.services import Provider
+from hostlink.hub.subscriptions import DAEMON, Topic, resolve
+from hostlink.messages.message_type import MessageType, ServiceType
 
 Request = Mapping[str, Any]
 Response = dict[str, Any]
-
-KEY = "rosapi"
-_NS_PER_S = 1_000_000_000
 
 
 class RosApi:
@@ -24,6 +23,7 @@ class RosApi:
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
+        self._parameters = Parameters(hub.parameters)
 
     def offer(self) -> None:
         """Register every service under /rosapi/."""
@@ -32,61 +32,72 @@ class RosApi:
             "topics_and_raw_types": ("TopicsAndRawTypes", self._topics_and_raw_types),
             "topics_for_type": ("TopicsForType", self._topics_for_type),
             "topic_type": ("TopicType", self._topic_type),
+            "message_details": ("MessageDetails", self._message_details),
+            "service_request_details": ("ServiceRequestDetails", self._service_request_details),
+            "service_response_details": ("ServiceResponseDetails", self._service_response_details),
             "services": ("Services", self._services),
             "services_for_type": ("ServicesForType", self._services_for_type),
             "service_type": ("ServiceType", self._service_type),
-            "message_details": ("MessageDetails", lambda request: self._details(self._message(request))),
-            "service_request_details": (
-                "ServiceRequestDetails",
-                lambda request: self._details(self._service(request).request),
-            ),
-            "service_response_details": (
-                "ServiceResponseDetails",
-                lambda request: self._details(self._service(request).response),
-            ),
+            "service_node": ("ServiceNode", self._service_node),
+            "service_host": ("ServiceHost", self._service_host),
+            "service_providers": ("ServiceProviders", self._service_providers),
             "nodes": ("Nodes", self._nodes),
             "node_details": ("NodeDetails", self._node_details),
             "publishers": ("Publishers", self._publishers),
             "subscribers": ("Subscribers", self._subscribers),
+            "action_servers": ("GetActionServers", lambda _: {"action_servers": []}),
             "get_param": ("GetParam", self._get_param),
             "set_param": ("SetParam", self._set_param),
             "has_param": ("HasParam", self._has_param),
+            "search_param": ("SearchParam", self._search_param),
             "delete_param": ("DeleteParam", self._delete_param),
-            "get_param_names": ("GetParamNames", self._get_param_names),
-            "action_servers": ("GetActionServers", lambda _: {"action_servers": []}),
-            "get_time": ("GetTime", self._get_time),
+            "get_param_names": ("GetParamNames", lambda _: {"names": self._parameters.names()}),
+            "get_time": ("GetTime", lambda _: {"time": to_time(time.time_ns())}),
+            "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # whose types these are
         }
         for name, (type_name, answer) in answers.items():
-            self._hub.services.provide(Provider(f"/rosapi/{name}", f"rosapi/{type_name}", KEY, _waiting(answer)))
+            self._hub.services.provide(Provider(f"/rosapi/{name}", f"rosapi/{type_name}", DAEMON, _waiting(answer)))
 
     # -- topics and types ---------------------------------------------------------------------------------------------
 
+    def _known_topics(self) -> list[Topic]:
+        """Those whose type somebody has said: a topic that is only waited for is none yet."""
+        return [topic for topic in self._hub.topics.all() if topic.type_name]
+
     def _topics(self, _: Request) -> Response:
-        topics = self._hub.topics.all()
+        topics = self._known_topics()
         return {"topics": [topic.name for topic in topics], "types": [topic.type_name for topic in topics]}
 
     def _topics_and_raw_types(self, request: Request) -> Response:
-        texts = [topic.type.full_definition if topic.type else "" for topic in self._hub.topics.all()]
+        texts = [topic.type.full_definition if topic.type else "" for topic in self._known_topics()]
         return {**self._topics(request), "typedefs_full_text": texts}
 
     def _topics_for_type(self, request: Request) -> Response:
-        wanted = _text(request, "type")
-        return {"topics": [topic.name for topic in self._hub.topics.all() if topic.type_name == wanted]}
+        wanted = _plain(_text(request, "type"))
+        return {"topics": [topic.name for topic in self._known_topics() if topic.type_name == wanted]}
 
     def _topic_type(self, request: Request) -> Response:
         topic = self._hub.topics.find_or_none(_text(request, "topic"))
         return {"type": "" if topic is None else topic.type_name}
 
-    def _details(self, type_: MessageType) -> Response:
-        typedefs: dict[str, Response] = {}
-        _add_typedef(type_, typedefs)
-        return {"typedefs": list(typedefs.values())}
-
-    def _message(self, request: Request) -> MessageType:
+    def _message_details(self, request: Request) -> Response:
         name = _text(request, "type")
-        found = self._hub.catalog.message(name)
+        found: MessageType | None = self._hub.catalog.message(name)
         if found is None:
             raise UnknownTopic("message type", name)
+        return {"typedefs": describe(found)}
+
+    def _service_request_details(self, request: Request) -> Response:
+        return {"typedefs": describe(self._service(request).request)}
+
+    def _service_response_details(self, request: Request) -> Response:
+        return {"typedefs": describe(self._service(request).response)}
+
+    def _service(self, request: Request) -> ServiceType:
+        name = _text(request, "type")
+        found = self._hub.catalog.service(name)
+        if found is None:
+            raise UnknownTopic("service type", name)
         return found
 
     # -- services -----------------------------------------------------------------------------------------------------
@@ -95,24 +106,39 @@ class RosApi:
         return {"services": [name for name, _ in self._hub.services.all()]}
 
     def _services_for_type(self, request: Request) -> Response:
-        wanted = _text(request, "type")
-        return {"services": [name for name, type_name in self._hub.services.all() if type_name == wanted]}
+        wanted = _plain(_text(request, "type"))
+        return {"services": [name for name, type_name in self._hub.services.all() if _plain(type_name) == wanted]}
 
     def _service_type(self, request: Request) -> Response:
         return {"type": dict(self._hub.services.all()).get(resolve(_text(request, "service")), "")}
 
-    def _service(self, request: Request) -> Any:
-        name = _text(request, "type")
-        found = self._hub.catalog.service(name)
-        if found is None:
-            raise UnknownTopic("service type", name)
-        return found
+    def _service_node(self, request: Request) -> Response:
+        return {"node": self._node_of_service(_text(request, "service"))}
+
+    def _service_host(self, request: Request) -> Response:
+        is_known = self._node_of_service(_text(request, "service"))
+        return {"host": socket.gethostname() if is_known else ""}
+
+    def _service_providers(self, request: Request) -> Response:
+        """Of a service, or of every service of a type: rosbridge's versions differ."""
+        wanted = _text(request, "service")
+        names = [name for name, type_name in self._hub.services.all() if wanted == type_name or resolve(wanted) == name]
+        return {"providers": sorted({self._node_of_service(name) for name in names})}
+
+    def _node_of_service(self, name: str) -> str:
+        try:
+            found = self._hub.services.find(name)
+        except UnknownTopic:
+            return ""
+        return self._node(found.key)
 
     # -- nodes: hostlink itself, every device, every client -----------------------------------------------------------
 
     def _nodes(self, _: Request) -> Response:
-        keys = {key for topic in self._hub.topics.all() for key in (*topic.publishers, *topic.devices)}
-        return {"nodes": sorted({"/hostlink", *(self._node(key) for key in keys)})}
+        topics = self._hub.topics.all()
+        keys = {key for topic in topics for key in (*topic.publishers, *_hearers(topic))}
+        offered = {self._node_of_service(name) for name, _ in self._hub.services.all()}
+        return {"nodes": sorted({self._node(DAEMON), *map(self._node, keys), *offered})}
 
     def _node_details(self, request: Request) -> Response:
         node = _text(request, "node")
@@ -120,71 +146,44 @@ class RosApi:
         offered = [name for name, _ in self._hub.services.all()]
         return {
             "publishing": [topic.name for topic in topics if node in map(self._node, topic.publishers)],
-            "subscribing": [topic.name for topic in topics if node in map(self._node, topic.devices)],
-            "services": [name for name in offered if node == self._node(self._offerer(name))],
+            "subscribing": [topic.name for topic in topics if node in map(self._node, _hearers(topic))],
+            "services": [name for name in offered if node == self._node_of_service(name)],
         }
 
     def _publishers(self, request: Request) -> Response:
         topic = self._hub.topics.find(_text(request, "topic"))
-        return {"publishers": sorted(map(self._node, topic.publishers))}
+        return {"publishers": sorted(set(map(self._node, topic.publishers)))}
 
     def _subscribers(self, request: Request) -> Response:
         topic = self._hub.topics.find(_text(request, "topic"))
-        return {"subscribers": sorted(map(self._node, topic.devices))}
+        return {"subscribers": sorted(set(map(self._node, _hearers(topic))))}
 
-    def _offerer(self, name: str) -> object:
-        found = self._hub.services.find(name)
-        return found.key if isinstance(found, DeviceService | Provider) else None
-
-    def _node(self, key: object) -> str:
+    def _node(self, key: Hashable) -> str:
         """A robot by its name, another device by its link, a client by its number."""
-        if key in ("hostlink", KEY):
-            return "/hostlink"
         robot = next((robot.name for robot in self._hub.robots.all() if robot.link is key), None)
         return f"/{robot or str(key).split(' (', maxsplit=1)[0].replace(' ', '_')}"
 
-    # -- parameters and time ------------------------------------------------------------------------------------------
+    # -- parameters ---------------------------------------------------------------------------------------------------
 
     def _get_param(self, request: Request) -> Response:
-        default = request.get("default") or "null"
-        name = self._param_name(request)
-        value = self._hub.parameters.get(name) if name else None
-        return {"value": default if value is None else msgspec.json.encode(value).decode()}
+        default = request.get("default")
+        return {"value": self._parameters.get(_text(request, "name"), default if isinstance(default, str) else "")}
 
     def _set_param(self, request: Request) -> Response:
-        name = self._param_name(request) or _text(request, "name")
-        try:
-            self._hub.parameters[name] = msgspec.json.decode(_text(request, "value"), type=_Parameter)
-        except msgspec.DecodeError as error:
-            raise BadRequest(
-                f"set_param: value must be JSON of a number, a text, a truth or a list of them: {error}"
-            ) from error
+        self._parameters.put(_text(request, "name"), _text(request, "value"))
         return {}
 
     def _has_param(self, request: Request) -> Response:
-        return {"exists": self._param_name(request) is not None}
+        return {"exists": self._parameters.has(_text(request, "name"))}
+
+    def _search_param(self, request: Request) -> Response:
+        """There is one namespace to search: the root."""
+        name = _text(request, "name")
+        return {"global_name": resolve(name) if self._parameters.has(name) else ""}
 
     def _delete_param(self, request: Request) -> Response:
-        name = self._param_name(request)
-        if name is None:
-            raise UnknownTopic("parameter", _text(request, "name"), tuple(self._hub.parameters))
-        del self._hub.parameters[name]
+        self._parameters.delete(_text(request, "name"))
         return {}
-
-    def _get_param_names(self, _: Request) -> Response:
-        return {"names": sorted(resolve(name) for name in self._hub.parameters)}
-
-    def _param_name(self, request: Request) -> str | None:
-        """As the setting spells it."""
-        wanted = resolve(_text(request, "name"))
-        return next((name for name in self._hub.parameters if resolve(name) == wanted), None)
-
-    def _get_time(self, _: Request) -> Response:
-        secs, nsecs = divmod(time.time_ns(), _NS_PER_S)
-        return {"time": {"secs": secs, "nsecs": nsecs}}
-
-
-_Parameter = bool | int | float | str | list[bool | int | float | str]
 
 
 def _waiting(answer: Callable[[Request], Response]) -> Callable[[Request], Awaitable[Response]]:
@@ -201,26 +200,12 @@ def _text(request: Request, key: str) -> str:
     return value
 
 
-def _add_typedef(type_: MessageType, typedefs: dict[str, Response]) -> None:
-    """The root first, then each nested type once."""
-    if type_.name in typedefs:
-        return
-    typedefs[type_.name] = {
-        "type": type_.name,
-        "fieldnames": [field.name for field in type_.fields],
-        "fieldtypes": [field.type for field in type_.fields],
-        "fieldarraylen": [field.array_length for field in type_.fields],
-        "examples": [_example(field.type, field.array_length) for field in type_.fields],
-        "constnames": [constant.name for constant in type_.constants],
-        "constvalues": [constant.text for constant in type_.constants],
-    }
-    for nested in type_.nested.values():
-        _add_typedef(nested, typedefs)
+def _plain(type_name: str) -> str:
+    """ "pkg/msg/Type" -> "pkg/Type"."""
+    parts = type_name.split("/")
+    return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else type_name
 
 
-def _example(type_name: str, array_length: int) -> str:
-    if array_length >= 0:
-        return "[]"
-    if "/" in type_name:
-        return "{}"
-    return {"string": "", "bool": "false", "float32": "0.0", "float64": "0.0"}.get(type_name, "0")
+def _hearers(topic: Topic) -> Iterable[Hashable]:
+    """The keys of the devices and the clients that get its messages."""
+    return (*topic.devices, *(subscriber.key for subscriber in topic.subscribers))

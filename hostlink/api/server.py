@@ -12,6 +12,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from structlog.contextvars import bound_contextvars
 
 from hostlink.api.client_queue import ClientQueue
+from hostlink.api.request import MAX_MESSAGE_BYTES
 from hostlink.api.rest import Rest, explain_errors
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
@@ -21,7 +22,6 @@ from hostlink.hub.hub import Hub
 
 log = structlog.get_logger()
 
-MAX_MESSAGE_BYTES = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
 PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
@@ -79,6 +79,7 @@ class ApiServer:
                 async for message in socket:
                     if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
                         client.receive(message.data)
+                        await client.settle()
             finally:
                 client.close()
                 sender.cancel()

@@ -13,6 +13,13 @@ class Throttle:
         self._waiting: deque[Message] = deque(maxlen=queue_length)
         self._free_at_s = float("-inf")
 
+    def change(self, *, interval_s: float, queue_length: int) -> None:
+        """Another pace from now on; what waits and fits goes on waiting."""
+        if (interval_s, queue_length) != (self.interval_s, self._waiting.maxlen):
+            self._free_at_s += interval_s - self.interval_s
+            self.interval_s = interval_s
+            self._waiting = deque(self._waiting, maxlen=queue_length)
+
     def offer(self, message: Message, now_s: float) -> Message | None:
         """The message to send now, if any: this one, or an older one that waits."""
         if self.interval_s <= 0:

@@ -21,6 +21,7 @@ from hostlink.hub.subscriptions import Topic, TopicGraph, resolve
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import MessageType
 from hostlink.protocol import events
 from hostlink.protocol.control import LOG_LEVELS, Parameter
 from hostlink.protocol.session import Session
@@ -267,8 +268,8 @@ class Hub:
         """
         known = self.topics.find_or_none(topic)
         named = self.catalog.message(type_name) if type_name else None
-        type_ = named if known is None or not known.type_name else known.type
-        if known is not None and named is not None and known.type_name != named.name:
+        type_ = self.message_type(topic, type_name)
+        if known is not None and known.type_name and named is not None and known.type_name != named.name:
             raise WrongType(known.name, known.type_name, named.name)
         if known is None and named is None:
             raise UnknownTopic("topic", topic, tuple(other.name for other in self.topics.all()))
@@ -280,6 +281,13 @@ class Hub:
             raise WrongType(topic, "a type with a definition", type_name or "none")
         if known is not None:
             self._spread(known, payload, source=source, priority=priority)
+
+    def message_type(self, topic: str, type_name: str = "") -> MessageType | None:
+        """What the messages of a topic are: as it is known, else the type of this name; None: nobody knows."""
+        known = self.topics.find_or_none(topic)
+        if known is not None and known.type_name:
+            return known.type
+        return self.catalog.message(type_name) if type_name else None
 
     def leave(self, source: str) -> None:
         """A client is gone: what it drove stops, what it offered is no more."""

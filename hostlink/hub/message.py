@@ -17,6 +17,7 @@ class Message:
         self.type = type_  # None: a type that nobody has a definition of; the payload passes as it is
         self.payload = payload
         self.stamp_ns = stamp_ns  # wall time of arrival
+        self.frames: dict[tuple[str, str], bytes] = {}  # what clients are sent, by form and the name that they use
 
     @cached_property
     def decoded(self) -> dict[str, object]:

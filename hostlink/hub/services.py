@@ -9,15 +9,16 @@ from collections.abc import Awaitable, Callable, Hashable, Mapping
 
 import structlog
 
-from hostlink.errors import DeviceBusy, DeviceGone, HostlinkError, ServiceTimeout, UnknownTopic, WrongType
-from hostlink.hub.subscriptions import resolve
+from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, HostlinkError, ServiceTimeout, UnknownTopic, WrongType
+from hostlink.hub.subscriptions import DAEMON, resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import ServiceType
 
 log = structlog.get_logger()
 
-DEFAULT_TIMEOUT_S = 5.0
+DEVICE_TIMEOUT_S = 5.0
+PROGRAM_TIMEOUT_S = 60.0  # a program may do something that takes its time, and rosbridge would wait for ever
 MAX_WAITING = 8  # calls for one service; more mean that the device cannot keep up
 Send = Callable[[bytes], None]
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
@@ -111,7 +112,10 @@ class Services:
         self._devices[service.name] = service
 
     def provide(self, provider: Provider) -> None:
-        """A client offers a service."""
+        """A client offers a service; BadRequest for a name of the daemon's own."""
+        before = self._providers.get(provider.name)
+        if before is not None and before.key == DAEMON != provider.key:
+            raise BadRequest(f"{provider.name} is a service of hostlink's own")
         self._providers[provider.name] = provider
 
     def withdraw(self, name: str, key: Hashable) -> None:
@@ -152,12 +156,18 @@ class Services:
             raise UnknownTopic("service", name, others)
         return found
 
+    def type_of(self, name: str) -> ServiceType | None:
+        """The type of a service, if it has a definition; UnknownTopic if nobody offers it."""
+        service = self.find(name)
+        return self._catalog.service(service.type_name) if isinstance(service, Provider) else service.type
+
     async def call(
-        self, name: str, request: Mapping[str, object], *, timeout_s: float = DEFAULT_TIMEOUT_S
+        self, name: str, request: Mapping[str, object], *, timeout_s: float | None = None
     ) -> Mapping[str, object]:
         """Call a service, whoever offers it. UnknownTopic, WrongType, BadRequest, or what DeviceService.call raises."""
         service = self.find(name)
         if isinstance(service, Provider):
+            timeout_s = PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s
             try:
                 async with asyncio.timeout(timeout_s):
                     return await service.answer(request)
@@ -165,6 +175,7 @@ class Services:
                 raise ServiceTimeout(service.name, timeout_s) from None
         if service.type is None:
             raise WrongType(service.name, "a service type with a definition", service.type_name)
+        timeout_s = DEVICE_TIMEOUT_S if timeout_s is None else timeout_s
         answer = await service.call(service.type.request.encode(request), timeout_s=timeout_s)
         return service.type.response.decode(answer)
 
@@ -178,7 +189,7 @@ class Services:
         if type_ is None:
             raise WrongType(name, "a service type with a definition", type_name)
         try:
-            answer = await self.call(name, type_.request.decode(payload))
+            answer = await self.call(name, type_.request.decode(payload), timeout_s=DEVICE_TIMEOUT_S)
         except HostlinkError as error:
             log.warning("service.failed", service=printable(name), reason=str(error))
             has_message = any(field.name == "message" and field.type == "string" for field in type_.response.fields)

@@ -1,6 +1,8 @@
 """TopicGraph: every topic by name, who publishes it, who subscribes to it, which devices take it."""
 
+import time
 from collections.abc import Callable, Hashable
+from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.message import Message
@@ -11,32 +13,62 @@ Deliver = Callable[[Message], None]
 Unsubscribe = Callable[[], None]
 SendToDevice = Callable[[bytes], None]
 
+DAEMON = "hostlink"  # the key of what the daemon itself publishes
+_CLIENT_RANK, _DAEMON_RANK, _DEVICE_RANK = range(3)  # whose word on the type of a topic goes before another's
+
 
 def resolve(name: str) -> str:
     """The full name of a topic or service: `odom`, `/odom` and `~odom` are one."""
     return "/" + name.lstrip("/~")
 
 
+class Subscriber(NamedTuple):
+    """Somebody who hears a topic, and the type that he expects, if he says."""
+
+    deliver: Deliver
+    key: Hashable
+    type_name: str
+
+
 class Topic:
-    """One name in the graph. Whoever publishes or takes it is known by a key: a link or a client's name."""
+    """One name in the graph. Whoever publishes or takes it is known by a key: a link, or the name of a client."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.type_name = ""  # until somebody says
         self.type: MessageType | None = None
+        self.rank = _CLIENT_RANK  # of who said the type
         self.messages = 0
         self.publishers: set[Hashable] = set()
-        self.subscribers: tuple[Deliver, ...] = ()
+        self.subscribers: tuple[Subscriber, ...] = ()
         self.devices: dict[Hashable, SendToDevice] = {}
+        self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for programs that come later
 
     @property
     def is_used(self) -> bool:
         """Whether anybody still means this topic."""
         return bool(self.publishers or self.subscribers or self.devices)
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether a message would reach anybody."""
+        return bool(self.subscribers or self.devices)
+
+    @property
+    def is_of_devices(self) -> bool:
+        """Whether a device publishes or takes it."""
+        return any(_rank(key) == _DEVICE_RANK for key in (*self.publishers, *self.devices))
+
+    def forget_publisher(self, key: Hashable) -> None:
+        """`key` publishes no more."""
+        self.publishers.discard(key)
+        self.latched.pop(key, None)
+
     def spread(self, payload: bytes, stamp_ns: int, *, source: Hashable) -> None:
         """Hand a payload to every device and client but its source; raises the last error of a device afterwards."""
         refusal: HostlinkError | None = None
+        if source in self.latched:
+            self.latched[source] = payload
         for key, send in self.devices.items():
             if key is not source:
                 try:
@@ -52,8 +84,8 @@ class Topic:
         self.messages += 1
         if self.subscribers:
             message = Message(self.name, self.type_name, self.type, payload, stamp_ns)
-            for deliver in self.subscribers:
-                deliver(message)
+            for subscriber in self.subscribers:
+                subscriber.deliver(message)
 
 
 class TopicGraph:
@@ -78,26 +110,32 @@ class TopicGraph:
         """The topic of that name, if anybody uses one."""
         return self._topics.get(resolve(name))
 
-    def subscribe(self, name: str, deliver: Deliver, *, type_name: str = "") -> Unsubscribe:
-        """Deliver every message of the topic from now on; call what is returned to end it."""
-        topic = self._open(name, type_name)
-        topic.subscribers += (deliver,)
+    def subscribe(self, name: str, deliver: Deliver, *, type_name: str = "", key: Hashable = DAEMON) -> Unsubscribe:
+        """Deliver what was latched, and every message from now on; call what is returned to end it."""
+        topic = self._open(name, type_name, _CLIENT_RANK)
+        subscriber = Subscriber(deliver, key, type_name)
+        topic.subscribers += (subscriber,)
+        for payload in topic.latched.values():
+            if payload is not None:
+                deliver(Message(topic.name, topic.type_name, topic.type, payload, time.time_ns()))
 
         def unsubscribe() -> None:
-            topic.subscribers = tuple(other for other in topic.subscribers if other is not deliver)
-            self._drop_unused(topic)
+            topic.subscribers = tuple(other for other in topic.subscribers if other is not subscriber)
+            self._settle(topic)
 
         return unsubscribe
 
-    def advertise(self, name: str, key: Hashable, *, type_name: str) -> Topic:
+    def advertise(self, name: str, key: Hashable, *, type_name: str, is_latched: bool = False) -> Topic:
         """Note that `key` publishes the topic; WrongType if it is in use with another type."""
-        topic = self._open(name, type_name)
+        topic = self._open(name, type_name, _rank(key))
         topic.publishers.add(key)
+        if is_latched:
+            topic.latched.setdefault(key)
         return topic
 
     def take(self, name: str, key: Hashable, send: SendToDevice, *, type_name: str) -> Topic:
-        """Note that the device `key` takes the topic."""
-        topic = self._open(name, type_name)
+        """Note that the device `key` takes the topic. It gets nothing of before: an old command is no command."""
+        topic = self._open(name, type_name, _rank(key))
         topic.devices[key] = send
         return topic
 
@@ -105,28 +143,54 @@ class TopicGraph:
         """`key` publishes the topic no more."""
         topic = self.find_or_none(name)
         if topic is not None:
-            topic.publishers.discard(key)
-            self._drop_unused(topic)
+            topic.forget_publisher(key)
+            self._settle(topic)
+
+    def untake(self, name: str, key: Hashable) -> None:
+        """`key` takes the topic no more."""
+        topic = self.find_or_none(name)
+        if topic is not None:
+            topic.devices.pop(key, None)
+            self._settle(topic)
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone: it publishes and takes nothing any more."""
         for topic in list(self._topics.values()):
-            topic.publishers.discard(key)
+            topic.forget_publisher(key)
             topic.devices.pop(key, None)
-            self._drop_unused(topic)
+            self._settle(topic)
 
-    def _open(self, name: str, type_name: str) -> Topic:
+    def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
         topic = self._topics.get(resolved) or Topic(resolved)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
-        if plain_name and not topic.type_name:
-            topic.type_name, topic.type = plain_name, type_
-        elif plain_name and topic.type_name != plain_name:
-            raise WrongType(resolved, topic.type_name, plain_name)
+        if plain_name and plain_name != topic.type_name:
+            if topic.type_name and rank <= topic.rank:
+                raise WrongType(resolved, topic.type_name, plain_name)
+            for key in [key for key in topic.publishers if _rank(key) < rank]:  # they meant another topic
+                topic.forget_publisher(key)
+            topic.type_name, topic.type, topic.rank = plain_name, type_, rank
+        elif plain_name:
+            topic.rank = max(topic.rank, rank)
         self._topics[resolved] = topic
         return topic
 
-    def _drop_unused(self, topic: Topic) -> None:
-        if not topic.is_used and self._topics.get(topic.name) is topic:
+    def _settle(self, topic: Topic) -> None:
+        """Somebody left: a topic without users goes, one that is only waited for has the type that is waited for."""
+        if self._topics.get(topic.name) is not topic:
+            return
+        owners = (*topic.publishers, *topic.devices)
+        topic.rank = max(map(_rank, owners), default=_CLIENT_RANK)
+        if not topic.is_used:
             del self._topics[topic.name]
+        elif not owners:
+            wanted = next((other.type_name for other in topic.subscribers if other.type_name), "")
+            topic.type = self._catalog.message(wanted) if wanted else None
+            topic.type_name = wanted if topic.type is None else topic.type.name
+
+
+def _rank(key: Hashable) -> int:
+    if not isinstance(key, str):
+        return _DEVICE_RANK
+    return _DAEMON_RANK if key == DAEMON else _CLIENT_RANK

@@ -7,13 +7,14 @@ import base64
 import math
 import reprlib
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final, NoReturn
 
 from hostlink.errors import BadPayload, BadRequest
 from hostlink.messages.fields import (
     COUNT_BYTES,
     DURATION,
+    ENCODED_BYTES_MAX,
     FLOATS,
     FORMATS,
     HOLLOW_ELEMENTS_MAX,
@@ -53,11 +54,14 @@ def _encode_message(layout: Layout, message: object, path: str) -> bytes:
     for name in message:
         if name not in known:
             raise BadRequest(f"{path} has no field {reprlib.repr(name)}; its fields: {', '.join(known) or 'none'}")
-    return b"".join(
-        _encode_field(layout, field, message[field.name], f"{path}.{field.name}")
-        if field.name in message
-        else bytes(layout.field_minimum_bytes(field))
-        for field in layout.fields
+    return _joined(
+        path,
+        (
+            _encode_field(layout, field, message[field.name], f"{path}.{field.name}")
+            if field.name in message
+            else bytes(layout.field_minimum_bytes(field))
+            for field in layout.fields
+        ),
     )
 
 
@@ -77,9 +81,23 @@ def _encode_field(layout: Layout, field: Field, value: object, path: str) -> byt
         return count + elements
     if field.type in FORMATS and field.type != "bool":
         return count + _numbers(field.type, elements, path)
-    return count + b"".join(
-        _encode_one(layout, field, element, f"{path}[{index}]") for index, element in enumerate(elements)
-    )
+    encoded = (_encode_one(layout, field, element, f"{path}[{index}]") for index, element in enumerate(elements))
+    return count + _joined(path, encoded)
+
+
+def check_size(size_bytes: int, path: str) -> None:
+    """BadRequest where a message takes more than any receiver is asked to take."""
+    if size_bytes > ENCODED_BYTES_MAX:
+        raise BadRequest(f"{path}: more than {ENCODED_BYTES_MAX} bytes")
+
+
+def _joined(path: str, parts: Iterable[bytes]) -> bytes:
+    """All parts, as long as they are not too many bytes: a few characters may stand for a long message of zeros."""
+    joined = bytearray()
+    for part in parts:
+        joined += part
+        check_size(len(joined), path)
+    return bytes(joined)
 
 
 def _encode_one(layout: Layout, field: Field, value: object, path: str) -> bytes:

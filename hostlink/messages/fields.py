@@ -30,6 +30,10 @@ FLOATS: Final = frozenset({"float32", "float64"})
 OCTETS: Final = frozenset({"uint8", "char"})  # arrays of these are bytes
 BUILT_IN: Final = frozenset({*FORMATS, "string", "time", "duration"})
 
+# What a program may send another; a device takes far less. Fields that are left out take room too, so that a short text
+# can mean a long message.
+ENCODED_BYTES_MAX: Final = 1024 * 1024
+
 # Messages without fields cost memory here and nothing on the wire, so the length of a list of them cannot be checked
 # against the payload; so many cost a payload byte about what the smallest other messages do.
 HOLLOW_ELEMENTS_MAX: Final = 16

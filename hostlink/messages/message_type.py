@@ -37,6 +37,13 @@ class MessageType:
         return self.layout.fixed_bytes
 
     @cached_property
+    def has_time(self) -> bool:
+        """Whether a time stands anywhere in it."""
+        return any(field.type == "time" for field in self.fields) or any(
+            nested.has_time for nested in self.nested.values()
+        )
+
+    @cached_property
     def md5_text(self) -> str:
         """What the md5 sum is the sum of: constants, fields; a message in it is the md5 sum of its type."""
         lines = [f"{constant.type} {constant.name}={constant.text}" for constant in self.constants]
@@ -61,9 +68,11 @@ class MessageType:
     def encode(self, message: Mapping[str, object]) -> bytes:
         """Missing fields are zero; BadRequest names the field that is unknown or has a wrong value."""
         try:
-            return self._encoder(message)
+            payload = self._encoder(message)
         except ODD:
             return careful.encode(self.layout, message)
+        careful.check_size(len(payload), self.name)
+        return payload
 
     def decode(self, payload: bytes | memoryview) -> dict[str, object]:
         """A dict in field order; BadPayload where the payload is not exactly one message.

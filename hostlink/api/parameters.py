@@ -1,0 +1,96 @@
+"""Parameters: rosapi's calls on the parameters that devices are answered with; a name may stand for a tree."""
+
+from typing import Any
+
+import msgspec
+
+from hostlink.config import ParameterScalar, ParameterValue
+from hostlink.errors import BadRequest, UnknownTopic
+from hostlink.hub.subscriptions import resolve
+
+MAX_PARAMETERS = 1024
+MAX_VALUE_CHARACTERS = 4096  # of JSON; no device takes more
+_Value = ParameterScalar | list[ParameterScalar]
+
+
+class Parameters:
+    """Names are full ones here (`/robot_0/gain`); the settings may spell them otherwise."""
+
+    def __init__(self, settings: dict[str, ParameterValue]) -> None:
+        self._settings = settings
+
+    def names(self) -> list[str]:
+        """All of them."""
+        return sorted(map(resolve, self._settings))
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a parameter, or one below it."""
+        return bool(self._below(name))
+
+    def get(self, name: str, default: str) -> str:
+        """The value as JSON, an object for a name with others below it; without one, `default`: JSON, or a text."""
+        found = self._below(name)
+        if not found:
+            return _as_json(default)
+        return msgspec.json.encode(self._tree(resolve(name).rstrip("/"), found)).decode()
+
+    def put(self, name: str, text: str) -> None:
+        """Set it, and all below it, to this JSON; BadRequest for a value that no device can be answered with."""
+        if len(text) > MAX_VALUE_CHARACTERS:
+            raise BadRequest(f"set_param: value is longer than {MAX_VALUE_CHARACTERS} characters")
+        leaves: dict[str, ParameterValue] = {}
+        try:
+            _flatten(resolve(name), msgspec.json.decode(text), leaves)
+        except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
+            wanted = "a number, a text, a truth, a list of them, or an object of those"
+            raise BadRequest(f"set_param: value must be JSON of {wanted}: {error}") from None
+        replaced = self._below(name)
+        if len(self._settings) - len(replaced) + len(leaves) > MAX_PARAMETERS:
+            raise BadRequest(f"set_param: more than {MAX_PARAMETERS} parameters")
+        for setting in replaced.values():
+            del self._settings[setting]
+        self._settings.update({replaced.get(full, full): value for full, value in leaves.items()})
+
+    def delete(self, name: str) -> None:
+        """Delete it, and all below it; UnknownTopic if there is none."""
+        found = self._below(name)
+        if not found:
+            raise UnknownTopic("parameter", name, tuple(self.names()))
+        for setting in found.values():
+            del self._settings[setting]
+
+    def _below(self, name: str) -> dict[str, str]:
+        """Full name -> name in the settings, of the parameter and of those below it."""
+        wanted = resolve(name).rstrip("/")
+        full_names = {resolve(setting): setting for setting in self._settings}
+        return {full: own for full, own in full_names.items() if full == wanted or full.startswith(f"{wanted}/")}
+
+    def _tree(self, name: str, found: dict[str, str]) -> object:
+        if name in found:
+            return self._settings[found[name]]
+        tree: dict[str, Any] = {}
+        for full, setting in sorted(found.items()):
+            *branches, leaf = full.removeprefix(f"{name}/").split("/")
+            place = tree
+            for branch in branches:
+                if not isinstance(place.get(branch), dict):
+                    place[branch] = {}
+                place = place[branch]
+            place[leaf] = self._settings[setting]
+        return tree
+
+
+def _as_json(default: str) -> str:
+    try:
+        msgspec.json.decode(default or "null")
+    except (msgspec.DecodeError, RecursionError):
+        return msgspec.json.encode(default).decode()
+    return default or "null"
+
+
+def _flatten(name: str, value: Any, leaves: dict[str, ParameterValue]) -> None:
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            _flatten(f"{name.rstrip('/')}/{key}", inner, leaves)
+    else:
+        leaves[name] = msgspec.convert(value, _Value)

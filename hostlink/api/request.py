@@ -1,0 +1,87 @@
+"""Request: one operation that a client of rosbridge sent, with its fields checked as they are read."""
+
+import math
+import reprlib
+from typing import Any
+
+import msgspec
+
+from hostlink.errors import BadRequest
+
+MAX_MESSAGE_BYTES = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
+MAX_TEXT = 1024  # characters of a name or an id; the longest that roslib makes is a name and 50 more
+
+
+class Request:
+    """A JSON object with an `op`; what a field must not be is a BadRequest that names it."""
+
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self.fields = fields
+        self.op: str = self._operation()
+
+    @classmethod
+    def read(cls, text: str | bytes) -> "Request":
+        """BadRequest for what is no JSON, or no object with an `op`."""
+        try:
+            fields = msgspec.json.decode(text)
+        except (msgspec.DecodeError, UnicodeError) as error:
+            raise BadRequest(f"no JSON: {error}") from None
+        except RecursionError:
+            raise BadRequest("no JSON that anybody means: nested too deeply") from None
+        if not isinstance(fields, dict) or "op" not in fields:
+            raise BadRequest('a message is a JSON object with an "op"')
+        return cls(fields)
+
+    @property
+    def id(self) -> object:
+        """As the client wrote it; None: it has none."""
+        found = self.fields.get("id")
+        if isinstance(found, list | dict) or (isinstance(found, str) and len(found) > MAX_TEXT):
+            raise BadRequest(f"{self.op}: id must be a number, or a text of at most {MAX_TEXT} characters")
+        return found
+
+    def text(self, key: str) -> str:
+        """A text that must be there."""
+        value = self.fields.get(key)
+        if not isinstance(value, str) or not value:
+            raise BadRequest(f"{self.op}: {key} must be a text")
+        if len(value) > MAX_TEXT:
+            raise BadRequest(f"{self.op}: {key} is longer than {MAX_TEXT} characters")
+        return value
+
+    def text_or(self, key: str, default: str) -> str:
+        """A text that clients leave out, or empty, or null."""
+        return self.text(key) if self.fields.get(key) else default
+
+    def number_or(self, key: str, default: float) -> float:
+        """A number, not negative; one that is left out or null is `default`."""
+        value = self.fields.get(key)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            raise BadRequest(f"{self.op}: {key} must be a number, not negative")
+        return min(float(value), float(2**53))
+
+    def whole(self, key: str, default: int, largest: int) -> int:
+        """A whole number from 0 to `largest`."""
+        value = self.fields.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
+            raise BadRequest(f"{self.op}: {key} must be a number from 0 to {largest}")
+        return value
+
+    def table(self, key: str) -> dict[str, Any]:
+        """An object; one that is left out is empty."""
+        value = self.fields.get(key, {})
+        if not isinstance(value, dict):
+            raise BadRequest(f"{self.op}: {key} must be an object")
+        return value
+
+    def is_set(self, key: str) -> bool:
+        """Whether a switch is on."""
+        return self.fields.get(key) is True
+
+    def _operation(self) -> str:
+        value = self.fields["op"]
+        if not isinstance(value, str) or not value:
+            raise BadRequest(f"{reprlib.repr(value)}: op must be a text")
+        return value
