@@ -94,6 +94,7 @@ class RobotConfig:
     max_angular_acceleration_rad_s2: float | None = None
     max_linear_deceleration_m_s2: float | None = None  # None: a stop is a stop at once
     max_angular_deceleration_rad_s2: float | None = None
+    odometry_after_restart: Literal["continue", "restart"] = "continue"  # REP 105: an odometry does not jump
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -301,6 +301,7 @@ class Hub:
             velocity = Velocity.from_twist(self.robots.twist.decode(payload))
             self.robots.command(robot, velocity, owner=str(source), priority=priority)
         else:
+            self.robots.expect_reset(topic.name)
             topic.spread(payload, time.time_ns(), source=source)
 
     def _show(self, name: str, payload: bytes) -> None:

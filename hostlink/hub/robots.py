@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import structlog
 
@@ -14,7 +14,7 @@ from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.directory import RobotTopics
-from hostlink.robot.odometry import OdometryView
+from hostlink.robot.odometry import OdometryView, Twist
 from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
 
@@ -39,7 +39,7 @@ class Robot:
     gate: VelocityGate
     topics: RobotTopics
     link: Link | None
-    odometry: OdometryView = field(default_factory=OdometryView)
+    odometry: OdometryView
     sent: Velocity = ZERO
     sent_at_s: float = 0.0
     unsubscribe: Unsubscribe | None = None
@@ -73,6 +73,7 @@ class Robots:
         self._subscribe, self._show = subscribe, show
         self._robots: dict[str, Robot] = {}
         self._by_velocity_topic: dict[str, Robot] = {}
+        self._by_reset_topic: dict[str, Robot] = {}
         self._wake = asyncio.Event()
 
     def all(self) -> list[Robot]:
@@ -90,15 +91,24 @@ class Robots:
         """The robot that is driven by the topic of this full name."""
         return self._by_velocity_topic.get(topic)
 
+    def expect_reset(self, topic: str) -> None:
+        """A message goes to this topic: if it resets a robot's odometry, its next pose is at the origin."""
+        robot = self._by_reset_topic.get(topic)
+        if robot is not None:
+            robot.odometry.expect_reset(_now_s())
+
     def appear(self, name: str, topics: RobotTopics, link: Link) -> None:
         """A robot's device is ready: whatever was commanded before means nothing now, its first velocity is zero."""
         robot = self._robots.get(name)
         if robot is None:
-            robot = self._robots[name] = Robot(name, VelocityGate(name, self._limits(name)), topics, link)
+            gate, odometry = VelocityGate(name, self._limits(name)), self._odometry(name)
+            robot = self._robots[name] = Robot(name, gate, topics, link, odometry)
         else:
-            self._forget_topic(robot)
+            self._forget_topics(robot)
             robot.topics, robot.link = topics, link
         self._by_velocity_topic[resolve(topics.velocity)] = robot
+        if topics.reset is not None:
+            self._by_reset_topic[resolve(topics.reset)] = robot
         if robot.unsubscribe is not None:
             robot.unsubscribe()
         robot.unsubscribe = self._subscribe(topics.odometry, robot.see)
@@ -115,7 +125,7 @@ class Robots:
                 if robot.unsubscribe is not None:
                     robot.unsubscribe()
                     robot.unsubscribe = None
-                self._forget_topic(robot)
+                self._forget_topics(robot)
                 log.warning("robot.gone", robot=robot.name)
 
     def command(self, robot: Robot, velocity: Velocity, *, owner: str, priority: int = PROGRAM_PRIORITY) -> Velocity:
@@ -168,10 +178,13 @@ class Robots:
                 self._wake.clear()
                 await self._wake.wait()
 
-    def _forget_topic(self, robot: Robot) -> None:
-        topic = resolve(robot.topics.velocity)
-        if self._by_velocity_topic.get(topic) is robot:
-            del self._by_velocity_topic[topic]
+    def _forget_topics(self, robot: Robot) -> None:
+        for robots, topic in (
+            (self._by_velocity_topic, robot.topics.velocity),
+            (self._by_reset_topic, robot.topics.reset),
+        ):
+            if topic is not None and robots.get(resolve(topic)) is robot:
+                del robots[resolve(topic)]
 
     def _tell(self, robot: Robot) -> None:
         self._step(robot, is_news=True)
@@ -197,6 +210,11 @@ class Robots:
         robot.sent, robot.sent_at_s = velocity, now_s
         robot.link.wake()
         self._show(robot.topics.velocity, payload)
+
+    def _odometry(self, name: str) -> OdometryView:
+        config = self._configs.get(name, RobotConfig())
+        fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
+        return OdometryView(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
 
     def _limits(self, name: str) -> Limits:
         config = self._configs.get(name, RobotConfig())

@@ -29,6 +29,23 @@ def chord_per_arc(turned_rad: float) -> float:
     return 1.0 if abs(turned_rad) < SMALL_ANGLE_RAD else math.sin(half_rad) / half_rad
 
 
+def placed(frame: Pose, pose: Pose) -> Pose:
+    """A pose of a frame, told in the frame around it."""
+    cos, sin = math.cos(frame.theta_rad), math.sin(frame.theta_rad)
+    return Pose(
+        frame.x_m + cos * pose.x_m - sin * pose.y_m,
+        frame.y_m + sin * pose.x_m + cos * pose.y_m,
+        wrap_angle(frame.theta_rad + pose.theta_rad),
+    )
+
+
+def frame_of(outer: Pose, inner: Pose) -> Pose:
+    """The frame that makes `inner` be at `outer`: placed(frame_of(outer, inner), inner) == outer."""
+    turned = Pose(theta_rad=wrap_angle(outer.theta_rad - inner.theta_rad))
+    arm = placed(turned, inner)
+    return Pose(outer.x_m - arm.x_m, outer.y_m - arm.y_m, turned.theta_rad)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DifferentialDrive:
     """Two driven wheels on one axis; the defaults are the paper's robot."""

@@ -4,19 +4,22 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Mapping
+from enum import Enum, auto
 from typing import Any, NamedTuple
 
-from hostlink.robot.kinematics import Pose, chord_per_arc, wrap_angle
+from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 SHORTEST_S = 0.05  # poses that a network delivered together say nothing about speed
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
-JUMP_M_S = 10.0  # faster than any small robot: the odometry was set, or the device restarted
-JUMP_RAD_S = 20.0
-RESET_M_S = 1.0  # towards the origin less is enough: the paper's robot makes 0.34 m/s
-RESET_RAD_S = 6.0
+RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be asked for, and what a late pose adds
 ORIGIN_M = 0.05  # how near the origin the first pose after a reset is
 ORIGIN_RAD = 0.2
+SHAKE_M = 0.02
+SHAKE_RAD = 0.05
+FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
+RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest that a stalled network is waited for elsewhere
+CLOCK_SET_NS = 1_000_000_000  # a stamp so far back is of a host whose clock was set; smaller ones are held
 
 
 class Twist(NamedTuple):
@@ -26,10 +29,24 @@ class Twist(NamedTuple):
     angular_rad_s: float = 0.0
 
 
+LEAP = Twist(10.0, 20.0)  # faster than any small robot: the odometry was set, or the bytes are damaged
+FASTEST = Twist(1.0, 4.0)  # the limits of a robot that nobody configured
+
+
 class _Sample(NamedTuple):
     at_s: float
     number: int  # of poses so far, with those that came at the same time
     pose: Pose
+
+
+class _Change(Enum):
+    """What lies between two poses of a device."""
+
+    MOTION = auto()
+    SILENCE = auto()  # too long for a speed
+    RESET = auto()  # that hostlink sent
+    RESTART = auto()  # at the origin all at once
+    LEAP = auto()  # to where no robot can be by then
 
 
 class OdometryView:
@@ -37,12 +54,26 @@ class OdometryView:
 
     Poses that came in one read have one arrival time; only the last of them counts for the motion. One pose from
     before the window is kept, so that a motion is never measured over the few milliseconds between two late poses.
+
+    A device that restarts begins at the origin again. What is shown goes on from where the robot was (REP 105: an
+    odometry does not jump), or begins again with the device if it is not to go on; `restarts` counts them. A reset that
+    was asked for begins at the origin in any case. One pose that is far from all others is damage that the checksum let
+    pass; a second one there is believed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, goes_on: bool = True, fastest: Twist = FASTEST) -> None:
+        """`goes_on`: over a restart of the device; `fastest`: what the robot may be asked for."""
         self.count = 0
+        self.restarts = 0  # how often the device began anew without being asked
+        self.ignored = 0  # poses that cannot be true
+        self._goes_on = goes_on
+        self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
+        self._frame = Pose()  # where the device's origin is in what is shown
+        self._told: _Sample | None = None  # the newest, as the device told it
+        self._doubtful: _Sample | None = None
+        self._reset_until_s = float("-inf")
         self._twist: Twist | None = None  # as the device tells it; None: it tells only poses
-        self._wall_ns = 0
+        self._stamp_ns = 0
         self._window: deque[_Sample] = deque()
 
     def see(self, message: Mapping[str, Any], *, now_s: float, wall_ns: int) -> None:
@@ -55,21 +86,27 @@ class OdometryView:
             twist = Twist(moving["linear"]["x"], moving["angular"]["z"])
         self.update(pose, now_s=now_s, wall_ns=wall_ns, twist=twist)
 
+    def expect_reset(self, now_s: float) -> None:
+        """The device was asked to make its place the origin: the next pose there is right."""
+        self._reset_until_s = now_s + RESET_WAIT_S
+
     def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: Twist | None = None) -> None:
-        """Take a pose; one that is not made of finite numbers is not counted."""
-        if not all(map(math.isfinite, pose)):
+        """Take a pose; one that cannot be true is not counted."""
+        told = _Sample(now_s, self.count + 1, pose)
+        if not _is_possible(pose) or not self._place(told):
+            self.ignored += 1
             return
         self.count += 1
-        sample = _Sample(now_s, self.count, pose)
-        if self._window and _is_jump(self._window[-1], sample):
-            self._window.clear()
+        sample = told._replace(pose=placed(self._frame, pose))
         if self._window and self._window[-1].at_s == now_s:
             self._window.pop()
         self._window.append(sample)
         while len(self._window) > 1 and self._window[1].at_s <= now_s - WINDOW_S:
             self._window.popleft()
+        self._told = told
         self._twist = twist if twist is not None and all(map(math.isfinite, twist)) else None
-        self._wall_ns = wall_ns
+        if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
+            self._stamp_ns = wall_ns
 
     def snapshot(self, now_s: float) -> dict[str, Any] | None:
         """Pose, twist, wall time and age for the API; None before the first pose."""
@@ -81,11 +118,59 @@ class OdometryView:
         return {
             "pose": last.pose._asdict(),
             "twist": twist._asdict(),
-            "stamp_ns": self._wall_ns,
+            "stamp_ns": self._stamp_ns,
             "age_s": round(now_s - last.at_s, 6),
             "rate_hz": round((last.number - first.number) / span_s, 2) if span_s >= SHORTEST_S else 0.0,
             "count": self.count,
+            "restarts": self.restarts,
+            "ignored": self.ignored,
         }
+
+    def _place(self, told: _Sample) -> bool:
+        """Find the frame of a new pose; False: it is not to be believed yet."""
+        doubtful, self._doubtful = self._doubtful, None
+        change = self._change(told)
+        if doubtful is not None and self._is_there(doubtful, told, change):
+            change = _Change.LEAP
+        elif change is _Change.LEAP:
+            self._doubtful = told
+            return False
+        if change in (_Change.RESTART, _Change.LEAP):
+            self.restarts += 1
+            if self._goes_on:
+                self._frame = frame_of(self._window[-1].pose, told.pose)
+        elif change is _Change.RESET:
+            self._reset_until_s = float("-inf")
+            self._frame = Pose()
+        if change is not _Change.MOTION:
+            self._window.clear()
+        return True
+
+    def _is_there(self, doubtful: _Sample, told: _Sample, change: _Change) -> bool:
+        """Whether a second pose says what a doubtful one said."""
+        if change is _Change.LEAP:
+            return not _is_too_far(doubtful, told, LEAP)
+        if change is not _Change.MOTION or self._told is None:
+            return False
+        # By now it may be possible to have come so far, but the doubtful one came too soon for that.
+        return _apart(doubtful.pose, told.pose) < _apart(self._told.pose, told.pose)
+
+    def _change(self, told: _Sample) -> _Change:
+        before = self._told
+        is_at_origin = _is_near_origin(told.pose)
+        if is_at_origin and told.at_s <= self._reset_until_s:
+            return _Change.RESET
+        if before is None:
+            return _Change.MOTION
+        is_silence = told.at_s - before.at_s > LONGEST_S
+        is_back = told.pose == Pose() and _has_moved(before.pose)
+        if is_back or (is_silence and is_at_origin and not _is_near_origin(before.pose)):
+            return _Change.RESTART
+        if is_at_origin and _is_too_far(before, told, self._back_at_once):
+            return _Change.RESTART
+        if _is_too_far(before, told, LEAP):
+            return _Change.LEAP
+        return _Change.SILENCE if is_silence else _Change.MOTION
 
     def _estimate(self) -> Twist:
         span_s = self._window[-1].at_s - self._window[0].at_s
@@ -104,18 +189,30 @@ def _move(before: Pose, after: Pose) -> tuple[float, float]:
     return chord_m / chord_per_arc(turned_rad), turned_rad
 
 
-def _is_jump(before: _Sample, after: _Sample) -> bool:
-    """Whether no robot moves like this; poses of one read may be a tenth of a second apart in truth."""
-    silence_s = after.at_s - before.at_s
-    is_reset = after.pose == Pose() != before.pose
-    if is_reset or silence_s > LONGEST_S:
-        return True
+def _apart(one: Pose, other: Pose) -> float:
+    """Metres and radians as one number: only to say what is nearer."""
+    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m, wrap_angle(one.theta_rad - other.theta_rad))
+
+
+def _is_possible(pose: Pose) -> bool:
+    return all(map(math.isfinite, pose)) and max(abs(pose.x_m), abs(pose.y_m)) < FARTHEST_M
+
+
+def _is_near_origin(pose: Pose) -> bool:
+    return math.hypot(*pose[:2]) < ORIGIN_M and abs(pose.theta_rad) < ORIGIN_RAD
+
+
+def _has_moved(pose: Pose) -> bool:
+    """Whether it is away from the origin by more than a wheel that shakes on the spot."""
+    return math.hypot(*pose[:2]) > SHAKE_M or abs(pose.theta_rad) > SHAKE_RAD
+
+
+def _is_too_far(before: _Sample, after: _Sample, most: Twist) -> bool:
+    """Whether it would have to be faster than that; poses of one read may be a tenth of a second apart in truth."""
     moved_m = math.dist(before.pose[:2], after.pose[:2])
     turned_rad = abs(wrap_angle(after.pose.theta_rad - before.pose.theta_rad))
-    is_at_origin = math.hypot(*after.pose[:2]) < ORIGIN_M and abs(after.pose.theta_rad) < ORIGIN_RAD
-    most_m_s, most_rad_s = (RESET_M_S, RESET_RAD_S) if is_at_origin else (JUMP_M_S, JUMP_RAD_S)
-    span_s = max(silence_s, 0.1)
-    return moved_m > most_m_s * span_s or turned_rad > most_rad_s * span_s
+    span_s = max(after.at_s - before.at_s, 0.1)
+    return moved_m > most.linear_m_s * span_s or turned_rad > most.angular_rad_s * span_s
 
 
 def _planar(pose: Mapping[str, Any]) -> Pose:

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.robot.kinematics import SMALL_ANGLE_RAD, DifferentialDrive, Pose, chord_per_arc, wrap_angle
+from hostlink.robot.kinematics import (
+    SMALL_ANGLE_RAD,
+    DifferentialDrive,
+    Pose,
+    chord_per_arc,
+    frame_of,
+    placed,
+    wrap_angle,
+)
 
 speeds = st.floats(-2, 2)
 angles = st.floats(-math.pi, math.pi, exclude_min=True)
@@ -129,3 +137,24 @@ def test_the_robot_of_the_paper() -> None:
     assert drive.metres_per_tick == pytest.approx(0.0012272, abs=5e-8)
     assert 280 * drive.metres_per_tick == pytest.approx(0.3436, abs=5e-5)
     assert drive.wheel_speeds(0.0, 1.0) == pytest.approx((-0.105, 0.105))
+
+
+@given(poses, poses)
+def test_a_frame_puts_a_pose_where_it_shall_be(outer: Pose, inner: Pose) -> None:
+    assert_near(placed(frame_of(outer, inner), inner), outer)
+
+
+@given(drives, poses, poses, speeds, speeds)
+def test_a_robot_moves_the_same_way_in_every_frame(
+    drive: DifferentialDrive, frame: Pose, pose: Pose, left_m: float, right_m: float
+) -> None:
+    assert_near(
+        placed(frame, drive.integrate(pose, left_m, right_m)),
+        drive.integrate(placed(frame, pose), left_m, right_m),
+        1e-8,
+    )
+
+
+@given(poses)
+def test_the_frame_of_a_device_that_never_restarted_changes_nothing(pose: Pose) -> None:
+    assert placed(Pose(), pose) == pose

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
-from hostlink.robot.kinematics import DifferentialDrive, Pose
-from hostlink.robot.odometry import OdometryView, Twist
+from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
+from hostlink.robot.odometry import SHAKE_M, SHAKE_RAD, OdometryView, Twist
 
 DRIVE = DifferentialDrive()
 PERIOD_S = 0.1
@@ -37,6 +37,10 @@ def seen(view: OdometryView, now_s: float = 1.0) -> dict[str, Any]:
     return snapshot
 
 
+def shown(view: OdometryView) -> Pose:
+    return Pose(**seen(view)["pose"])
+
+
 def twist_of(view: OdometryView) -> Twist:
     return Twist(**seen(view)["twist"])
 
@@ -55,6 +59,8 @@ def test_one_pose_is_no_motion() -> None:
         "age_s": 0.25,
         "rate_hz": 0.0,
         "count": 1,
+        "restarts": 0,
+        "ignored": 0,
     }
 
 
@@ -102,14 +108,14 @@ def test_two_poses_that_come_together_say_nothing() -> None:
     [
         Pose(0.0, 0.0, 0.0),
         Pose(0.01, 0.0, 0.02),  # the robot drove on after its reset
-        Pose(2.5, 0.0, 0.0),  # another place altogether
     ],
 )
-def test_a_jump_begins_anew(after: Pose) -> None:
+def test_a_restart_begins_anew_where_the_robot_was(after: Pose) -> None:
     before = arc(0.3, 0.0, 10, Pose(1.0, 0.0, 0.0))
     view = view_of([*before, after])
     assert twist_of(view) == Twist()
-    assert seen(view)["pose"] == after._asdict()
+    assert shown(view) == pytest.approx(before[-1])
+    assert seen(view)["restarts"] == 1
 
 
 def test_a_reset_close_to_the_origin_begins_anew() -> None:
@@ -122,7 +128,10 @@ def test_a_reset_of_the_heading_begins_anew() -> None:
 
 
 def test_a_turn_that_no_robot_makes_begins_anew() -> None:
-    assert twist_of(view_of([Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 3.0)])) == Twist()
+    """Told twice it is believed: somebody has set the device's odometry."""
+    view = view_of([Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 3.0), Pose(3.0, 0.0, 3.0)])
+    assert twist_of(view) == Twist()
+    assert (seen(view)["restarts"], seen(view)["ignored"]) == (1, 1)
 
 
 def test_driving_through_the_origin_is_no_reset() -> None:
@@ -149,7 +158,7 @@ def test_a_pose_of_no_numbers_is_not_counted(broken: Pose) -> None:
     view = view_of(arc(0.3, 0.0, 3))
     before = view.snapshot(1.0)
     view.update(broken, now_s=0.5, wall_ns=99)
-    assert view.snapshot(1.0) == before
+    assert view.snapshot(1.0) == {**seen(view), "ignored": 1} == {**(before or {}), "ignored": 1}
 
 
 def test_a_pose2d_is_wrapped() -> None:
@@ -200,3 +209,147 @@ def test_any_orientation_is_survived(wxyz: list[float]) -> None:
     view = OdometryView()
     view.see(message, now_s=0.0, wall_ns=0)
     assert view.count == 1 or view.snapshot(0.0) is None
+
+
+# -- restarts ---------------------------------------------------------------------------------------------------------
+
+RUN = arc(0.3, 0.7, 20)  # begins at (1, 2, 3)
+AGAIN = arc(0.3, 0.7, 20, Pose())  # what a device that restarted tells of the same motion
+
+
+def after_a_restart(*, goes_on: bool) -> OdometryView:
+    view = OdometryView(goes_on=goes_on)
+    for number, pose in enumerate(RUN + AGAIN):
+        view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
+    return view
+
+
+def test_an_odometry_goes_on_over_a_restart_of_the_device() -> None:
+    view = after_a_restart(goes_on=True)
+    assert shown(view) == pytest.approx(arc(0.3, 0.7, 20, RUN[-1])[-1])
+    assert twist_of(view) == pytest.approx(Twist(0.3, 0.7))
+    assert seen(view)["restarts"] == 1
+
+
+def test_it_restarts_with_the_device_if_it_is_to() -> None:
+    view = after_a_restart(goes_on=False)
+    assert shown(view) == AGAIN[-1]
+    assert seen(view)["restarts"] == 1
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_reset_that_was_asked_for_begins_at_the_origin(goes_on: bool) -> None:
+    view = after_a_restart(goes_on=goes_on)
+    view.expect_reset(4.0)
+    view.update(AGAIN[-1], now_s=4.0, wall_ns=40)  # on its way before the reset was
+    view.update(Pose(0.01, 0.0, 0.0), now_s=4.1, wall_ns=41)
+    assert shown(view) == Pose(0.01, 0.0, 0.0)
+    assert seen(view)["restarts"] == 1
+    view.update(Pose(0.04, 0.0, 0.0), now_s=4.2, wall_ns=42)
+    assert shown(view) == Pose(0.04, 0.0, 0.0)
+
+
+def test_a_reset_that_never_came_is_not_waited_for_without_end() -> None:
+    view = view_of(RUN)
+    view.expect_reset(2.0)
+    view.update(RUN[-1], now_s=7.0, wall_ns=70)
+    view.update(Pose(), now_s=7.1, wall_ns=71)
+    assert shown(view) == pytest.approx(RUN[-1])
+    assert seen(view)["restarts"] == 1
+
+
+def test_a_restart_during_a_long_silence_is_seen() -> None:
+    """Ten seconds are enough to drive there, but hardly to the very place and heading."""
+    view = view_of(RUN)
+    view.update(Pose(0.001, 0.0, 0.0), now_s=12.0, wall_ns=120)
+    assert shown(view) == pytest.approx(RUN[-1])
+    assert seen(view)["restarts"] == 1
+
+
+def test_a_connection_that_was_lost_is_no_restart() -> None:
+    """The device kept counting: what it tells now is where the robot is."""
+    view = view_of(RUN)
+    here = Pose(1.4, 2.1, -2.5)
+    view.update(here, now_s=20.0, wall_ns=200)
+    assert shown(view) == here
+    assert seen(view)["restarts"] == 0
+
+
+def test_a_wheel_that_shakes_at_the_origin_is_no_restart() -> None:
+    view = view_of([Pose(), Pose(0.0012), Pose(), Pose(-0.0012), Pose()])
+    assert shown(view) == Pose()
+    assert seen(view)["restarts"] == 0
+
+
+def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
+    poses = arc(2.8, 0.0, 8, Pose(-0.84, 0.0, 0.0))
+    view = OdometryView(fastest=Twist(3.0, 4.0))
+    for number, pose in enumerate(poses):
+        view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
+    assert shown(view) == poses[-1]
+    assert seen(view)["restarts"] == 0
+
+
+@pytest.mark.parametrize("damaged", [Pose(1e3, 0.0, 0.0), Pose(1e300, -1e300, 1.0), Pose(9.0, 9.0, 9.0)])
+def test_one_damaged_pose_is_not_believed(damaged: Pose) -> None:
+    """One damaged frame in 256 has the right checksum."""
+    whole = view_of(RUN)
+    view = OdometryView()
+    for number, pose in enumerate(RUN):
+        view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
+        if number == 10:
+            view.update(damaged, now_s=number * PERIOD_S, wall_ns=number)
+    assert (shown(view), twist_of(view)) == (shown(whole), twist_of(whole))
+    assert (seen(view)["restarts"], seen(view)["ignored"]) == (0, 1)
+
+
+def test_a_place_that_is_told_twice_is_believed_and_shown_without_a_jump() -> None:
+    view = view_of([*RUN, Pose(9.0, 9.0, 0.0), Pose(9.03, 9.0, 0.0)])
+    assert shown(view) == pytest.approx(RUN[-1])
+    assert (seen(view)["restarts"], seen(view)["ignored"]) == (1, 1)
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["drive", "restart", "reset", "lost"]), st.floats(-0.5, 0.5), st.floats(-2, 2)),
+        max_size=30,
+    )
+)
+def test_what_is_shown_never_jumps_but_at_a_reset(history: list[tuple[str, float, float]]) -> None:
+    """The truth is known here: what is shown is where the robot went since its last reset, whatever was forgotten."""
+    view, told, truth, now_s = OdometryView(), Pose(), Pose(), 0.0
+    view.update(told, now_s=now_s, wall_ns=0)
+    for event, linear_m_s, angular_rad_s in history:
+        if event == "restart" and (math.hypot(*told[:2]) > SHAKE_M or abs(told.theta_rad) > SHAKE_RAD):
+            told = Pose()
+        elif event == "reset":
+            view.expect_reset(now_s)
+            told = truth = Pose()
+        elif event == "lost":
+            now_s += 8.0
+        wheels_m = [speed * PERIOD_S for speed in DRIVE.wheel_speeds(linear_m_s, angular_rad_s)]
+        if event == "drive":
+            told, truth = DRIVE.integrate(told, *wheels_m), DRIVE.integrate(truth, *wheels_m)
+        now_s += PERIOD_S
+        view.update(told, now_s=now_s, wall_ns=0)
+        assert shown(view)[:2] == pytest.approx(truth[:2], abs=1e-9)
+        assert wrap_angle(shown(view).theta_rad - truth.theta_rad) == pytest.approx(0, abs=1e-9)
+
+
+# -- stamps -----------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.integers(-900_000_000, 900_000_000), min_size=1, max_size=50))
+def test_stamps_never_go_backwards(steps_ns: list[int]) -> None:
+    view, stamp_ns, shown_ns = OdometryView(), 10**18, 0
+    for number, step_ns in enumerate(steps_ns):
+        view.update(Pose(), now_s=number * PERIOD_S, wall_ns=max(stamp_ns, stamp_ns + step_ns))
+        assert seen(view)["stamp_ns"] >= shown_ns
+        shown_ns = seen(view)["stamp_ns"]
+
+
+def test_a_host_whose_clock_was_set_back_is_followed() -> None:
+    view = OdometryView()
+    view.update(Pose(), now_s=0.0, wall_ns=10**18)
+    view.update(Pose(), now_s=0.1, wall_ns=10**18 - 3600 * 10**9)
+    assert seen(view)["stamp_ns"] == 10**18 - 3600 * 10**9

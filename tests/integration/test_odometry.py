@@ -1,0 +1,61 @@
+"""Odometry on a running daemon: devices that restart, lose their connection, or are reset."""
+
+from typing import Any
+
+import pytest
+
+from hostlink.config import Config, RobotConfig
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.rosbridge import client
+from tests.support.waiting import expect
+
+
+async def tell(host: Daemon, device: FakeDevice, x: float, y: float = 0.0, theta: float = 0.0) -> dict[str, Any]:
+    """The device tells a pose; returns what hostlink makes of it."""
+    odometry = host.hub.robots.find("robot_0").odometry
+    count = odometry.count
+    await device.send(pose(x, y, theta))
+    await expect(lambda: odometry.count > count)
+    shown: dict[str, Any] = await host.get("/api/robots/robot_0/odometry")
+    return shown
+
+
+async def gone(host: Daemon) -> None:
+    await expect(lambda: host.hub.robots.find("robot_0").link is None)
+
+
+@pytest.mark.parametrize(("mode", "x_m"), [("continue", 1.75), ("restart", 0.25)])
+async def test_a_device_that_comes_back_at_the_origin(mode: Any, x_m: float) -> None:
+    config = Config(robots={"robot_0": RobotConfig(odometry_after_restart=mode)})
+    async with daemon(config) as host:
+        async with fake_device(host.tcp, robot_topics()) as device:
+            assert (await tell(host, device, 1.5))["restarts"] == 0
+        await gone(host)
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await tell(host, device, 0.0)
+            shown = await tell(host, device, 0.25)
+    assert (shown["pose"]["x_m"], shown["restarts"]) == (x_m, 1)
+
+
+async def test_a_device_that_lost_only_its_connection_counts_on() -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await tell(host, device, 1.5)
+        await gone(host)
+        async with fake_device(host.tcp, robot_topics()) as device:
+            shown = await tell(host, device, 1.52)
+    assert (shown["pose"]["x_m"], shown["restarts"]) == (1.52, 0)
+
+
+@pytest.mark.parametrize("way", ["rest", "rosbridge"])
+async def test_a_reset_by_somebody_is_at_the_origin_and_no_restart(way: str) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await tell(host, device, 1.5)
+        if way == "rest":
+            assert (await host.rest("POST", "/api/robots/robot_0/odometry/reset"))[0] == 200
+        else:
+            await program.say(op="publish", topic="/robot_0/reset_odometry", msg={})
+        assert await device.frame(101) == b""
+        shown = await tell(host, device, 0.0)
+    assert (shown["pose"]["x_m"], shown["restarts"]) == (0.0, 0)
