@@ -73,11 +73,28 @@ class LinkConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TokenConfig:
+    """One token of the API: whose it is, what it allows."""
+
+    name: str
+    role: Literal["read", "drive"] = "read"
+    token: str | None = field(default=None, repr=False)
+    token_file: Path | None = None  # one of the two
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ApiConfig:
-    """Where programs connect."""
+    """Where programs connect, who may, and how much of it."""
 
     host: str = "127.0.0.1"
     port: int = 9090  # rosbridge's
+    tokens: tuple[TokenConfig, ...] = ()
+    origins: tuple[str, ...] = ()  # web pages of other places that may talk to the API
+    certificate: Path | None = None  # PEM, with `key`: TLS
+    key: Path | None = None
+    max_clients: int = 256  # WebSockets and event streams at once
+    max_message_bytes: int = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
+    max_requests_s: float = 500.0  # of one address; five robots driven at 100 Hz
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,8 +140,19 @@ def load(path: Path) -> Config:
         config = msgspec.convert(raw, Config, dec_hook=_decode)
     except msgspec.ValidationError as error:
         raise ConfigError(str(path), str(error)) from error
-    folders = tuple(path.parent / folder for folder in config.message_folders)
-    return dataclasses.replace(config, message_folders=folders)
+    return typing.cast("Config", _beside(config, path.parent))
+
+
+def _beside(part: Any, folder: Path) -> Any:
+    """The same settings, with every path relative to the file's folder."""
+    if isinstance(part, Path):
+        return folder / part
+    if isinstance(part, tuple):
+        return tuple(_beside(each, folder) for each in part)
+    if dataclasses.is_dataclass(part) and not isinstance(part, type):
+        changes = {each.name: _beside(getattr(part, each.name), folder) for each in dataclasses.fields(part)}
+        return dataclasses.replace(part, **changes)
+    return part
 
 
 def _decode(wanted: type, value: object) -> object:

@@ -1,7 +1,9 @@
 """ClientQueue: what waits for one client of the API; bounded, so that a slow client costs nobody else anything."""
 
 import asyncio
+import time
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 MAX_MESSAGES = 1024
@@ -16,6 +18,7 @@ class Outgoing(NamedTuple):
     order: int
     data: bytes
     is_binary: bool
+    since_s: float
 
 
 class ClientQueue:
@@ -24,8 +27,10 @@ class ClientQueue:
     Everything leaves in the order in which it came. A client that lets its results pile up is `is_too_slow`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` is the event loop's."""
         self.dropped = 0
+        self._clock = clock
         self.is_too_slow = False
         self._order = 0
         self._messages = 0
@@ -37,10 +42,28 @@ class ClientQueue:
         self._room = asyncio.Event()
         self._room.set()
 
+    @property
+    def waiting_messages(self) -> int:
+        """Telemetry and results."""
+        return self._messages + len(self._results)
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Of telemetry and results."""
+        return self._bytes + sum(len(result.data) for result in self._results)
+
+    @property
+    def oldest_s(self) -> float | None:
+        """When the oldest was put; None: nothing waits."""
+        heads = [waiting[0].since_s for waiting in self._topics.values()]
+        if self._results:
+            heads.append(self._results[0].since_s)
+        return min(heads, default=None)
+
     def put_message(self, topic: str, data: bytes, *, is_binary: bool = False) -> None:
         """Queue telemetry; over a bound the oldest of this topic goes, else the oldest of the longest."""
         waiting = self._topics.setdefault(topic, deque())
-        waiting.append(Outgoing(self._next_order(), data, is_binary))
+        waiting.append(self._outgoing(data, is_binary=is_binary))
         self._messages += 1
         self._bytes += len(data)
         while self._messages > MAX_MESSAGES or self._bytes > MAX_BYTES:
@@ -53,7 +76,7 @@ class ClientQueue:
         if is_too_large or len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
         else:
-            self._results.append(Outgoing(self._next_order(), data, is_binary=False))
+            self._results.append(self._outgoing(data, is_binary=False))
             self._result_bytes += len(data)
         self._note_room()
         self._news.set()
@@ -95,9 +118,9 @@ class ClientQueue:
         else:
             self._room.set()
 
-    def _next_order(self) -> int:
+    def _outgoing(self, data: bytes, *, is_binary: bool) -> Outgoing:
         self._order += 1
-        return self._order
+        return Outgoing(self._order, data, is_binary, self._clock())
 
     def _drop(self, topic: str) -> None:
         self._pop(topic)

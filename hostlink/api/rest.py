@@ -1,46 +1,37 @@
 """The REST door: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from http import HTTPStatus
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypedDict, TypeVar
 
 import msgspec
 from aiohttp import web
 
-from hostlink.api.views import link_views, odometry_view, robot_view, topic_views
-from hostlink.errors import (
-    BadPayload,
-    BadRequest,
-    ConfigError,
-    DeviceBusy,
-    DeviceGone,
-    FrameTooLarge,
-    HostlinkError,
-    RobotHeld,
-    ServiceTimeout,
-    UnknownTopic,
-    WrongType,
+from hostlink.api.access import Role, present_grant
+from hostlink.api.clients import Clients, ClientView
+from hostlink.api.replies import refusal, reply
+from hostlink.api.routes import Handler, Route
+from hostlink.api.views import (
+    LinkView,
+    OdometryView,
+    RobotView,
+    TopicView,
+    VelocityView,
+    link_views,
+    odometry_view,
+    robot_view,
+    topic_views,
+    velocity_view,
 )
+from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.robots import LOCK_REASON, MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.robot.velocity import Velocity
 
 Wanted = TypeVar("Wanted")
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
-STATUS = {
-    BadRequest: HTTPStatus.BAD_REQUEST,
-    WrongType: HTTPStatus.BAD_REQUEST,
-    UnknownTopic: HTTPStatus.NOT_FOUND,
-    RobotHeld: HTTPStatus.CONFLICT,
-    FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-    BadPayload: HTTPStatus.BAD_GATEWAY,
-    DeviceGone: HTTPStatus.SERVICE_UNAVAILABLE,
-    DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
-    ServiceTimeout: HTTPStatus.GATEWAY_TIMEOUT,
-    ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
-}
+NOT_FOUND, CONFLICT, UNAVAILABLE = HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT, HTTPStatus.SERVICE_UNAVAILABLE
+TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQUEST
 
 
 class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
@@ -57,29 +48,126 @@ class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
     reason: str = LOCK_REASON
 
 
+class RobotsView(TypedDict):
+    """Every robot that was seen since the daemon started."""
+
+    robots: list[RobotView]
+
+
+class VelocityAnswer(TypedDict):
+    """What the limits made of a command, and how long it holds."""
+
+    velocity: VelocityView
+    is_limited: bool
+    lease_s: float
+
+
+class ResetAnswer(TypedDict):
+    """The topic on which the device was told."""
+
+    reset: str
+
+
+class LinksView(TypedDict):
+    """Every live connection; `crashes` counts those that a fault of hostlink itself ended."""
+
+    links: list[LinkView]
+    crashes: int
+
+
+class TopicsView(TypedDict):
+    """Every topic."""
+
+    topics: list[TopicView]
+
+
+class ClientsView(TypedDict):
+    """Every client; and how many were turned away because there were too many."""
+
+    clients: list[ClientView]
+    refused: int
+
+
+class HealthView(TypedDict):
+    """The daemon's event loop turns."""
+
+    status: str
+    loop_time_s: float
+
+
+class ReadinessView(TypedDict):
+    """Every robot that was seen is connected."""
+
+    status: str
+
+
 class Rest:
     """The handlers; each asks the hub and shows what it says."""
 
-    def __init__(self, hub: Hub) -> None:
+    def __init__(self, hub: Hub, clients: Clients) -> None:
         self._hub = hub
+        self._clients = clients
 
-    def routes(self) -> list[web.RouteDef]:
+    def routes(self) -> list[Route]:
         """Every path of the door."""
         robot = "/api/robots/{name}"
         return [
-            web.get("/api/robots", self._robots),
-            web.get(robot, self._robot),
-            web.get(f"{robot}/odometry", self._odometry),
-            web.put(f"{robot}/velocity", self._velocity),
-            web.post(f"{robot}/stop", self._stop),
-            web.post("/api/stop", self._stop_all),
-            web.post(f"{robot}/lock", self._lock),
-            web.post(f"{robot}/unlock", self._unlock),
-            web.post(f"{robot}/odometry/reset", self._reset_odometry),
-            web.get("/api/links", self._links),
-            web.get("/api/topics", self._topics),
-            web.get("/healthz", self._health),
-            web.get("/readyz", self._readiness),
+            _get("/api/robots", self._robots, "Every robot", RobotsView),
+            _get(robot, self._robot, "One robot", RobotView, fails=(NOT_FOUND,)),
+            _get(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(NOT_FOUND, UNAVAILABLE)),
+            Route(
+                method="PUT",
+                path=f"{robot}/velocity",
+                handler=self._velocity,
+                summary="Drive for the length of a lease; repeat it to drive on",
+                takes=VelocityRequest,
+                says=VelocityAnswer,
+                role=Role.DRIVE,
+                fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
+            ),
+            _stopping(f"{robot}/stop", self._stop, "Stop, whoever drives; whoever may look may stop", RobotView),
+            _stopping("/api/stop", self._stop_all, "Stop every robot", RobotsView),
+            Route(
+                method="POST",
+                path=f"{robot}/lock",
+                handler=self._lock,
+                summary="Emergency stop: zero at once, and no command until it is unlocked",
+                takes=LockRequest,
+                is_body_optional=True,
+                says=RobotView,
+                is_limited=False,
+                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
+            ),
+            Route(
+                method="POST",
+                path=f"{robot}/unlock",
+                handler=self._unlock,
+                summary="Let it be driven again",
+                says=RobotView,
+                role=Role.DRIVE,
+                fails=(NOT_FOUND,),
+            ),
+            Route(
+                method="POST",
+                path=f"{robot}/odometry/reset",
+                handler=self._reset_odometry,
+                summary="Make the present place the origin",
+                says=ResetAnswer,
+                role=Role.DRIVE,
+                fails=(NOT_FOUND, UNAVAILABLE),
+            ),
+            _get("/api/links", self._links, "Every live connection of a device", LinksView),
+            _get("/api/topics", self._topics, "Every topic", TopicsView),
+            _get("/api/clients", self._all_clients, "Every client and how well it keeps up", ClientsView),
+            _get("/healthz", self._health, "Whether the daemon lives", HealthView, role=None),
+            _get(
+                "/readyz",
+                self._readiness,
+                "Whether every robot is there",
+                ReadinessView,
+                role=None,
+                fails=(UNAVAILABLE,),
+            ),
         ]
 
     async def _robots(self, _: web.Request) -> web.Response:
@@ -99,14 +187,13 @@ class Rest:
         robot = self._hub.robots.find(request.match_info["name"])
         wanted = _read(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
-        limited = self._hub.robots.command(robot, velocity, owner=f"rest {request.remote}", priority=wanted.priority)
-        return reply(
-            {
-                "velocity": {"linear_m_s": limited.linear_x_m_s, "angular_rad_s": limited.angular_z_rad_s},
-                "is_limited": limited != velocity,
-                "lease_s": robot.gate.lease_s,
-            }
-        )
+        limited = self._hub.robots.command(robot, velocity, owner=_owner(request), priority=wanted.priority)
+        answer: VelocityAnswer = {
+            "velocity": velocity_view(limited),
+            "is_limited": limited != velocity,
+            "lease_s": robot.gate.lease_s,
+        }
+        return reply(answer)
 
     async def _stop(self, request: web.Request) -> web.Response:
         robot = self._hub.robots.find(request.match_info["name"])
@@ -135,7 +222,7 @@ class Rest:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
             raise DeviceGone(robot.name)
-        self._hub.publish(robot.topics.reset, {}, source=f"rest {request.remote}")
+        self._hub.publish(robot.topics.reset, {}, source=_owner(request))
         return reply({"reset": robot.topics.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
@@ -143,6 +230,9 @@ class Rest:
 
     async def _topics(self, _: web.Request) -> web.Response:
         return reply({"topics": topic_views(self._hub)})
+
+    async def _all_clients(self, _: web.Request) -> web.Response:
+        return reply({"clients": self._clients.views(), "refused": self._clients.refused})
 
     async def _health(self, _: web.Request) -> web.Response:
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
@@ -152,8 +242,33 @@ class Rest:
         robots = self._hub.robots.all()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing
-        reason = "ready" if is_ready else f"not connected: {', '.join(missing) or 'no robot yet'}"
-        return reply({"status": reason}, HTTPStatus.OK if is_ready else HTTPStatus.SERVICE_UNAVAILABLE)
+        if not is_ready:
+            return refusal("NotReady", f"not connected: {', '.join(missing) or 'no robot yet'}", UNAVAILABLE)
+        return reply({"status": "ready"})
+
+
+def _get(
+    path: str,
+    handler: Handler,
+    summary: str,
+    says: type,
+    *,
+    role: Role | None = Role.READ,
+    fails: tuple[HTTPStatus, ...] = (),
+) -> Route:
+    return Route(method="GET", path=path, handler=handler, summary=summary, says=says, role=role, fails=fails)
+
+
+def _stopping(path: str, handler: Handler, summary: str, says: type) -> Route:
+    return Route(
+        method="POST",
+        path=path,
+        handler=handler,
+        summary=summary,
+        says=says,
+        is_limited=False,
+        fails=(NOT_FOUND,) if "{" in path else (),
+    )
 
 
 def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:
@@ -163,28 +278,6 @@ def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:
         raise BadRequest(f"the body must be {shape}: {error}") from error
 
 
-def reply(body: dict[str, Any], status: HTTPStatus = HTTPStatus.OK) -> web.Response:
-    """JSON that nobody may keep: it is a robot's present state."""
-    return web.Response(
-        body=msgspec.json.encode(body),
-        status=status,
-        content_type="application/json",
-        headers={"Cache-Control": "no-store"},
-    )
-
-
-@web.middleware
-async def explain_errors(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Every error is JSON with a kind and a reason."""
-    try:
-        return await handler(request)
-    except HostlinkError as error:
-        return reply({"error": {"kind": type(error).__name__, "reason": str(error)}}, STATUS[type(error)])
-    except web.HTTPException as error:
-        if error.status < HTTPStatus.BAD_REQUEST:
-            raise
-        reason = f"{request.method} {request.path}: {error.reason}"
-        answer = reply({"error": {"kind": "HTTP", "reason": reason}}, HTTPStatus(error.status))
-        if "Allow" in error.headers:
-            answer.headers["Allow"] = error.headers["Allow"]
-        return answer
+def _owner(request: web.Request) -> str:
+    """Who drives by REST: all requests with one token, or from one computer, are one source of commands."""
+    return f"rest {present_grant.get().who or request.remote}"

@@ -17,6 +17,15 @@ from hostlink.messages.message_type import MessageType, ServiceType
 Request = Mapping[str, Any]
 Response = dict[str, Any]
 
+_WRITERS = frozenset({"/rosapi/set_param", "/rosapi/delete_param"})
+
+
+def only_reads(service: str) -> bool:
+    """Whether a call of this service changes nothing: what a client that may only read is left with."""
+    name = resolve(service)
+    return name.startswith("/rosapi/") and name not in _WRITERS
+
+
 
 class RosApi:
     """One method a service, by its name; `offer` makes them all callable."""

@@ -15,6 +15,7 @@ from hostlink.api.client_topics import ClientTopics
 from hostlink.api.drive import Drive
 from hostlink.api.fragments import Fragments
 from hostlink.api.request import MAX_MESSAGE_BYTES, Request
+from hostlink.api.rosapi import only_reads
 from hostlink.api.stamps import fill_stamps
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
@@ -26,6 +27,7 @@ log = structlog.get_logger()
 
 MAX_CALLS = 64  # of services, under way at once
 MAX_UNKNOWN_OPS = 8  # that are logged; a client may send any number
+_ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment"})
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client wants `status`
 
 
@@ -39,9 +41,11 @@ class RosbridgeClient:
         queue: ClientQueue,
         *,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
+        is_read_only: bool = False,
     ) -> None:
         """`spawn` runs a service call as a child of the client's connection."""
         self.name = name
+        self._is_read_only = is_read_only
         self.topics = ClientTopics(name, hub.topics, hub.catalog)
         self.services = ClientServices(name, hub.services, hub.catalog, queue)
         self.subscriptions = ClientSubscriptions(name, hub.topics, queue, self._warn)
@@ -81,6 +85,8 @@ class RosbridgeClient:
             if operation is None:
                 self._log_unknown(request.op)
                 raise BadRequest(f"unknown op {printable(request.op)!r}")
+            if self._is_read_only and request.op not in _ONLY_READS:
+                raise BadRequest(f"{request.op}: the token may only read")
             operation(request)
         except HostlinkError as error:
             self._tell_status("error", str(error), request)
@@ -118,6 +124,9 @@ class RosbridgeClient:
             self._answer(request, f"more than {MAX_CALLS} calls under way", is_right=False)
             return
         request.id  # noqa: B018 - one that cannot be answered is refused before anything is called
+        if self._is_read_only and not only_reads(request.text_or("service", "")):
+            self._answer(request, "the token may only read: of the services it may call rosapi's", is_right=False)
+            return
         self._calls += 1
         self._spawn(self._finish_call(request))
 

@@ -1,88 +1,199 @@
-"""The API server: rosbridge on the WebSocket at `/`, the page for a browser there, REST beside it."""
+"""The API server: rosbridge on the WebSocket at `/`, the page for a browser there, and the routes beside it."""
 
 import asyncio
 import contextlib
 import errno
-import itertools
+import mimetypes
 from collections.abc import AsyncIterator
+from http import HTTPStatus
 from importlib.resources import files
+from typing import TypedDict
 
 import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
 from structlog.contextvars import bound_contextvars
 
+from hostlink.api.access import Access, Role, check_role, present_grant, tls_context, token_of
 from hostlink.api.client_queue import ClientQueue
-from hostlink.api.request import MAX_MESSAGE_BYTES
-from hostlink.api.rest import Rest, explain_errors
+from hostlink.api.clients import Client, Clients
+from hostlink.api.events import Events
+from hostlink.api.metrics import Metrics
+from hostlink.api.rate_limit import RateLimit
+from hostlink.api.replies import explain_errors, reply
+from hostlink.api.rest import Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
+from hostlink.api.routes import Handler, Route, openapi
 from hostlink.config import ApiConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
+from hostlink.logs import printable
 
 log = structlog.get_logger()
 
 PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
+SEND_BUFFER_BYTES = 64 * 1024  # in the process, behind the client's queue, where lag is not seen
 PAGE_HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'",
+    "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; "
+    "img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
 }
+ALLOWED_HEADERS = "Authorization, Content-Type"
+
+
+class OpenApiView(TypedDict):
+    """An OpenAPI 3.1 document."""
+
+    openapi: str
 
 
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, hub: Hub) -> None:
+    def __init__(self, hub: Hub, config: ApiConfig) -> None:
         self._hub = hub
-        self._numbers = itertools.count(1)
+        self._config = config
+        self._access = Access(config)
+        self._limit = RateLimit(config.max_requests_s)
+        self._clients = Clients(config.max_clients)
+        self._metrics = Metrics(hub, self._clients, self._limit)
         self._sockets: set[web.WebSocketResponse] = set()
+        self._routes: list[Route] = []
+        self._by_handler: dict[Handler, Route] = {}
         RosApi(hub).offer()
 
     def application(self) -> web.Application:
         """Everything that is served."""
-        app = web.Application(middlewares=[explain_errors], client_max_size=MAX_MESSAGE_BYTES)
-        app.add_routes([web.get("/", self._root), *Rest(self._hub).routes()])
-        app.router.add_static("/web", str(files("hostlink.api") / "web"))
+        app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
+        self._routes = [
+            *Rest(self._hub, self._clients).routes(),
+            *Events(self._hub, self._clients).routes(),
+            self._metrics.route(),
+            Route(
+                method="GET",
+                path="/api/openapi.json",
+                handler=self._openapi,
+                summary="This document",
+                says=OpenApiView,
+                role=None,
+            ),
+        ]
+        for route in self._routes:
+            app.router.add_route(route.method, route.path, route.handler)
+        self._by_handler = {route.handler: route for route in self._routes}
+        app.router.add_get("/", self._root)
+        app.router.add_get("/web/{file}", _page_file)
         app.on_shutdown.append(self._close_sockets)
         return app
 
+    async def _openapi(self, _: web.Request) -> web.Response:
+        return reply(openapi(self._routes))
+
+    @web.middleware
+    async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Who may not is refused here, before anything else looks at the request."""
+        origin = request.headers.get("Origin")
+        self._access.check_place(origin=origin, host=request.host)
+        if request.method == "OPTIONS" and origin is not None:  # a browser asks whether a page of elsewhere may
+            answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
+        else:
+            self._check(request)
+            answer = await handler(request)
+        if origin is not None and not answer.prepared:
+            answer.headers["Access-Control-Allow-Origin"] = origin
+            answer.headers["Access-Control-Allow-Methods"] = "GET, PUT, POST"
+            answer.headers["Access-Control-Allow-Headers"] = ALLOWED_HEADERS
+            answer.headers["Vary"] = "Origin"
+        return answer
+
+    def _check(self, request: web.Request) -> None:
+        route = self._by_handler.get(request.match_info.handler)
+        is_limited = route is None or route.is_limited
+        if is_limited and not self._limit.allows(request.remote, asyncio.get_running_loop().time()):
+            reason = f"more than {self._config.max_requests_s:g} a second"
+            raise web.HTTPTooManyRequests(reason=reason, headers={"Retry-After": "1"})
+        is_page = request.match_info.handler in (self._root, _page_file) and not _is_websocket(request)
+        role = route.role if route is not None else None if is_page else Role.READ
+        if role is not None:
+            grant = self._access.grant(token_of(request))
+            check_role(grant, role)
+            present_grant.set(grant)
+
     async def _root(self, request: web.Request) -> web.StreamResponse:
-        if request.headers.get("Upgrade", "").lower() == "websocket":
-            return await self._serve_client(request)
-        page = (files("hostlink.api") / "web" / "index.html").read_bytes()
-        return web.Response(body=page, content_type="text/html", charset="utf-8", headers=PAGE_HEADERS)
+        return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
 
     async def _serve_client(self, request: web.Request) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse(heartbeat=PING_INTERVAL_S, max_msg_size=MAX_MESSAGE_BYTES, compress=False)
-        await socket.prepare(request)
-        self._sockets.add(socket)
-        name = f"client {next(self._numbers)}"
-        queue = ClientQueue()
-        with bound_contextvars(client=name, peer=request.remote):
-            log.info("client.connected")
+        queue = ClientQueue(asyncio.get_running_loop().time)
+        client = self._clients.enter("rosbridge", request, present_grant.get(), queue)
+        socket = web.WebSocketResponse(
+            heartbeat=PING_INTERVAL_S, max_msg_size=self._config.max_message_bytes, compress=False
+        )
+        with bound_contextvars(client=client.name, peer=request.remote):
             try:
-                await self._talk(socket, name, queue)
+                await socket.prepare(request)
+                if request.transport is not None:
+                    request.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+                self._sockets.add(socket)
+                log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
+                await self._talk(socket, client, queue)
             except* OSError as broken:
                 log.debug("client.broken", reason=str(broken.exceptions[0]))
             finally:
                 self._sockets.discard(socket)
+                self._clients.leave(client)
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
         return socket
 
-    async def _talk(self, socket: web.WebSocketResponse, name: str, queue: ClientQueue) -> None:
+    async def _talk(self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue) -> None:
+        loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as tasks:
-            client = RosbridgeClient(name, self._hub, queue, spawn=tasks.create_task)
-            sender = tasks.create_task(_send(socket, client, queue), name=f"{name} sender")
+            rosbridge = RosbridgeClient(
+                client.name,
+                self._hub,
+                queue,
+                spawn=tasks.create_task,
+                is_read_only=client.grant.role < Role.DRIVE,
+            )
+            sender = tasks.create_task(self._send(socket, client, rosbridge, queue), name=f"{client.name} sender")
             try:
                 async for message in socket:
-                    if message.type in (WSMsgType.TEXT, WSMsgType.BINARY):
-                        client.receive(message.data)
-                        await client.settle()
+                    if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
+                        continue
+                    client.messages_from_client += 1
+                    rosbridge.receive(message.data)
+                    # who says too much is heard later, and holds up only himself
+                    await asyncio.sleep(self._limit.delay_s(client, loop.time()))
+                    await rosbridge.settle()
             finally:
-                client.close()
+                rosbridge.close()
                 sender.cancel()
+
+    async def _send(
+        self, socket: web.WebSocketResponse, client: Client, rosbridge: RosbridgeClient, queue: ClientQueue
+    ) -> None:
+        """Send what is queued; a client that cannot keep up with its answers is told, and closed."""
+        loop = asyncio.get_running_loop()
+        while True:
+            due_s = rosbridge.flush(loop.time())
+            while (outgoing := queue.take()) is not None:
+                async with asyncio.timeout(SEND_TIMEOUT_S):
+                    if outgoing.is_binary:
+                        await socket.send_bytes(outgoing.data)
+                    else:
+                        await socket.send_str(outgoing.data.decode())
+                client.sent(len(outgoing.data))
+                self._metrics.to_client.observe(loop.time() - outgoing.since_s)
+            if queue.is_too_slow:
+                log.warning("client.too_slow", dropped=queue.dropped)
+                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up")
+                return
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(due_s):
+                    await queue.wait()
 
     async def _close_sockets(self, _: web.Application) -> None:
         for socket in list(self._sockets):
@@ -91,35 +202,33 @@ class ApiServer:
                     await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops")
 
 
-async def _send(socket: web.WebSocketResponse, client: RosbridgeClient, queue: ClientQueue) -> None:
-    """Send what is queued; a client that cannot keep up with its answers is told, and closed."""
-    loop = asyncio.get_running_loop()
-    while True:
-        due_s = client.flush(loop.time())
-        while (outgoing := queue.take()) is not None:
-            async with asyncio.timeout(SEND_TIMEOUT_S):
-                if outgoing.is_binary:
-                    await socket.send_bytes(outgoing.data)
-                else:
-                    await socket.send_str(outgoing.data.decode())
-        if queue.is_too_slow:
-            log.warning("client.too_slow", dropped=queue.dropped)
-            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up")
-            return
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(due_s):
-                await queue.wait()
+def _is_websocket(request: web.Request) -> bool:
+    return request.headers.get("Upgrade", "").lower() == "websocket"
+
+
+async def _page_file(request: web.Request) -> web.StreamResponse:
+    """A file of the page: it needs no token, because it says nothing about any robot."""
+    name = request.match_info.get("file", "index.html")
+    path = files("hostlink.api") / "web" / name
+    if not path.is_file():
+        raise web.HTTPNotFound
+    kind, _ = mimetypes.guess_type(name)
+    return web.Response(body=path.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
 
 
 @contextlib.asynccontextmanager
 async def serve_api(config: ApiConfig, hub: Hub) -> AsyncIterator[str]:
     """Serve until the block is left; yields the address as a URL. ConfigError when the port is taken."""
     runner = web.AppRunner(
-        ApiServer(hub).application(), access_log=None, handle_signals=False, shutdown_timeout=SHUTDOWN_TIMEOUT_S
+        ApiServer(hub, config).application(),
+        access_log=None,
+        handle_signals=False,
+        shutdown_timeout=SHUTDOWN_TIMEOUT_S,
     )
+    tls = tls_context(config)
     await runner.setup()
     try:
-        site = web.TCPSite(runner, config.host, config.port)
+        site = web.TCPSite(runner, config.host, config.port, ssl_context=tls)
         try:
             await site.start()
         except OSError as error:
@@ -130,6 +239,6 @@ async def serve_api(config: ApiConfig, hub: Hub) -> AsyncIterator[str]:
             )
             raise ConfigError(f"API port {config.port}", problem) from error
         host, port = runner.addresses[0][:2]
-        yield f"http://{host}:{port}"
+        yield f"{'http' if tls is None else 'https'}://{host}:{port}"
     finally:
         await runner.cleanup()

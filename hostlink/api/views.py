@@ -1,14 +1,100 @@
-"""What the API shows of the hub, as plain dicts for JSON; numbers carry their unit in the name."""
+"""What the API shows of the hub: typed dicts, from which the OpenAPI document is made. Numbers carry their unit."""
 
 import asyncio
-from typing import Any
+from typing import TypedDict, cast
 
 from hostlink.hub.hub import Hub
 from hostlink.hub.robots import Robot
+from hostlink.robot.velocity import Velocity
 
 
-def robot_view(robot: Robot) -> dict[str, Any]:
+class VelocityView(TypedDict):
+    """Forwards, and counter-clockwise."""
+
+    linear_m_s: float
+    angular_rad_s: float
+
+
+class PoseView(TypedDict):
+    """Where a robot says that it is: metres, radians, counter-clockwise from its x axis."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+
+
+class OdometryView(TypedDict):
+    """The newest pose, and the motion over the last few."""
+
+    pose: PoseView
+    twist: VelocityView
+    stamp_ns: int
+    age_s: float
+    rate_hz: float
+    count: int
+
+
+class RobotView(TypedDict):
     """One robot: what it is, who drives it how fast, where it says that it is."""
+
+    name: str
+    connected: bool
+    link: int | None
+    velocity_topic: str
+    odometry_topic: str
+    holder: str | None
+    priority: int | None
+    locked: bool
+    lock_reason: str | None
+    velocity: VelocityView
+    odometry: OdometryView | None
+
+
+class TopicInfoView(TypedDict):
+    """A topic as a device announced it."""
+
+    kind: str
+    id: int
+    name: str
+    type: str
+    md5: str
+    buffer_bytes: int
+
+
+class LinkView(TypedDict):
+    """One live connection, its topics and what was counted on it."""
+
+    number: int
+    peer: str
+    silent_s: float
+    topics: list[TopicInfoView]
+    seconds: float
+    frames_from_device: int
+    frames_to_device: int
+    bytes_from_device: int
+    bytes_to_device: int
+    skipped_bytes: int
+    unknown_ids: int
+    refused_frames: int
+    malformed: int
+    negotiations: int
+    asks: int
+    replaced: int
+    rejected: dict[str, int]
+
+
+class TopicView(TypedDict):
+    """A topic of the graph."""
+
+    name: str
+    type: str
+    publishers: int
+    subscribers: int
+    messages: int
+
+
+def robot_view(robot: Robot) -> RobotView:
+    """One robot as it is now."""
     return {
         "name": robot.name,
         "connected": robot.link is not None,
@@ -19,45 +105,44 @@ def robot_view(robot: Robot) -> dict[str, Any]:
         "priority": robot.gate.priority,
         "locked": robot.gate.lock_reason is not None,
         "lock_reason": robot.gate.lock_reason,
-        "velocity": {
-            "linear_m_s": robot.gate.current.linear_x_m_s,
-            "angular_rad_s": robot.gate.current.angular_z_rad_s,
-        },
+        "velocity": velocity_view(robot.gate.current),
         "odometry": odometry_view(robot),
     }
 
 
-def odometry_view(robot: Robot) -> dict[str, Any] | None:
+def velocity_view(velocity: Velocity) -> VelocityView:
+    """The two numbers of a robot on a floor."""
+    return {"linear_m_s": velocity.linear_x_m_s, "angular_rad_s": velocity.angular_z_rad_s}
+
+
+def odometry_view(robot: Robot) -> OdometryView | None:
     """Pose, twist, time and age; None before the first pose."""
-    return robot.odometry.snapshot(asyncio.get_running_loop().time())
+    return cast("OdometryView | None", robot.odometry.snapshot(asyncio.get_running_loop().time()))
 
 
-def link_views(hub: Hub) -> list[dict[str, Any]]:
-    """Every live connection, its topics and what was counted on it."""
+def link_views(hub: Hub) -> list[LinkView]:
+    """Every live connection as it is now."""
     now_s = asyncio.get_running_loop().time()
-    return [
-        {
-            "number": link.number,
-            "peer": link.peer,
-            "silent_s": round(now_s - link.heard_at_s, 3),
-            "topics": [
-                {
-                    "kind": info.kind.name.lower(),
-                    "id": info.topic_id,
-                    "name": info.name,
-                    "type": info.type,
-                    "md5": info.md5,
-                    "buffer_bytes": info.buffer_bytes,
-                }
-                for info in link.session.topics
-            ],
-            **link.facts(),
-        }
-        for link in hub.links()
-    ]
+    views = []
+    for link in hub.links():
+        topics: list[TopicInfoView] = [
+            {
+                "kind": info.kind.name.lower(),
+                "id": info.topic_id,
+                "name": info.name,
+                "type": info.type,
+                "md5": info.md5,
+                "buffer_bytes": info.buffer_bytes,
+            }
+            for info in link.session.topics
+        ]
+        silent_s = round(now_s - link.heard_at_s, 3)
+        known = {"number": link.number, "peer": link.peer, "silent_s": silent_s, "topics": topics}
+        views.append(cast("LinkView", known | link.facts()))
+    return views
 
 
-def topic_views(hub: Hub) -> list[dict[str, Any]]:
+def topic_views(hub: Hub) -> list[TopicView]:
     """Every topic of the graph."""
     return [
         {

@@ -9,7 +9,7 @@ import aiohttp
 import msgspec
 
 from hostlink.cli.serve import running
-from hostlink.config import ApiConfig, Config
+from hostlink.config import Config
 from hostlink.hub.hub import Hub
 
 
@@ -38,6 +38,6 @@ class Daemon:
 async def daemon(config: Config | None = None) -> AsyncIterator[Daemon]:
     """Run a daemon for the length of the block."""
     config = Config() if config is None else config
-    config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0), api=ApiConfig(port=0))
+    config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0), api=replace(config.api, port=0))
     async with running(config) as (hub, addresses), aiohttp.ClientSession() as session:
         yield Daemon(hub, addresses.tcp, addresses.api, session)

@@ -1,0 +1,158 @@
+"""Access: who may talk to the API, and what a token allows. No request gets past it unseen.
+
+Without tokens the API is for this computer alone: it listens on loopback, and a web page from elsewhere cannot use it
+through the browser of whoever sits there (Origin and Host are looked at). With tokens it may listen anywhere.
+"""
+
+import hmac
+import ipaddress
+import ssl
+from contextvars import ContextVar
+from enum import IntEnum
+from typing import NamedTuple
+from urllib.parse import SplitResult, urlsplit
+
+from aiohttp import web
+
+from hostlink.config import ApiConfig, TokenConfig
+from hostlink.errors import ConfigError
+
+SHORTEST_TOKEN = 16  # characters: 80 bits and more, when they are random
+_HOW_TO_MAKE_ONE = "make one with  python3 -c 'import secrets; print(secrets.token_urlsafe(24))'"
+
+
+class Role(IntEnum):
+    """What a client may do; each allows what is before it."""
+
+    READ = 1  # see everything, and stop robots
+    DRIVE = 2  # and command them, publish, call services, set parameters
+
+
+class Grant(NamedTuple):
+    """What a request may do, by which token."""
+
+    who: str  # the token's name; empty: no tokens are used
+    role: Role
+
+
+present_grant: ContextVar[Grant] = ContextVar("grant")  # of the request that is being answered
+
+
+class Access:
+    """The rules of one API server. Refusals are HTTP errors that say what to do."""
+
+    def __init__(self, config: ApiConfig) -> None:
+        """ConfigError for settings that would leave a robot open to the network."""
+        self._tokens = [(_secret(token), Grant(token.name, Role[token.role.upper()])) for token in config.tokens]
+        self._origins = frozenset(origin.rstrip("/") for origin in config.origins)
+        if len({secret for secret, _ in self._tokens}) < len(self._tokens):
+            raise ConfigError("api.tokens", "two names have the same token: nobody could tell who drives")
+        for limit in ("max_clients", "max_message_bytes", "max_requests_s"):
+            if not getattr(config, limit) >= 1:
+                raise ConfigError(f"api.{limit}", "must be 1 or more")
+        if not self._tokens and not _is_loopback(config.host):
+            raise ConfigError(
+                f"api.host {config.host}",
+                "whoever reaches this address could drive the robots: set [[api.tokens]], or listen on 127.0.0.1",
+            )
+        if not self._tokens and "*" in self._origins:
+            raise ConfigError("api.origins", '"*" would let every web page drive the robots: set [[api.tokens]] too')
+
+    def check_place(self, *, origin: str | None, host: str) -> None:
+        """Refuse a request that a web page from elsewhere made in the browser of somebody who may."""
+        if not self._tokens and not _is_plain_address(host):  # a name that an attacker points here (DNS rebinding)
+            raise web.HTTPForbidden(reason=f"not as {host}: without tokens use http://localhost or an IP address")
+        if origin is not None and not self.allows_origin(origin, host):
+            raise web.HTTPForbidden(reason=f'a page of {origin} may not: add "{origin}" to api.origins if it should')
+
+    def allows_origin(self, origin: str, host: str) -> bool:
+        """Whether a page from there may talk to this server, which its browser calls `host`."""
+        is_own = _parts(origin).netloc == host
+        return is_own or origin.rstrip("/") in self._origins or "*" in self._origins
+
+    def grant(self, token: str | None) -> Grant:
+        """What the token allows; without tokens everything is allowed."""
+        if not self._tokens:
+            return Grant("", Role.DRIVE)
+        if not token:
+            raise _unauthorized('a token is needed: "Authorization: Bearer ..." or ?token=...')
+        given, found = token.encode(errors="surrogateescape"), None
+        for secret, grant in self._tokens:  # all of them: how long it takes tells nothing
+            if hmac.compare_digest(secret, given):
+                found = grant
+        if found is None:
+            raise _unauthorized("this token is not known here")
+        return found
+
+
+def check_role(grant: Grant, needed: Role) -> None:
+    """Refuse what the role does not allow."""
+    if grant.role < needed:
+        raise web.HTTPForbidden(reason=f"the token {grant.who} may only {grant.role.name.lower()}, not drive")
+
+
+def token_of(request: web.Request) -> str | None:
+    """The token of a request: of its header, else of its URL, because a browser's WebSocket has no headers."""
+    scheme, _, token = request.headers.get("Authorization", "").partition(" ")
+    return token.strip() if scheme.lower() == "bearer" else request.query.get("token")
+
+
+def tls_context(config: ApiConfig) -> ssl.SSLContext | None:
+    """The server's certificate; None: no TLS. ConfigError for a file that is missing or wrong."""
+    if config.certificate is None and config.key is None:
+        return None
+    if config.certificate is None or config.key is None:
+        raise ConfigError("api", "TLS needs both certificate and key")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(config.certificate, config.key)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(f"api.certificate {config.certificate}, key {config.key}", str(error)) from error
+    return context
+
+
+def _secret(token: TokenConfig) -> bytes:
+    where = f"api.tokens {token.name}"
+    if (token.token is None) == (token.token_file is None):
+        raise ConfigError(where, "needs token or token_file, one of them")
+    secret = token.token
+    if token.token_file is not None:
+        try:
+            secret = token.token_file.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(where, f"token_file: {error}") from error
+    if not secret or len(secret) < SHORTEST_TOKEN:
+        raise ConfigError(where, f"a token has at least {SHORTEST_TOKEN} characters; {_HOW_TO_MAKE_ONE}")
+    return secret.encode()
+
+
+def _unauthorized(reason: str) -> web.HTTPUnauthorized:
+    return web.HTTPUnauthorized(reason=reason, headers={"WWW-Authenticate": 'Bearer realm="hostlink"'})
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def _is_plain_address(host: str) -> bool:
+    """Whether a Host header names this computer without asking the DNS."""
+    name = _parts(f"//{host}").hostname or ""
+    if name == "localhost" or name.endswith(".localhost"):
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _parts(url: str) -> SplitResult:
+    try:
+        return urlsplit(url)
+    except ValueError:  # brackets that do not match
+        return urlsplit("")

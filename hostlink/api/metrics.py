@@ -1,0 +1,142 @@
+"""Metrics for Prometheus: what is counted anyway, read when somebody asks, and how long messages took."""
+
+import asyncio
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import cast
+
+from aiohttp import web
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Histogram, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from hostlink.api.clients import Clients
+from hostlink.api.rate_limit import RateLimit
+from hostlink.api.routes import Route
+from hostlink.hub.hub import Hub
+
+LATENCY_BUCKETS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
+_LINK_COUNTERS = {
+    "frames_from_device": "Frames that came",
+    "frames_to_device": "Frames that left",
+    "bytes_from_device": "Bytes that came",
+    "bytes_to_device": "Bytes that left",
+    "skipped_bytes": "Bytes that were no frame",
+    "unknown_ids": "Frames of a topic that the device never told",
+    "refused_frames": "Frames that were refused",
+    "malformed": "Control frames whose payload makes no sense",
+    "negotiations": "Times that the device told its topics",
+    "asks": "Times that it was asked for them",
+    "replaced": "Messages that a newer one took the place of",
+}
+
+
+class Metrics:
+    """The registry of one daemon."""
+
+    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit) -> None:
+        self._registry = CollectorRegistry()
+        ProcessCollector(registry=self._registry)
+        self._registry.register(_Graph(hub, clients, limit))
+        self.to_client = Histogram(
+            "hostlink_device_to_client_seconds",
+            "From the arrival of a message to the client's socket",
+            buckets=LATENCY_BUCKETS_S,
+            registry=self._registry,
+        )
+
+    def route(self) -> Route:
+        """GET /metrics."""
+        return Route(
+            method="GET",
+            path="/metrics",
+            handler=self._show,
+            summary="Metrics for Prometheus",
+            says=None,
+            media_type="text/plain",
+        )
+
+    async def _show(self, _: web.Request) -> web.Response:
+        body = generate_latest(self._registry)
+        return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST, "Cache-Control": "no-store"})
+
+
+class _Graph(Collector):
+    """Reads the hub and the clients at the moment of the question: nothing is counted twice."""
+
+    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit) -> None:
+        self._hub, self._clients, self._limit = hub, clients, limit
+
+    def describe(self) -> list[Metric]:
+        """Nothing at registration: there is no event loop to ask yet."""
+        return []
+
+    def collect(self) -> Iterator[Metric]:
+        yield InfoMetricFamily("hostlink", "This daemon", value={"version": version("hostlink")})
+        yield GaugeMetricFamily("hostlink_links", "Live connections of devices", value=len(self._hub.links()))
+        yield CounterMetricFamily(
+            "hostlink_link_crashes", "Connections that a fault of hostlink ended", value=self._hub.crashes
+        )
+        yield from self._robots()
+        yield from self._links()
+        yield from self._to_clients()
+
+    def _robots(self) -> Iterator[Metric]:
+        now_s = asyncio.get_running_loop().time()
+        connected = GaugeMetricFamily("hostlink_robot_connected", "1 when its device is there", labels=["robot"])
+        age = GaugeMetricFamily("hostlink_robot_odometry_age_seconds", "Since the newest pose", labels=["robot"])
+        poses = CounterMetricFamily("hostlink_robot_poses", "Poses that came", labels=["robot"])
+        for robot in self._hub.robots.all():
+            connected.add_metric([robot.name], robot.link is not None)
+            odometry = robot.odometry.snapshot(now_s)
+            if odometry is not None:
+                age.add_metric([robot.name], odometry["age_s"])
+                poses.add_metric([robot.name], odometry["count"])
+        yield from (connected, age, poses)
+
+    def _links(self) -> Iterator[Metric]:
+        now_s = asyncio.get_running_loop().time()
+        robots = {robot.link: robot.name for robot in self._hub.robots.all() if robot.link is not None}
+        names = ["peer", "robot"]
+        counters = {
+            name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
+            for name, help_ in _LINK_COUNTERS.items()
+        }
+        rejected = CounterMetricFamily(
+            "hostlink_link_rejected", "False starts of frames, by cause", labels=[*names, "cause"]
+        )
+        silent = GaugeMetricFamily("hostlink_link_silent_seconds", "Since the last byte", labels=names)
+        for link in self._hub.links():
+            labels = [link.address, robots.get(link, "")]
+            facts = link.facts()
+            for name, counter in counters.items():
+                counter.add_metric(labels, cast(int, facts[name]))
+            for cause, count in link.session.rejected.items():
+                rejected.add_metric([*labels, cause], count)
+            silent.add_metric(labels, now_s - link.heard_at_s)
+        yield from (*counters.values(), rejected, silent)
+
+    def _to_clients(self) -> Iterator[Metric]:
+        clients = self._clients.views()
+        kinds = GaugeMetricFamily("hostlink_clients", "Clients that are connected", labels=["kind"])
+        for kind in ("rosbridge", "events"):
+            kinds.add_metric([kind], sum(client["kind"] == kind for client in clients))
+        yield kinds
+        dropped = self._clients.gone_dropped + sum(client["dropped"] for client in clients)
+        yield CounterMetricFamily("hostlink_client_dropped", "Messages that clients were too slow for", value=dropped)
+        yield GaugeMetricFamily(
+            "hostlink_client_waiting_bytes",
+            "Bytes that wait for clients",
+            value=sum(client["waiting_bytes"] for client in clients),
+        )
+        yield GaugeMetricFamily(
+            "hostlink_client_lag_seconds",
+            "How old the oldest message is that waits for a client",
+            value=max((client["lag_s"] for client in clients), default=0.0),
+        )
+        yield CounterMetricFamily(
+            "hostlink_clients_refused", "Clients turned away: too many", value=self._clients.refused
+        )
+        yield CounterMetricFamily(
+            "hostlink_requests_refused", "Requests turned away: too many a second", value=self._limit.refused
+        )

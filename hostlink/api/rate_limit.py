@@ -1,0 +1,44 @@
+"""RateLimit: how often somebody may ask, as a token bucket for each of them."""
+
+from collections import OrderedDict
+from collections.abc import Hashable
+from typing import NamedTuple
+
+MAX_KEYS = 1024  # the one that asked longest ago is forgotten first: by then its bucket is full again
+
+
+class _Bucket(NamedTuple):
+    left: float
+    at_s: float
+
+
+class RateLimit:
+    """At most `per_s` a second in the long run, and a second's worth at once."""
+
+    def __init__(self, per_s: float) -> None:
+        self.refused = 0
+        self._per_s = per_s
+        self._buckets: OrderedDict[Hashable, _Bucket] = OrderedDict()
+
+    def allows(self, key: Hashable, now_s: float) -> bool:
+        """Whether `key` may ask once more now; what is refused is not counted against it."""
+        left = self._left(key, now_s)
+        is_right = left >= 1
+        self._keep(key, _Bucket(left - is_right, now_s))
+        self.refused += not is_right
+        return is_right
+
+    def delay_s(self, key: Hashable, now_s: float) -> float:
+        """Count what `key` has said already; returns for how long not to listen to it."""
+        left = self._left(key, now_s) - 1
+        self._keep(key, _Bucket(left, now_s))
+        return max(0.0, -left / self._per_s)
+
+    def _left(self, key: Hashable, now_s: float) -> float:
+        bucket = self._buckets.pop(key, _Bucket(self._per_s, now_s))
+        return min(self._per_s, bucket.left + (now_s - bucket.at_s) * self._per_s)
+
+    def _keep(self, key: Hashable, bucket: _Bucket) -> None:
+        self._buckets[key] = bucket
+        if len(self._buckets) > MAX_KEYS:
+            self._buckets.popitem(last=False)

@@ -1,0 +1,107 @@
+"""Route: one path of the API, who may use it and what it says; and the OpenAPI document that is made of them all."""
+
+import re
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from http import HTTPStatus
+from importlib.metadata import version
+from typing import Any, TypedDict
+
+import msgspec
+from aiohttp import web
+
+from hostlink.api.access import Role
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+_REFERENCE = "#/components/schemas/{name}"
+_EVERYWHERE = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
+
+
+class ErrorReason(TypedDict):
+    """Why something was refused: a kind for programs, a reason for people."""
+
+    kind: str
+    reason: str
+
+
+class ErrorView(TypedDict):
+    """The body of every error."""
+
+    error: ErrorReason
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Route:
+    """One path and method."""
+
+    method: str
+    path: str
+    handler: Handler
+    summary: str
+    says: type | None  # the type of its JSON; None: it is no JSON
+    media_type: str = "application/json"
+    takes: type | None = None  # the type of its body
+    is_body_optional: bool = False
+    role: Role | None = Role.READ  # None: everybody, without a token
+    is_limited: bool = True  # False: answered however often it is asked, because it makes a robot stop
+    fails: tuple[HTTPStatus, ...] = ()
+
+
+def openapi(routes: Iterable[Route]) -> dict[str, Any]:
+    """The OpenAPI 3.1 document of the routes."""
+    listed = list(routes)
+    types = [each for route in listed for each in (route.says, route.takes) if each is not None]
+    _, schemas = msgspec.json.schema_components([*types, ErrorView], ref_template=_REFERENCE)
+    paths: dict[str, Any] = {}
+    for route in listed:
+        paths.setdefault(route.path, {})[route.method.lower()] = _operation(route)
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "hostlink",
+            "version": version("hostlink"),
+            "description": "Robots that speak rosserial. The WebSocket at / speaks rosbridge v2.",
+        },
+        "paths": paths,
+        "components": {
+            "schemas": schemas,
+            "securitySchemes": {
+                "bearer": {"type": "http", "scheme": "bearer"},
+                "query": {"type": "apiKey", "in": "query", "name": "token"},
+            },
+        },
+        "security": [{}, {"bearer": []}, {"query": []}],
+    }
+
+
+def _operation(route: Route) -> dict[str, Any]:
+    schema = {"type": "string"} if route.says is None else _schema(route.says)
+    fails = route.fails if route.role is None else (*route.fails, *_EVERYWHERE)
+    operation: dict[str, Any] = {
+        "summary": route.summary,
+        "operationId": re.sub(r"\W+", "_", f"{route.method.lower()} {route.path}").strip("_"),
+        "responses": {"200": {"description": route.summary, "content": {route.media_type: {"schema": schema}}}}
+        | {str(status.value): _failure(status) for status in sorted(fails)},
+    }
+    if route.role is None:
+        operation["security"] = [{}]
+    names = re.findall(r"{(\w+)}", route.path)
+    if names:
+        operation["parameters"] = [
+            {"name": name, "in": "path", "required": True, "schema": {"type": "string"}} for name in names
+        ]
+    if route.takes is not None:
+        operation["requestBody"] = {
+            "required": not route.is_body_optional,
+            "content": {"application/json": {"schema": _schema(route.takes)}},
+        }
+    return operation
+
+
+def _failure(status: HTTPStatus) -> dict[str, Any]:
+    return {"description": status.phrase, "content": {"application/json": {"schema": _schema(ErrorView)}}}
+
+
+def _schema(type_: type) -> dict[str, str]:
+    return {"$ref": _REFERENCE.format(name=type_.__name__)}

@@ -1,0 +1,176 @@
+"""The guarded API: tokens on every door, pages of elsewhere, TLS, and limits that hold."""
+
+import asyncio
+import json
+import ssl
+import subprocess
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.errors import ConfigError
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.rosbridge import Client
+
+DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
+GUARDED = Config(
+    api=ApiConfig(
+        tokens=(
+            TokenConfig(name="phone", role="drive", token=DRIVE),
+            TokenConfig(name="wall", role="read", token=READ),
+        )
+    )
+)
+VELOCITY = ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0}')
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+async def status(host: Daemon, method: str, path: str, body: bytes | None = None, **headers: str) -> int:
+    async with host.session.request(method, host.url + path, data=body, headers=headers) as response:
+        await response.read()
+        return response.status
+
+
+@pytest.mark.parametrize("path", ["/api/robots", "/api/links", "/api/events", "/api/clients", "/metrics", "/api/no"])
+async def test_no_token_no_answer(path: str) -> None:
+    async with daemon(GUARDED) as host:
+        assert await status(host, "GET", path) == 401
+        assert await status(host, "GET", path, Authorization="Bearer another-token-of-nobody") == 401
+        assert await status(host, "GET", f"{path}?token=another-token-of-nobody") == 401
+        assert await status(host, "GET", path, Authorization=f"Basic {DRIVE}") == 401
+
+
+async def test_the_page_and_the_health_need_none() -> None:
+    async with daemon(GUARDED) as host:
+        assert await status(host, "GET", "/") == 200
+        assert await status(host, "GET", "/healthz") == 200
+        assert await status(host, "GET", "/api/openapi.json") == 200
+
+
+async def test_roles_on_the_rest_door() -> None:
+    async with daemon(GUARDED) as host, fake_device(host.tcp, robot_topics()):
+        assert await status(host, *VELOCITY, **bearer(DRIVE)) == 200
+        assert await status(host, *VELOCITY, **bearer(READ)) == 403
+        assert await status(host, "POST", "/api/robots/robot_0/odometry/reset", **bearer(READ)) == 403
+        assert await status(host, "GET", "/api/robots", **bearer(READ)) == 200
+        assert await status(host, "GET", f"/api/robots?token={READ}") == 200
+        assert await status(host, "POST", "/api/robots/robot_0/stop", **bearer(READ)) == 200  # whoever looks may stop
+
+
+async def test_roles_on_the_websocket() -> None:
+    async with daemon(GUARDED) as host, fake_device(host.tcp, robot_topics()) as device:
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+            await host.session.ws_connect(host.url)
+        assert refusal.value.status == 401
+        async with host.session.ws_connect(f"{host.url}/?token={READ}") as socket:
+            watcher = Client(socket)
+            await watcher.say(op="set_level", level="error")
+            for op in ("publish", "advertise", "advertise_service", "unadvertise", "service_response"):
+                await watcher.say(op=op, topic="/robot_0/velocity_commands", type="geometry_msgs/Twist", msg={})
+                assert (await watcher.hear())["msg"] == f"{op}: the token may only read"
+            await watcher.say(op="call_service", service="/rosapi/set_param", args={"name": "a", "value": "1"})
+            assert (await watcher.hear())["result"] is False
+            assert "/robot_0/odometry" in (await watcher.call("/rosapi/topics"))["topics"]
+            assert host.hub.robots.find("robot_0").gate.holder is None
+        async with host.session.ws_connect(host.url, headers=bearer(DRIVE)) as socket:
+            await Client(socket).say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.2}})
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+            assert [client["token"] for client in await views(host)] == ["phone"]
+
+
+async def views(host: Daemon) -> list[dict[str, object]]:
+    async with host.session.get(host.url + "/api/clients", headers=bearer(READ)) as response:
+        found: list[dict[str, object]] = (await response.json())["clients"]
+        return found
+
+
+async def test_a_page_of_elsewhere_cannot_drive() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        evil = {"Origin": "http://evil.example"}
+        assert await status(host, *VELOCITY, **evil) == 403
+        assert await status(host, "OPTIONS", VELOCITY[1], **evil) == 403
+        with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+            await host.session.ws_connect(host.url, headers=evil)
+        assert refusal.value.status == 403
+        assert await status(host, "GET", "/api/robots", Host="evil.example") == 403
+        assert await status(host, *VELOCITY, Origin=host.url) == 200
+        assert (await host.get("/api/robots/robot_0"))["holder"] is not None
+
+
+async def test_a_page_that_is_listed_is_told_so_by_cors() -> None:
+    config = Config(api=ApiConfig(origins=("https://app.example",)))
+    async with daemon(config) as host:
+        for method in ("OPTIONS", "GET"):
+            headers = {"Origin": "https://app.example"}
+            async with host.session.request(method, host.url + "/api/robots", headers=headers) as response:
+                assert response.status in (200, 204)
+                assert response.headers["Access-Control-Allow-Origin"] == "https://app.example"
+
+
+async def test_it_does_not_start_open_to_the_network() -> None:
+    with pytest.raises(ConfigError, match=r"set \[\[api.tokens\]\], or listen on 127.0.0.1"):
+        async with daemon(Config(api=ApiConfig(host="0.0.0.0"))):
+            pytest.fail("it started")
+
+
+async def test_too_many_requests_but_never_too_many_stops() -> None:
+    async with daemon(Config(api=ApiConfig(max_requests_s=5))) as host, fake_device(host.tcp, robot_topics()):
+        answers = [await status(host, "GET", "/api/robots") for _ in range(20)]
+        assert answers.count(200) in (5, 6, 7)
+        assert answers.count(429) == 20 - answers.count(200)
+        stops = [await status(host, "POST", "/api/robots/robot_0/stop") for _ in range(20)]
+        assert stops == [200] * 20
+
+
+async def test_too_many_clients() -> None:
+    async with daemon(Config(api=ApiConfig(max_clients=2))) as host:
+        async with host.session.ws_connect(host.url), host.session.get(host.url + "/api/events"):
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+                await host.session.ws_connect(host.url)
+            assert refusal.value.status == 503
+            assert await status(host, "GET", "/api/events") == 503
+            assert (await host.get("/api/clients"))["refused"] == 2
+        async with asyncio.timeout(5), host.session.ws_connect(host.url):
+            pass
+
+
+async def test_a_message_too_large_closes_its_client_only() -> None:
+    config = Config(api=ApiConfig(max_message_bytes=4096))
+    async with daemon(config) as host, host.session.ws_connect(host.url) as good:
+        async with host.session.ws_connect(host.url) as bad:
+            await bad.send_str(json.dumps({"op": "publish", "topic": "/a", "msg": "x" * 5000}))
+            assert (await bad.receive(timeout=5)).data == aiohttp.WSCloseCode.MESSAGE_TOO_BIG
+        assert "topics" in await Client(good).call("/rosapi/topics")
+
+
+async def test_tls(tmp_path: Path) -> None:
+    certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"]
+    make = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:2048",
+        "-nodes",
+        "-days",
+        "2",
+        "-out",
+        certificate,
+        "-keyout",
+        key,
+    ]
+    await asyncio.to_thread(subprocess.run, [*make, *names], check=True, capture_output=True)
+    trust = ssl.create_default_context(cafile=certificate)
+    async with daemon(Config(api=ApiConfig(certificate=certificate, key=key))) as host:
+        assert host.url.startswith("https://")
+        async with host.session.get(host.url + "/healthz", ssl=trust) as response:
+            assert response.status == 200
+        async with host.session.ws_connect(host.url, ssl=trust) as socket:
+            assert "topics" in await Client(socket).call("/rosapi/topics")

@@ -1,0 +1,71 @@
+"""Server-sent events: what a page or `curl -N` gets without asking again."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator
+from typing import Any
+
+import aiohttp
+
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+
+
+class Reader:
+    """The events of one stream."""
+
+    def __init__(self, response: aiohttp.ClientResponse) -> None:
+        self._response = response
+
+    async def next(self, wanted: str) -> Any:
+        """The data of the next event of that name."""
+        name = ""
+        async with asyncio.timeout(5):
+            async for line in self._response.content:
+                key, _, value = line.decode().strip().partition(": ")
+                if key == "event":
+                    name = value
+                elif key == "data" and name == wanted:
+                    return json.loads(value)
+        raise AssertionError("the stream ended")
+
+
+@contextlib.asynccontextmanager
+async def stream(host: Daemon, path: str) -> AsyncIterator[Reader]:
+    async with host.session.get(host.url + path) as response:
+        assert (response.status, response.content_type) == (200, "text/event-stream")
+        assert response.headers["Cache-Control"] == "no-store"
+        yield Reader(response)
+
+
+async def test_robots_and_links_as_they_come_and_go() -> None:
+    async with daemon() as host, stream(host, "/api/events") as reader:
+        assert (await reader.next("robots"))["robots"] == []
+        async with fake_device(host.tcp, robot_topics()):
+            robots: list[Any] = []
+            while not robots:
+                robots = (await reader.next("robots"))["robots"]
+            assert (robots[0]["name"], robots[0]["connected"]) == ("robot_0", True)
+            assert (await reader.next("links"))["links"][0]["negotiations"] == 1
+        while robots[0]["connected"]:
+            robots = (await reader.next("robots"))["robots"]
+
+
+async def test_each_new_pose_is_an_event() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        async with stream(host, "/api/robots/robot_0/odometry/events") as reader:
+            for number in range(3):
+                await device.send(pose(float(number), 0.0, 0.0))
+                assert (await reader.next("odometry"))["pose"]["x_m"] == number
+            assert (await host.get("/api/clients"))["clients"][0]["kind"] == "events"
+        while (await host.get("/api/clients"))["clients"]:  # that a reader is gone shows when it is written to
+            await device.send(pose(0.0, 0.0, 0.0))
+        assert len(host.hub.topics.find("/robot_0/odometry").subscribers) == 1
+
+
+async def test_no_stream_of_a_robot_that_nobody_knows() -> None:
+    async with daemon() as host:
+        status, error = await host.rest("GET", "/api/robots/nobody/odometry/events")
+        assert (status, error["error"]["kind"]) == (404, "UnknownTopic")
+        assert (await host.get("/api/clients"))["clients"] == []

@@ -1,0 +1,48 @@
+"""What Prometheus reads."""
+
+from prometheus_client.parser import text_string_to_metric_families
+
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.rosbridge import client
+from tests.support.waiting import expect
+
+
+async def metrics(host: Daemon) -> dict[str, float]:
+    """By name and labels, as Prometheus writes them."""
+    async with host.session.get(host.url + "/metrics") as response:
+        assert response.status == 200
+        text = await response.text()
+    return {
+        sample.name + str(sorted(sample.labels.items())): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+async def test_links_robots_and_clients() -> None:
+    device_labels = "[('peer', '127.0.0.1'), ('robot', 'robot_0')]"
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await program.say(op="subscribe", topic="/robot_0/odometry")
+        await program.call("/rosapi/get_time")  # by now the subscription stands
+        await device.send(b"noise" + pose(1.0, 2.0, 0.5))
+        await program.hear()
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
+        seen = await metrics(host)
+        assert seen["hostlink_links[]"] == 1
+        assert seen["hostlink_robot_connected[('robot', 'robot_0')]"] == 1
+        assert seen["hostlink_robot_poses_total[('robot', 'robot_0')]"] == 1
+        assert seen["hostlink_link_frames_from_device_total" + device_labels] == 6
+        assert seen["hostlink_link_skipped_bytes_total" + device_labels] == 5
+        assert seen["hostlink_clients[('kind', 'rosbridge')]"] == 1
+        assert seen["hostlink_device_to_client_seconds_count[]"] == 2
+        assert 0 < seen["hostlink_device_to_client_seconds_sum[]"] < 5
+        assert seen["hostlink_client_dropped_total[]"] == 0
+        assert seen["process_open_fds[]"] > 3
+
+
+async def test_an_empty_daemon_has_metrics_too() -> None:
+    async with daemon() as host:
+        seen = await metrics(host)
+    assert seen["hostlink_links[]"] == 0
+    assert seen["hostlink_client_lag_seconds[]"] == 0

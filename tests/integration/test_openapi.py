@@ -1,0 +1,49 @@
+"""The OpenAPI document: true for every request that schemathesis thinks of, and complete."""
+
+import asyncio
+from typing import Any
+
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
+
+from hostlink.config import ApiConfig, Config
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+
+EXAMPLES = 25  # a path
+GENEROUS = Config(api=ApiConfig(max_requests_s=1e6))
+
+
+def try_everything(url: str, document: dict[str, Any]) -> list[str]:
+    """Call every operation with data that fits the document and data that does not; returns what was called."""
+    schema = schemathesis.openapi.from_dict(document)
+    called = []
+    for result in schema.get_all_operations():
+        operation = result.ok()
+        if "text/event-stream" in str(operation.definition.raw):
+            continue  # it does not end by itself; it has tests of its own
+
+        @settings(
+            max_examples=EXAMPLES,
+            deadline=None,
+            database=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        )
+        @given(operation.as_strategy())
+        def check(case: schemathesis.Case) -> None:
+            case.call_and_validate(base_url=url)
+
+        check()
+        called.append(operation.label)
+    return called
+
+
+async def test_the_document_is_true() -> None:
+    async with daemon(GENEROUS) as host, fake_device(host.tcp, robot_topics()) as device:
+        await device.send(pose(1.0, 2.0, 0.5))
+        document = await host.get("/api/openapi.json")
+        called = await asyncio.to_thread(try_everything, host.url, document)
+        assert len(called) >= 12
+        assert (await host.get("/healthz"))["status"] == "alive"
+        assert (await host.get("/api/links"))["crashes"] == 0

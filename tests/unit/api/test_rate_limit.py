@@ -1,0 +1,47 @@
+"""The token bucket of each who asks."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.api.rate_limit import MAX_KEYS, RateLimit
+
+
+def test_a_second_s_worth_at_once_then_one_by_one() -> None:
+    limit = RateLimit(10)
+    assert [limit.allows("a", 5.0) for _ in range(11)] == [True] * 10 + [False]
+    assert not limit.allows("a", 5.05)
+    assert limit.allows("a", 5.1 + 1e-9)
+    assert limit.refused == 2
+
+
+def test_who_says_too_much_is_heard_later() -> None:
+    limit = RateLimit(10)
+    assert [limit.delay_s("a", 5.0) for _ in range(10)] == [0.0] * 10
+    assert limit.delay_s("a", 5.0) == pytest.approx(0.1)
+    assert limit.delay_s("a", 5.1) == pytest.approx(0.1)
+
+
+def test_nobody_pays_for_another() -> None:
+    limit = RateLimit(1)
+    assert [limit.allows("a", 0.0), limit.allows("a", 0.0), limit.allows("b", 0.0)] == [True, False, True]
+
+
+def test_it_remembers_a_bounded_number() -> None:
+    limit = RateLimit(1)
+    for number in range(3 * MAX_KEYS):
+        limit.allows(number, 0.0)
+    assert len(limit._buckets) == MAX_KEYS
+
+
+@given(st.floats(1, 1000), st.lists(st.floats(0, 0.5), max_size=200))
+def test_never_more_than_the_rate_and_a_burst(per_s: float, pauses_s: list[float]) -> None:
+    limit = RateLimit(per_s)
+    now_s, passed, said, heard_at_s = 0.0, 0, 0, 0.0
+    for pause_s in pauses_s:
+        now_s += pause_s
+        passed += limit.allows("a", now_s)
+        heard_at_s += limit.delay_s("b", heard_at_s)
+        said += 1
+    assert passed <= per_s * now_s + per_s + 1e-6
+    assert said <= per_s * heard_at_s + per_s + 1e-6
