@@ -15,7 +15,7 @@ from aiohttp import web
 from hostlink.api.access import present_grant
 from hostlink.api.clients import Clients
 from hostlink.api.routes import Route
-from hostlink.api.views import link_views, odometry_view, robot_view
+from hostlink.api.views import links_view, odometry_view, robot_view
 from hostlink.hub.hub import Hub
 
 ROBOTS_INTERVAL_S = 0.2  # quicker than people see
@@ -62,7 +62,7 @@ class Events:
             for number in itertools.count():
                 await send("robots", {"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
                 if number % LINKS_EVERY == 0:
-                    await send("links", {"links": link_views(self._hub), "crashes": self._hub.crashes})
+                    await send("links", links_view(self._hub))
                 await asyncio.sleep(ROBOTS_INTERVAL_S)
         return response
 

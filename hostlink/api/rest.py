@@ -12,12 +12,12 @@ from hostlink.api.clients import Clients, ClientView
 from hostlink.api.replies import refusal, reply
 from hostlink.api.routes import Handler, Route
 from hostlink.api.views import (
-    LinkView,
+    LinksView,
     OdometryView,
     RobotView,
     TopicView,
     VelocityView,
-    link_views,
+    links_view,
     odometry_view,
     robot_view,
     topic_views,
@@ -66,13 +66,6 @@ class ResetAnswer(TypedDict):
     """The topic on which the device was told."""
 
     reset: str
-
-
-class LinksView(TypedDict):
-    """Every live connection; `crashes` counts those that a fault of hostlink itself ended."""
-
-    links: list[LinkView]
-    crashes: int
 
 
 class TopicsView(TypedDict):
@@ -226,7 +219,7 @@ class Rest:
         return reply({"reset": robot.topics.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
-        return reply({"links": link_views(self._hub), "crashes": self._hub.crashes, "refused": self._hub.refused})
+        return reply(links_view(self._hub))
 
     async def _topics(self, _: web.Request) -> web.Response:
         return reply({"topics": topic_views(self._hub)})

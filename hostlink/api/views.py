@@ -83,6 +83,14 @@ class LinkView(TypedDict):
     rejected: dict[str, int]
 
 
+class LinksView(TypedDict):
+    """Every live connection; those that a fault of hostlink itself ended, and those that were refused, by cause."""
+
+    links: list[LinkView]
+    crashes: int
+    refused: dict[str, int]
+
+
 class TopicView(TypedDict):
     """A topic of the graph."""
 
@@ -140,6 +148,11 @@ def link_views(hub: Hub) -> list[LinkView]:
         known = {"number": link.number, "peer": link.peer, "silent_s": silent_s, "topics": topics}
         views.append(cast("LinkView", known | link.facts()))
     return views
+
+
+def links_view(hub: Hub) -> LinksView:
+    """All of them, and what became of others."""
+    return {"links": link_views(hub), "crashes": hub.crashes, "refused": dict(hub.refused)}
 
 
 def topic_views(hub: Hub) -> list[TopicView]:
