@@ -314,7 +314,7 @@ async def test_a_token_goes_with_every_request() -> None:
         return web.json_response({"robots": []})
 
     async with serving(answer) as url:
-        async with connect(url, token="secret") as me:  # noqa: S106 - of this test
+        async with connect(url, token="secret") as me:
             await me.robots()
         async with connect(f"{url}/?token=other"):
             pass
