@@ -50,7 +50,7 @@ class ClientQueue:
     @property
     def waiting_bytes(self) -> int:
         """Of telemetry and results."""
-        return self._bytes + sum(len(result.data) for result in self._results)
+        return self._bytes + self._result_bytes
 
     @property
     def oldest_s(self) -> float | None:

@@ -26,7 +26,6 @@ def only_reads(service: str) -> bool:
     return name.startswith("/rosapi/") and name not in _WRITERS
 
 
-
 class RosApi:
     """One method a service, by its name; `offer` makes them all callable."""
 
