@@ -16,7 +16,7 @@ help:
 	@echo "make demo    start the daemon with a simulated robot"
 	@echo "make test    run every test"
 	@echo "make check   format, lint, types, import rules"
-	@echo "make bench   measure, write the figures to build/bench.json"
+	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make soak    ten minutes of driving on the chain, every message counted"
@@ -55,6 +55,7 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python tools/bench_link.py
+	$(BIN)/python tools/bench_api.py
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
