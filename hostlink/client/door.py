@@ -19,8 +19,8 @@ _ADVICE = {
     HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...)",
     HTTPStatus.FORBIDDEN: "this token, or this place, may not do that: ask whoever runs it",
     HTTPStatus.NOT_FOUND: "what answers there is no hostlink, or an older one: look at the address and the port",
-    HTTPStatus.TOO_MANY_REQUESTS: "it was asked too often: ask less often, or raise max_requests_s of its configuration",
-    HTTPStatus.SERVICE_UNAVAILABLE: "it is not ready, or has as many clients as it takes: try again later, or raise max_clients",
+    HTTPStatus.TOO_MANY_REQUESTS: "ask less often, or raise max_requests_s in its configuration",
+    HTTPStatus.SERVICE_UNAVAILABLE: "it is not ready, or has its max_clients already: try again later",
 }
 
 
