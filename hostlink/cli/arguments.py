@@ -1,8 +1,21 @@
-"""Arguments that are JSON."""
+"""Arguments that several commands have."""
 
 import json
+from typing import Annotated
+
+import typer
 
 from hostlink.errors import ConfigError
+
+Url = Annotated[str, typer.Option(help="Where hostlink's API is.", envvar="HOSTLINK_URL")]
+Token = Annotated[
+    str | None,
+    typer.Option(
+        help="For an API that asks for one; in the environment nobody else sees it.",
+        envvar="HOSTLINK_TOKEN",
+        show_default=False,
+    ),
+]
 
 
 def json_object(name: str, text: str) -> dict[str, object]:

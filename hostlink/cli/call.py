@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import json_object
+from hostlink.cli.arguments import Token, Url, json_object
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -16,13 +16,14 @@ def command(
     request: Annotated[str, typer.Argument(help='JSON, as {"data": true}.')] = "{}",
     *,
     timeout: Annotated[float, typer.Option(min=0.01, max=3600.0, help="Seconds to wait for the answer.")] = 5.0,
-    url: Annotated[str, typer.Option(help="Where hostlink's API is.")] = DEFAULT_URL,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
 ) -> None:
     """Call a service and print its answer as JSON."""
-    answer = asyncio.run(_call(url, service, json_object("REQUEST", request), timeout))
+    answer = asyncio.run(_call(url, token, service, json_object("REQUEST", request), timeout))
     sys.stdout.write(json_text.dumps(answer, ensure_ascii=False) + "\n")
 
 
-async def _call(url: str, service: str, request: dict[str, object], timeout_s: float) -> object:
-    async with connect(url, reconnect=False) as host:
+async def _call(url: str, token: str | None, service: str, request: dict[str, object], timeout_s: float) -> object:
+    async with connect(url, token=token, reconnect=False) as host:
         return await host.call(service, request, timeout_s=timeout_s)

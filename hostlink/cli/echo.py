@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cli.arguments import Token, Url
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -15,17 +16,18 @@ def command(
     *,
     count: Annotated[int, typer.Option(min=0, help="Stop after so many messages; 0: never.")] = 0,
     throttle_ms: Annotated[int, typer.Option(min=0, help="At most one message in so many milliseconds.")] = 0,
-    url: Annotated[str, typer.Option(help="Where hostlink's API is.")] = DEFAULT_URL,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")] = False,
 ) -> None:
     """Print the messages of a topic until Ctrl-C."""
-    asyncio.run(_echo(url, topic, count, throttle_ms, as_json=json))
+    asyncio.run(_echo(url, token, topic, count, throttle_ms, as_json=json))
 
 
-async def _echo(url: str, topic: str, count: int, throttle_ms: int, *, as_json: bool) -> None:
+async def _echo(url: str, token: str | None, topic: str, count: int, throttle_ms: int, *, as_json: bool) -> None:
     seen = 0
     async with (
-        connect(url, reconnect=False) as host,
+        connect(url, token=token, reconnect=False) as host,
         host.subscribe(topic, throttle_rate_ms=throttle_ms) as messages,
     ):
         async for message in messages:

@@ -2,11 +2,12 @@
 
 import asyncio
 import sys
+from contextlib import AbstractAsyncContextManager
 from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import json_object
+from hostlink.cli.arguments import Token, Url, json_object
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import HostlinkError
 
@@ -22,14 +23,24 @@ def command(
     ] = "",
     rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Messages a second, with --count.")] = 10.0,
     count: Annotated[int, typer.Option(min=0, help="How many; 0: until Ctrl-C.")] = 1,
-    url: Annotated[str, typer.Option(help="Where hostlink's API is.")] = DEFAULT_URL,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
 ) -> None:
     """Publish a message once, or at a rate. A robot that is driven so stops when this command ends."""
-    asyncio.run(_pub(url, topic, json_object("MESSAGE", message), type_name, rate, count))
+    asyncio.run(
+        _pub(connect(url, token=token, reconnect=False), topic, json_object("MESSAGE", message), type_name, rate, count)
+    )
 
 
-async def _pub(url: str, topic: str, message: dict[str, object], type_name: str, rate_hz: float, count: int) -> None:
-    async with connect(url, reconnect=False) as host:
+async def _pub(
+    connected: AbstractAsyncContextManager[Host],
+    topic: str,
+    message: dict[str, object],
+    type_name: str,
+    rate_hz: float,
+    count: int,
+) -> None:
+    async with connected as host:
         sent = 0
         while not count or sent < count:
             if sent:

@@ -14,7 +14,7 @@ import typer
 from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.addresses import parse_address, parse_serial
-from hostlink.config import ApiConfig, Config, load
+from hostlink.config import Config, load
 from hostlink.errors import ConfigError
 from hostlink.hub.door import Door
 from hostlink.hub.hub import Hub
@@ -131,6 +131,6 @@ def merge(
         config = dataclasses.replace(config, tcp=dataclasses.replace(config.tcp, host=host, port=port))
     if api is not None:
         host, port = parse_address("--api", api, config.api.host)
-        config = dataclasses.replace(config, api=ApiConfig(host=host, port=port))
+        config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))
     ports = config.serial + tuple(parse_serial(text) for text in serial or ())
     return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))

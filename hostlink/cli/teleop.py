@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cli.arguments import Token, Url
 from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.keys import Key, KeyReader
 from hostlink.cli.terminal import Terminal, draw, key_terminal
@@ -42,7 +43,8 @@ def command(
         str | None, typer.Argument(help="Its name; the only one that is connected.", show_default=False)
     ] = None,
     *,
-    url: Annotated[str, typer.Option(help="Where hostlink's API is.")] = DEFAULT_URL,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
     layout: Annotated[
         str, typer.Option(help="original (q w e / a d / z x c) or twist (u i o / j l / m , .).")
     ] = "original",
@@ -53,16 +55,16 @@ def command(
     if layout not in LAYOUTS:
         raise ConfigError("--layout", f"{layout} is none of {', '.join(LAYOUTS)}")
     driving = Driving(layout=layout, linear_m_s=linear, angular_rad_s=angular)
-    asyncio.run(_teleop(url, robot, driving, MAPS[layout]))
+    asyncio.run(_teleop(url, token, robot, driving, MAPS[layout]))
 
 
-async def _teleop(url: str, name: str | None, driving: Driving, keys: list[str]) -> None:
-    async with connect(url, reconnect=False) as host:
+async def _teleop(url: str, token: str | None, name: str | None, driving: Driving, keys: list[str]) -> None:
+    async with connect(url, token=token, reconnect=False) as host:
         found = await _choose(host, name)
     with key_terminal() as terminal, _Keyboard(terminal, driving) as keyboard:
         while not keyboard.is_done:
             try:
-                async with connect(url, reconnect=False) as host:
+                async with connect(url, token=token, reconnect=False) as host:
                     await _drive(host, found, keyboard, keys)
             except HostlinkError as lost:
                 keyboard.driving.stop()  # what was held when the link went must not move the robot when it is back

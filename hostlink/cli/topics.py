@@ -7,20 +7,22 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cli.arguments import Token, Url
 from hostlink.client import DEFAULT_URL, connect
 
 
 def command(
     *,
-    url: Annotated[str, typer.Option(help="Where hostlink's API is.")] = DEFAULT_URL,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
     json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
     """List the topics: name, type, who publishes and who takes them, how many messages have passed."""
-    asyncio.run(_topics(url, as_json=json))
+    asyncio.run(_topics(url, token, as_json=json))
 
 
-async def _topics(url: str, *, as_json: bool) -> None:
-    async with connect(url, reconnect=False) as host:
+async def _topics(url: str, token: str | None, *, as_json: bool) -> None:
+    async with connect(url, token=token, reconnect=False) as host:
         topics = await host.topics()
     if as_json:
         sys.stdout.write(json_text.dumps(topics) + "\n")

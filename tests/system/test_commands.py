@@ -3,6 +3,7 @@
 import asyncio
 import json
 import signal
+from pathlib import Path
 
 import pytest
 
@@ -105,3 +106,25 @@ async def test_a_fleet_is_seen_by_name() -> None:
         _, out, _ = await run("topics", "--url", daemon.url)
     for number in (4, 5, 6):
         assert f"/robot_{number}/odometry" in out
+
+
+async def test_a_guarded_daemon_asks_the_commands_for_a_token(tmp_path: Path) -> None:
+    secret, config = "a-token-of-a-driver", tmp_path / "hostlink.toml"
+    (tmp_path / "token").write_text(secret + "\n")
+    config.write_text('[[api.tokens]]\nname = "desk"\nrole = "drive"\ntoken_file = "token"\n')
+    async with serve("--config", str(config)) as daemon:
+        status, _, complaint = await run("topics", "--url", daemon.url)
+        assert (status, complaint.count("\n")) == (1, 1)
+        assert "token" in complaint
+        assert (await run("topics", "--url", daemon.url, "--token", secret))[0] == 0
+        assert (await run("topics", "--url", f"{daemon.url}/?token={secret}"))[0] == 0
+        daemon.child.send_signal(signal.SIGTERM)
+        await daemon.read_log("daemon.stopped")
+        assert "client.closed" in json.dumps(daemon.log)
+        assert secret not in json.dumps(daemon.log)
+
+
+async def test_it_refuses_to_be_open_to_the_network() -> None:
+    status, _, complaint = await run("serve", "--api", "0.0.0.0:0", "--listen", "127.0.0.1:0")
+    assert (status, complaint.count("\n")) == (2, 1)
+    assert "[[api.tokens]]" in complaint
