@@ -10,7 +10,9 @@ BIN := $(VENV)/bin
 FIRMWARE_PACKAGES := cmake g++ clang clang-format clang-tidy cppcheck libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
   gcc-avr avr-libc arduino-core-avr
 
-.PHONY: help demo test check bench fuzz firmware chain soak format clean
+WEB := hostlink/api/web
+
+.PHONY: help demo test check bench fuzz web screenshots firmware chain soak format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -18,6 +20,7 @@ help:
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
+	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make soak    ten minutes of driving on the chain, every message counted"
 	@echo "make fuzz    the property tests with 50 times the examples"
@@ -40,7 +43,7 @@ demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo
 
 test: $(VENV)/.dev
-	@tools/require.sh tmux procps $(FIRMWARE_PACKAGES)
+	@tools/require.sh tmux procps chromium $(FIRMWARE_PACKAGES)
 	$(BIN)/python -m pytest
 
 check: $(VENV)/.dev
@@ -48,6 +51,7 @@ check: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python tools/web_stale.py
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
@@ -59,6 +63,15 @@ bench: $(VENV)/.dev
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
+
+web: $(VENV)/.dev
+	@command -v npm >/dev/null || { echo "make web needs Node 20.19 or newer, with npm"; exit 1; }
+	cd $(WEB) && npm ci --no-progress && npm run check && npm run build
+	$(BIN)/python tools/web_stale.py --write
+
+screenshots: $(VENV)/.dev
+	@tools/require.sh chromium
+	$(BIN)/python -m pytest tests/system/test_page_looks.py
 
 firmware: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)

@@ -35,10 +35,11 @@ PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within
 SHUTDOWN_TIMEOUT_S = 0.3
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process, behind the client's queue, where lag is not seen
+PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
 PAGE_HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; "
-    "img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+    "img-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
@@ -208,12 +209,13 @@ def _is_websocket(request: web.Request) -> bool:
 
 async def _page_file(request: web.Request) -> web.StreamResponse:
     """A file of the page: it needs no token, because it says nothing about any robot."""
-    name = request.match_info.get("file", "index.html")
-    path = files("hostlink.api") / "web" / name
-    if not path.is_file():
+    name = request.match_info.get("file")
+    folder = PAGE if name is None else PAGE / "web"
+    found = next((each for each in folder.iterdir() if each.name == (name or "index.html")), None)
+    if found is None:  # also for ..%2F..: a name is one of the folder's, not a way out of it
         raise web.HTTPNotFound
-    kind, _ = mimetypes.guess_type(name)
-    return web.Response(body=path.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
+    kind, _ = mimetypes.guess_type(found.name)
+    return web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
 
 
 @contextlib.asynccontextmanager

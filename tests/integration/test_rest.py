@@ -3,6 +3,7 @@
 import io
 
 import pytest
+from yarl import URL
 
 from hostlink.protocol.frame import Id
 from tests.support.daemon import daemon
@@ -111,10 +112,20 @@ async def test_links_and_topics_and_health() -> None:
 
 
 async def test_the_page_and_its_files() -> None:
+    files = {"/": "html", "/web/page.js": "javascript", "/web/style.css": "css", "/web/icon.svg": "svg+xml"}
     async with daemon() as host:
-        for path, kind in (("/", "html"), ("/web/robots.js", "javascript"), ("/web/style.css", "css")):
+        for path, kind in files.items():
             async with host.session.get(host.url + path) as response:
                 assert (response.status, response.content_type.rpartition("/")[2]) == (200, kind)
+                policy = response.headers["Content-Security-Policy"]
+                assert "default-src 'none'" in policy
+                assert "unsafe" not in policy
+                assert response.headers["Cache-Control"] == "no-store"
         async with host.session.get(host.url + "/") as response:
-            assert "default-src 'none'" in response.headers["Content-Security-Policy"]
-            assert "http" not in (await response.text()).replace("http-equiv", "")
+            assert "http" not in await response.text()  # nothing from elsewhere
+
+
+@pytest.mark.parametrize("name", ["..%2Findex.html", "..%2Fserver.py", "..%2F..%2F..%2Fserver.py", "x"])
+async def test_no_file_but_the_pages(name: str) -> None:
+    async with daemon() as host, host.session.get(URL(f"{host.url}/web/{name}", encoded=True)) as response:
+        assert response.status == 404

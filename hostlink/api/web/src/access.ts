@@ -1,0 +1,29 @@
+/** Asks for a token when the daemon wants one, and says why. */
+
+import { find, say } from "./dom";
+import type { Refused } from "./rest";
+import { keepToken } from "./token";
+
+export class Access {
+  private readonly panel = find("#access");
+
+  /** `onToken`: there is another one now. */
+  constructor(onToken: () => void) {
+    const input = find<HTMLInputElement>("#access-token");
+    find<HTMLFormElement>("#access form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      keepToken(input.value.trim());
+      input.value = "";
+      this.panel.hidden = true;
+      onToken();
+    });
+  }
+
+  ask(refused: Refused): void {
+    say(find("#access-title"), refused.status === 401 ? "A token is needed" : "This token does not allow that");
+    say(find("#access-reason"), `hostlink says: ${refused.message}.`);
+    if (!this.panel.hidden) return;
+    this.panel.hidden = false;
+    find("#access-token").focus();
+  }
+}

@@ -1,0 +1,115 @@
+/** The drive panel: from what is held to commands on the robot's velocity topic, and why they do not work if so. */
+
+import type { Connection } from "./connection";
+import { digits, find, remember, remembered, say } from "./dom";
+import { Driving, TICK_MS } from "./driving";
+import type { Fleet } from "./fleet";
+import { connectGamepad } from "./gamepad";
+import { connectJoystick } from "./joystick";
+import { connectKeys } from "./keys";
+import type { RobotView, Velocity } from "./views";
+
+const TELEOP_PRIORITY = 60; // a person goes before a program, which has 50
+const REFUSED_MS = 1500; // a refusal that is older is over
+const AFTERGLOW_MS = 900; // so long the daemon may still name this page as the driver
+
+export class Drive {
+  readonly driving = new Driving((velocity) => this.send(velocity));
+
+  private target: RobotView | undefined; // of the commands; only changed when nothing is held
+  private refusal = "";
+  private refusedAt = Number.NEGATIVE_INFINITY;
+  private droveAt = Number.NEGATIVE_INFINITY;
+
+  constructor(
+    private readonly fleet: Fleet,
+    private readonly connection: Connection,
+  ) {
+    this.connectSlider("linear", "m/s", 2, 0.2);
+    this.connectSlider("angular", "rad/s", 1, 1);
+    setInterval(() => this.tick(), TICK_MS);
+    for (const event of ["blur", "pagehide"]) addEventListener(event, () => this.driving.letGo());
+    document.addEventListener("visibilitychange", () => document.hidden && this.driving.letGo());
+  }
+
+  /** `stop` is what space, escape and the gamepad's button do. */
+  connectInputs(stop: () => void): void {
+    connectJoystick(find("#joystick"), this.driving);
+    connectKeys(this.driving, stop);
+    connectGamepad(find("#gamepad"), this.driving, stop);
+  }
+
+  /** Who drives this robot, as a person would say it. */
+  driver(robot: RobotView): string | null {
+    if (robot.holder === null) return null;
+    const isMine = robot.name === this.target?.name && performance.now() - this.droveAt < AFTERGLOW_MS;
+    return isMine && !this.isRefused ? "you" : robot.holder;
+  }
+
+  refused(reason: string): void {
+    this.refusal = reason;
+    this.refusedAt = performance.now();
+    this.show();
+  }
+
+  show(): void {
+    const { robot } = this.fleet;
+    if (robot?.name !== this.target?.name || robot?.velocity_topic !== this.target?.velocity_topic) {
+      this.driving.letGo(); // the zeros go to the robot that was driven
+    }
+    this.target = robot;
+    if (robot?.locked || robot?.connected === false) this.driving.letGo();
+    const [state, text] = this.describe(robot);
+    find("#drive").dataset.state = state;
+    say(find("#drive-state"), text);
+  }
+
+  private get isRefused(): boolean {
+    return performance.now() - this.refusedAt < REFUSED_MS;
+  }
+
+  private describe(robot: RobotView | undefined): [state: string, text: string] {
+    if (robot === undefined) return ["idle", "No robot yet"];
+    if (!robot.connected) return ["gone", `${robot.name} is not connected`];
+    if (robot.locked) return ["locked", `${robot.name} is locked`];
+    if (this.isRefused) return ["refused", this.refusal];
+    const driver = this.driver(robot);
+    if (driver === "you") return ["driving", "You drive"];
+    if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives, and goes before you`];
+    if (driver !== null) return ["other", `${driver} drives; your stick takes over`];
+    return ["idle", "Ready: nobody drives"];
+  }
+
+  private tick(): void {
+    this.driving.tick();
+    const wish = this.driving.velocity();
+    say(find("#wish-linear"), digits(wish.linear_m_s, 2));
+    say(find("#wish-angular"), digits(wish.angular_rad_s, 2));
+  }
+
+  private send(velocity: Velocity): void {
+    if (!this.target?.connected) return;
+    const twist = {
+      linear: { x: velocity.linear_m_s, y: 0, z: 0 },
+      angular: { x: 0, y: 0, z: velocity.angular_rad_s },
+    };
+    if (this.connection.publish("drive", this.target.velocity_topic, twist, TELEOP_PRIORITY)) {
+      this.droveAt = performance.now();
+    }
+  }
+
+  /** A new speed is for what is held then; it moves nothing by itself. */
+  private connectSlider(part: "linear" | "angular", unit: string, places: number, otherwise: number): void {
+    const slider = find<HTMLInputElement>(`#max-${part}`);
+    const apply = () => {
+      this.driving.limits[part === "linear" ? "linear_m_s" : "angular_rad_s"] = slider.valueAsNumber;
+      say(find(`[for=max-${part}]:is(output)`), `${digits(slider.valueAsNumber, places)} ${unit}`);
+    };
+    slider.value = remembered(`max.${part}`, String(otherwise));
+    slider.addEventListener("input", () => {
+      remember(`max.${part}`, slider.value);
+      apply();
+    });
+    apply();
+  }
+}

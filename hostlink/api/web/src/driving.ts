@@ -1,0 +1,82 @@
+/**
+ * Hold to drive: what is held adds up, is said again and again while it is held, and ends in zeros. No element, no
+ * clock: `tick` is called by the page.
+ */
+
+import type { Velocity } from "./views";
+
+export const TICK_MS = 80; // more than ten a second, as every base expects
+const ZEROS = 3; // one may be lost on a radio
+
+export type Source = "joystick" | "keys" | "gamepad";
+
+/** Parts of the full speeds, -1 to 1: forward, and counter-clockwise. */
+export interface Wish {
+  forward: number;
+  turn: number;
+}
+
+export class Driving {
+  /** Full speeds. A new one changes what is held, and moves nothing by itself. */
+  limits: Velocity = { linear_m_s: 0.2, angular_rad_s: 1 };
+
+  private held = new Map<Source, Wish>();
+  private barred = new Set<Source>(); // held when all was let go: it must be released before it drives again
+  private zeros = 0;
+
+  /** `send` says a velocity now or never. */
+  constructor(private readonly send: (velocity: Velocity) => void) {}
+
+  get isHeld(): boolean {
+    return this.held.size > 0;
+  }
+
+  hold(source: Source, wish: Wish): void {
+    if (this.barred.has(source)) return;
+    const isNew = !this.held.has(source);
+    this.held.set(source, wish);
+    if (isNew) this.tick();
+  }
+
+  release(source: Source): void {
+    this.barred.delete(source);
+    if (!this.held.delete(source)) return;
+    if (!this.isHeld) this.zeros = ZEROS;
+    this.tick();
+  }
+
+  /** Everything counts as released, whatever the fingers do. */
+  letGo(): void {
+    for (const source of this.held.keys()) this.barred.add(source);
+    if (this.isHeld) this.zeros = ZEROS;
+    this.held.clear();
+    while (this.zeros > 0) this.tick(); // there may be no later
+  }
+
+  /** What is wanted now, within the full speeds. */
+  velocity(): Velocity {
+    let forward = 0;
+    let turn = 0;
+    for (const wish of this.held.values()) {
+      forward += wish.forward;
+      turn += wish.turn;
+    }
+    return {
+      linear_m_s: clamp(forward) * this.limits.linear_m_s,
+      angular_rad_s: clamp(turn) * this.limits.angular_rad_s,
+    };
+  }
+
+  tick(): void {
+    if (this.isHeld) {
+      this.send(this.velocity());
+    } else if (this.zeros > 0) {
+      this.zeros -= 1;
+      this.send({ linear_m_s: 0, angular_rad_s: 0 });
+    }
+  }
+}
+
+function clamp(part: number): number {
+  return Math.max(-1, Math.min(1, part));
+}

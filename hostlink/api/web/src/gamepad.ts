@@ -1,0 +1,36 @@
+/** A gamepad drives with its left stick while a shoulder button is held; one that is lost has let go. */
+
+import { say } from "./dom";
+import type { Driving } from "./driving";
+
+const LOOK_MS = 50;
+const SHOULDERS = [4, 5]; // of the standard mapping; one of them must be held
+const STOP_BUTTON = 1; // B, or the circle
+const DEAD_ZONE = 0.12;
+
+export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => void): void {
+  let isStopping = false;
+  const look = () => {
+    const pad = navigator.getGamepads().find((each) => each?.connected && each.axes.length >= 2) ?? null;
+    const isEnabled = SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
+    if (pad !== null && isEnabled) {
+      driving.hold("gamepad", { forward: bend(-(pad.axes[1] ?? 0)), turn: bend(-(pad.axes[0] ?? 0)) });
+    } else {
+      driving.release("gamepad");
+    }
+    const wantsStop = pad?.buttons[STOP_BUTTON]?.pressed ?? false;
+    if (wantsStop && !isStopping) stop();
+    isStopping = wantsStop;
+    say(note, describe(pad, isEnabled));
+  };
+  setInterval(look, LOOK_MS);
+}
+
+function describe(pad: Gamepad | null, isEnabled: boolean): string {
+  if (pad === null) return "Gamepad: none found. Press a button on it.";
+  return isEnabled ? "Gamepad: drives" : "Gamepad: hold a shoulder button (LB, RB) to drive";
+}
+
+function bend(axis: number): number {
+  return Math.abs(axis) < DEAD_ZONE ? 0 : axis;
+}

@@ -1,0 +1,60 @@
+/** The link panel: how well the chosen robot and this page are reached. */
+
+import { digits, find, make, say } from "./dom";
+import type { LinkView, RobotView } from "./views";
+
+type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device";
+
+const TILES: Record<Tile, [label: string, hint: string]> = {
+  rate: ["Odometry", "poses a second"],
+  age: ["Last heard", "since the device's last byte"],
+  lost: ["Lost", "bytes that made no frame"],
+  resyncs: ["Resyncs", "times that the topics were told again"],
+  page: ["Page", "round trip from this page to hostlink"],
+  device: ["Device", "round trip from hostlink to the device"],
+};
+const OLD_S = 1;
+const SLOW_MS = 200;
+
+export class Health {
+  private readonly values = new Map<Tile, HTMLElement>();
+
+  constructor() {
+    for (const [tile, [label, hint]] of Object.entries(TILES)) {
+      const value = make("dd", {}, "–");
+      find("#link dl").append(make("div", { title: hint }, make("dt", {}, label), value));
+      this.values.set(tile as Tile, value);
+    }
+  }
+
+  show(robot: RobotView | undefined, link: LinkView | undefined, roundTripMs: number | null): void {
+    const age_s = robot?.connected ? (robot.odometry?.age_s ?? link?.silent_s) : undefined;
+    const device_s = link?.clock?.round_trip_s;
+    this.set("rate", robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
+    this.set("age", age_s === undefined ? "–" : `${digits(age_s, 1)} s`, (age_s ?? 0) > OLD_S);
+    this.set("lost", link ? `${link.skipped_bytes} B` : "–", (link?.skipped_bytes ?? 0) > 0);
+    this.set("resyncs", link ? String(Math.max(0, link.negotiations - 1)) : "–", (link?.negotiations ?? 0) > 1);
+    this.set(
+      "page",
+      roundTripMs === null ? "–" : `${digits(roundTripMs, roundTripMs < 10 ? 1 : 0)} ms`,
+      (roundTripMs ?? 0) > SLOW_MS,
+    );
+    this.set("device", device_s === undefined ? "–" : `${digits(device_s * 1000, 0)} ms`);
+    this.diagnose(link);
+  }
+
+  private set(tile: Tile, text: string, isBad = false): void {
+    const value = this.values.get(tile);
+    if (value === undefined) return;
+    say(value, text);
+    value.classList.toggle("bad", isBad);
+  }
+
+  private diagnose(link: LinkView | undefined): void {
+    const list = find("#link .diagnosis");
+    const lines = (link?.diagnosis ?? []).map(({ cause, next_step }) => `${cause} ${next_step}`);
+    if (lines.join("\n") === list.dataset.shown) return;
+    list.dataset.shown = lines.join("\n");
+    list.replaceChildren(...lines.map((line) => make("li", {}, line)));
+  }
+}

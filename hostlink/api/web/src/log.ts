@@ -1,0 +1,36 @@
+/** The devices' log lines, the newest last. */
+
+import { find, make } from "./dom";
+
+const MAX_LINES = 200;
+const LEVELS: Record<number, string> = { 1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal" };
+
+/** rosgraph_msgs/Log. */
+export interface LogLine {
+  header: { stamp: { secs: number } };
+  level: number;
+  name: string;
+  msg: string;
+}
+
+export class DeviceLog {
+  private readonly list = find("#log ol");
+
+  see(line: LogLine): void {
+    const { list } = this;
+    const isAtEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 8;
+    const level = LEVELS[line.level] ?? "info";
+    const time = new Date(line.header.stamp.secs * 1000).toLocaleTimeString([], { hour12: false });
+    list.append(
+      make(
+        "li",
+        { class: level, title: line.name },
+        make("time", {}, time),
+        make("b", {}, level),
+        make("span", {}, line.msg),
+      ),
+    );
+    while (list.childElementCount > MAX_LINES) list.firstElementChild?.remove();
+    if (isAtEnd) list.scrollTop = list.scrollHeight;
+  }
+}

@@ -1,0 +1,27 @@
+/** The one line over everything: of all that is wrong now, the worst. */
+
+import { find, say } from "./dom";
+
+/** The worst first. */
+const KINDS = ["stop", "connection", "refused", "robot", "done"] as const;
+export type Kind = (typeof KINDS)[number];
+
+const texts = new Map<Kind, string>();
+const timers = new Map<Kind, number>();
+
+/** Null: this is not wrong any more. `for_ms`: it is over by itself. */
+export function notice(kind: Kind, text: string | null, for_ms?: number): void {
+  clearTimeout(timers.get(kind));
+  if (text === null) texts.delete(kind);
+  else texts.set(kind, text);
+  if (text !== null && for_ms !== undefined)
+    timers.set(
+      kind,
+      setTimeout(() => notice(kind, null), for_ms),
+    );
+  const worst = KINDS.find((each) => texts.has(each));
+  const box = find("#notice");
+  box.hidden = worst === undefined;
+  box.dataset.kind = worst ?? "";
+  say(find("#notice p"), worst === undefined ? "" : (texts.get(worst) ?? ""));
+}

@@ -1,0 +1,23 @@
+/** The token of this session: it comes in the page's address once, and leaves it at once. */
+
+const KEY = "hostlink.token";
+
+/** Move a token from the address bar into the session's store; call it before anything is asked. */
+export function takeTokenFromAddress(): void {
+  const address = new URL(location.href);
+  const token = address.searchParams.get("token");
+  if (token === null) return;
+  keepToken(token);
+  address.searchParams.delete("token");
+  history.replaceState(null, "", address);
+}
+
+export function keepToken(token: string): void {
+  if (token) sessionStorage.setItem(KEY, token);
+  else sessionStorage.removeItem(KEY);
+}
+
+/** Null: none was given. */
+export function token(): string | null {
+  return sessionStorage.getItem(KEY);
+}

@@ -1,0 +1,83 @@
+/** PID gains of both wheels, sent to the robot's tuning topics. The robot does not tell the ones that it has. */
+
+import type { Connection } from "./connection";
+import { find, make, remember, remembered, say } from "./dom";
+import type { Fleet } from "./fleet";
+import { topicOf } from "./views";
+
+const TYPE = "geometry_msgs/Vector3";
+const SIDES = ["l", "r"] as const;
+const GAINS = ["x", "y", "z"] as const;
+const NAMES = { x: "Kp", y: "Ki", z: "Kd" };
+const PAPER = { l: { x: "23", y: "36", z: "0.1" }, r: { x: "24", y: "35", z: "0.1" } }; // docs/robot.md
+
+type Side = (typeof SIDES)[number];
+
+export class Tuning {
+  private readonly state = find("#tuning-state");
+  private readonly inputs = new Map<string, HTMLInputElement>();
+  private shown = "";
+
+  constructor(
+    private readonly fleet: Fleet,
+    private readonly connection: Connection,
+  ) {
+    const rows = document.querySelectorAll("#tuning tbody tr");
+    SIDES.forEach((side, index) => {
+      for (const gain of GAINS) {
+        const name = `${side === "l" ? "Left" : "Right"} ${NAMES[gain]}`;
+        const input = make("input", { type: "number", min: "0", step: "any", required: "", "aria-label": name });
+        this.inputs.set(side + gain, input);
+        rows[index]?.append(make("td", {}, input));
+      }
+    });
+    find<HTMLFormElement>("#tuning form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.send();
+    });
+  }
+
+  show(): void {
+    const { robot } = this.fleet;
+    const isTunable = SIDES.every((side) => this.topic(side) !== null);
+    for (const control of document.querySelectorAll<HTMLInputElement>("#tuning input, #tuning button")) {
+      control.disabled = !isTunable;
+    }
+    if (robot && robot.name !== this.shown) {
+      this.shown = robot.name;
+      for (const side of SIDES) {
+        for (const gain of GAINS) {
+          const input = this.inputs.get(side + gain);
+          if (input) input.value = remembered(`gain.${robot.name}.${side}${gain}`, PAPER[side][gain]);
+        }
+      }
+      say(this.state, "");
+    }
+    if (robot?.connected && this.fleet.link && !isTunable) say(this.state, "This robot takes no gains.");
+  }
+
+  refused(reason: string): void {
+    say(this.state, reason);
+  }
+
+  private topic(side: Side): string | null {
+    const { robot, link } = this.fleet;
+    return robot ? topicOf(robot, link, `pid_tune_${side}`, TYPE) : null;
+  }
+
+  private send(): void {
+    let isSent = true;
+    for (const side of SIDES) {
+      const topic = this.topic(side);
+      const gains: Record<string, number> = {};
+      for (const gain of GAINS) {
+        const value = this.inputs.get(side + gain)?.value ?? "";
+        gains[gain] = Number(value);
+        remember(`gain.${this.shown}.${side}${gain}`, value);
+      }
+      isSent = topic !== null && this.connection.publish("tune", topic, gains) && isSent;
+    }
+    const time = new Date().toLocaleTimeString([], { hour12: false });
+    say(this.state, isSent ? `Sent at ${time}.` : "Not sent: no connection.");
+  }
+}

@@ -1,0 +1,81 @@
+/** Which part of the floor a canvas shows: metres to pixels and back, fitting, zooming, panning. */
+
+const MARGIN = 1.25;
+const LEAST_SPAN_M = 2;
+const PX_PER_M = { min: 2, max: 2000 };
+const EASE = 0.2; // of the way, a picture
+
+interface Box {
+  left: number;
+  right: number;
+  bottom: number;
+  top: number;
+}
+
+export class Viewport {
+  x_m = 0; // in the middle
+  y_m = 0;
+  pxPerM = 100;
+  isFitting = true;
+  width = 1;
+  height = 1;
+
+  toPx(x_m: number, y_m: number): [number, number] {
+    return [this.width / 2 + (x_m - this.x_m) * this.pxPerM, this.height / 2 - (y_m - this.y_m) * this.pxPerM];
+  }
+
+  toM(x: number, y: number): [number, number] {
+    return [this.x_m + (x - this.width / 2) / this.pxPerM, this.y_m - (y - this.height / 2) / this.pxPerM];
+  }
+
+  /** Move towards showing all of the box; true while there is way to go. */
+  fit(box: Box, isAtOnce: boolean): boolean {
+    const spanX = Math.max(LEAST_SPAN_M, (box.right - box.left) * MARGIN);
+    const spanY = Math.max(LEAST_SPAN_M, (box.top - box.bottom) * MARGIN);
+    const wanted = {
+      x_m: (box.left + box.right) / 2,
+      y_m: (box.bottom + box.top) / 2,
+      pxPerM: Math.min(this.width / spanX, this.height / spanY),
+    };
+    const ease = isAtOnce ? 1 : EASE;
+    this.x_m += (wanted.x_m - this.x_m) * ease;
+    this.y_m += (wanted.y_m - this.y_m) * ease;
+    this.pxPerM += (wanted.pxPerM - this.pxPerM) * ease;
+    const offPx = Math.hypot(wanted.x_m - this.x_m, wanted.y_m - this.y_m) * this.pxPerM;
+    return offPx > 0.5 || Math.abs(wanted.pxPerM / this.pxPerM - 1) > 0.002;
+  }
+
+  /** Zoom around a point of the canvas, which stays where it is. */
+  zoom(factor: number, x = this.width / 2, y = this.height / 2): void {
+    const [x_m, y_m] = this.toM(x, y);
+    this.isFitting = false;
+    this.pxPerM = Math.max(PX_PER_M.min, Math.min(PX_PER_M.max, this.pxPerM * factor));
+    const [newX_m, newY_m] = this.toM(x, y);
+    this.x_m += x_m - newX_m;
+    this.y_m += y_m - newY_m;
+  }
+
+  pan(dx: number, dy: number): void {
+    this.isFitting = false;
+    this.x_m -= dx / this.pxPerM;
+    this.y_m += dy / this.pxPerM;
+  }
+}
+
+/** The box around points. */
+export function boxAround(points: Iterable<{ x: number; y: number }>): Box {
+  const box = { left: Number.POSITIVE_INFINITY, right: -Infinity, bottom: Number.POSITIVE_INFINITY, top: -Infinity };
+  for (const { x, y } of points) {
+    box.left = Math.min(box.left, x);
+    box.right = Math.max(box.right, x);
+    box.bottom = Math.min(box.bottom, y);
+    box.top = Math.max(box.top, y);
+  }
+  return Number.isFinite(box.left) ? box : { left: 0, right: 0, bottom: 0, top: 0 };
+}
+
+/** The nearest of 1, 2, 5, 10, ... that is not below. */
+export function roundUp(value: number): number {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return ([1, 2, 5].find((step) => step * power >= value * 0.999) ?? 10) * power;
+}

@@ -1,0 +1,67 @@
+/** What the daemon shows over REST; what an older daemon does not tell is optional. */
+
+export interface Pose {
+  x_m: number;
+  y_m: number;
+  theta_rad: number;
+}
+
+export interface Velocity {
+  linear_m_s: number;
+  angular_rad_s: number;
+}
+
+export interface RobotView {
+  name: string;
+  connected: boolean;
+  link: number | null;
+  velocity_topic: string;
+  odometry_topic: string;
+  holder: string | null;
+  priority?: number | null;
+  velocity: Velocity;
+  odometry: { pose: Pose; twist: Velocity; age_s: number; rate_hz: number; count: number; restarts?: number } | null;
+  locked?: boolean;
+  lock_reason?: string | null;
+}
+
+export interface TopicView {
+  kind: string;
+  name: string;
+  type: string;
+}
+
+export interface LinkView {
+  number: number;
+  peer: string;
+  silent_s: number;
+  topics: TopicView[];
+  seconds: number;
+  frames_from_device: number;
+  frames_to_device: number;
+  skipped_bytes: number;
+  negotiations: number;
+  replaced: number;
+  rejected: Record<string, number>;
+  clock?: { offset_s: number; drift_ppm: number; round_trip_s: number } | null;
+  oldest_waiting_s?: number | null;
+  diagnosis?: { code: string; cause: string; next_step: string }[];
+}
+
+export interface ClientView {
+  name: string;
+  kind: string;
+  peer: string;
+  role: string;
+  program: string;
+  seconds: number;
+  lag_s: number;
+  dropped: number;
+}
+
+/** A robot's topic of this leaf and type, on its link. */
+export function topicOf(robot: RobotView, link: LinkView | undefined, leaf: string, type: string): string | null {
+  const namespace = robot.velocity_topic.slice(0, robot.velocity_topic.lastIndexOf("/") + 1);
+  const found = link?.topics.filter((topic) => topic.type === type && topic.name.split("/").at(-1) === leaf) ?? [];
+  return (found.find((topic) => topic.name === namespace + leaf) ?? found[0])?.name ?? null;
+}
