@@ -50,6 +50,7 @@ class Connection:
         self._reason = "not open yet"
         self._numbers = itertools.count(1)
         self._answers: dict[str, asyncio.Future[Message | None]] = {}
+        self._is_open = asyncio.Event()
 
     async def open(self) -> None:
         """Connect. HostlinkError when that cannot be done."""
@@ -57,6 +58,7 @@ class Connection:
         self.is_connected = True
         for restore in self.on_open:
             await restore()
+        self._is_open.set()
 
     async def run(self) -> None:
         """Read; connect again when the connection is lost. Ends by cancellation, or with the connection if not."""
@@ -100,6 +102,12 @@ class Connection:
         if self._socket is not None and self.is_connected:
             self.is_connected = False
             await self._socket.close()
+
+    async def back(self) -> None:
+        """Wait until it is there; HostlinkError when it is lost for good."""
+        if not self._reconnects and not self.is_connected:
+            raise self.lost()
+        await self._is_open.wait()
 
     def lost(self, reason: str = "") -> HostlinkError:
         """The error of everything that needs the connection while there is none."""
@@ -154,6 +162,7 @@ class Connection:
     async def _lose(self, reason: str) -> None:
         """Nobody waits for it in vain, and nothing of it is sent any more."""
         self.is_connected = False
+        self._is_open.clear()
         self._reason = reason
         for waiting in self._answers.values():
             if not waiting.done():

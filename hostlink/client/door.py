@@ -2,7 +2,8 @@
 
 import asyncio
 import ssl
-from collections.abc import Mapping
+import weakref
+from collections.abc import AsyncIterator, Mapping
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -14,6 +15,7 @@ from hostlink.errors import HostlinkError
 
 REQUEST_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
+_DATA = b"data: "
 _SCHEMES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
 _ADVICE = {
     HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...)",
@@ -39,10 +41,16 @@ class Door:
             headers={"Authorization": f"Bearer {token}"} if token else None,
             connector=aiohttp.TCPConnector(ssl=True if context is None else context),
         )
+        self._streams: weakref.WeakSet[aiohttp.ClientResponse] = weakref.WeakSet()
 
     async def aclose(self) -> None:
         """Close every connection."""
         await self._session.close()
+
+    def cut_streams(self) -> None:
+        """The network is cut: whoever reads `events` is told now, and not when TCP finds out."""
+        for response in list(self._streams):
+            response.close()
 
     async def open_socket(self) -> aiohttp.ClientWebSocketResponse:
         """A new WebSocket; its pings and pongs are the caller's."""
@@ -63,17 +71,35 @@ class Door:
                 asyncio.timeout(timeout_s),
                 self._session.request(method, self.url + path, json=body) as response,
             ):
-                answer: Any = msgspec.json.decode(await response.read())
-        except msgspec.DecodeError as error:
-            raise HostlinkError(f"{self.url}{path}: {_advise(response.status)}") from error
+                return self._read(path, response.status, await response.read())
         except TimeoutError as error:
             raise HostlinkError(f"hostlink at {self.url} did not answer within {timeout_s:g} s") from error
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
+
+    async def events(self, path: str) -> AsyncIterator[dict[str, Any]]:
+        """The JSON of each server-sent event. HostlinkError: it is refused, or it broke off."""
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=REQUEST_TIMEOUT_S)
+        try:
+            async with self._session.get(self.url + path, timeout=timeout) as response:
+                if response.status != HTTPStatus.OK:
+                    self._read(path, response.status, await response.read())
+                self._streams.add(response)
+                async for line in response.content:
+                    if line.startswith(_DATA):
+                        yield msgspec.json.decode(line[len(_DATA) :])
+        except (aiohttp.ClientError, OSError) as error:
+            raise HostlinkError(self._explain(error)) from error
+
+    def _read(self, path: str, status: int, body: bytes) -> dict[str, Any]:
+        try:
+            answer: Any = msgspec.json.decode(body)
+        except msgspec.DecodeError as error:
+            raise HostlinkError(f"{self.url}{path}: {_advise(status)}") from error
         if not isinstance(answer, dict):
-            raise HostlinkError(f"{self.url}{path}: {_ADVICE[HTTPStatus.NOT_FOUND]}")
+            raise HostlinkError(f"{self.url}{path}: {_advise(status)}")
         if "error" in answer:
-            raise HostlinkError(_reason(answer["error"], response.status))
+            raise HostlinkError(_reason(answer["error"], status))
         return answer
 
     def _explain(self, error: Exception) -> str:

@@ -97,7 +97,7 @@ class Host:
         `priority`, 0 to 100: a command of a higher one takes the robot over, one of a lower is refused. A program is
         50, teleop 60.
         """
-        return Robot(name, priority, door=self._door, driver=self._driver, topics=self._topics)
+        return Robot(name, priority, door=self._door, driver=self._driver, connection=self._connection)
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -183,6 +183,7 @@ class Host:
 
     def _lose(self, lost: HostlinkError) -> None:
         self._lost = lost
+        self._door.cut_streams()
         dropped = self._driver.break_all(str(lost))
         if self._ends_when_lost:
             self._topics.end(lost)

@@ -1,12 +1,14 @@
 """Robot: one robot of a host, as a script drives and reads it."""
 
+import asyncio
+import contextlib
 from collections.abc import AsyncIterator
 from typing import cast
 from urllib.parse import quote
 
+from hostlink.client.connection import Connection, waits
 from hostlink.client.door import CLOSE_TIMEOUT_S, Door
 from hostlink.client.driver import Driver
-from hostlink.client.topics import Topics
 from hostlink.client.views import Odometry, RobotState
 from hostlink.errors import HostlinkError
 
@@ -16,10 +18,10 @@ PRIORITY = 50  # of a program; a person at the keys is 60
 class Robot:
     """One robot of a host; get one from `Host.robot`."""
 
-    def __init__(self, name: str, priority: int, *, door: Door, driver: Driver, topics: Topics) -> None:
+    def __init__(self, name: str, priority: int, *, door: Door, driver: Driver, connection: Connection) -> None:
         self.name = name.strip("/")
         self.priority = priority
-        self._door, self._driver, self._topics = door, driver, topics
+        self._door, self._driver, self._connection = door, driver, connection
         self._path = f"/api/robots/{quote(self.name, safe='')}"
 
     @property
@@ -72,19 +74,19 @@ class Robot:
         await self._door.request("POST", f"{self._path}/odometry/reset")
 
     async def odometry(self) -> AsyncIterator[Odometry]:
-        """Each new pose (m, rad) once, with twist (m/s, rad/s), wall stamp (ns), age (s) and rate (Hz).
+        """The newest pose (m, rad), then each new one once, with twist (m/s, rad/s), stamp (ns), age (s) and rate (Hz).
 
-        It waits while the robot or the connection is gone, and goes on when it is back. HostlinkError when it begins:
-        no robot of that name, no hostlink.
+        It waits while the robot or the connection is gone, and goes on when it is back. A reader that is slow gets
+        fewer of them. HostlinkError when it begins: no robot of that name, no hostlink; with `reconnect=False` also
+        when the connection is lost.
         """
-        topic = (await self.state())["odometry_topic"]
-        count = 0
-        async with self._topics.subscribe(topic, "", 0, 0) as news:
-            async for _ in news:
-                try:
-                    odometry = (await self.state())["odometry"]
-                except HostlinkError:
-                    continue  # between two connections: the next news comes with the new one
-                if odometry is not None and odometry["count"] != count:
-                    count = odometry["count"]
-                    yield odometry
+        await self.state()  # that there is such a robot is asked once: after a restart the daemon may not know it yet
+        count, pauses_s = None, waits()
+        while True:
+            with contextlib.suppress(HostlinkError):  # it is tried again
+                async for odometry in self._door.events(f"{self._path}/odometry/events"):
+                    if odometry["count"] != count:
+                        count, pauses_s = odometry["count"], waits()
+                        yield cast(Odometry, odometry)
+            await asyncio.sleep(next(pauses_s))
+            await self._connection.back()
