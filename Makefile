@@ -43,7 +43,7 @@ demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo
 
 test: $(VENV)/.dev
-	@tools/require.sh tmux procps chromium $(FIRMWARE_PACKAGES)
+	@tools/require.sh tmux procps systemd chromium $(FIRMWARE_PACKAGES)
 	$(BIN)/python -m pytest
 
 check: $(VENV)/.dev

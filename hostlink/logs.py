@@ -8,7 +8,7 @@ Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.
                  odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.refused, client.unknown_op
-The daemon       daemon.started, daemon.stopping, daemon.stopped
+The daemon       daemon.started, daemon.stopping, daemon.stopped, systemd.deaf
 """
 
 import logging

@@ -3,13 +3,13 @@
 from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
 
-_MAX_PORT = 0xFFFF
+MAX_PORT = 0xFFFF
 
 
 def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
     """`HOST:PORT`, `:PORT` or `[::1]:PORT`."""
     host, colon, port = text.rpartition(":")
-    if not colon or not port.isdecimal() or int(port) > _MAX_PORT:
+    if not colon or not port.isdecimal() or int(port) > MAX_PORT:
         raise ConfigError(option, f"{text!r} is not HOST:PORT")
     return host.strip("[]") or default_host, int(port)
 

@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import dataclasses
+import os
 import signal
+import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +16,9 @@ import typer
 from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.addresses import parse_address, parse_serial
+from hostlink.cli.check import describe
+from hostlink.cli.examples import read_example
+from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
 from hostlink.hub.door import Door
@@ -86,7 +91,7 @@ def stop_signals() -> Iterator[asyncio.Event]:
             loop.remove_signal_handler(number)
 
 
-def command(
+def command(  # noqa: PLR0913 - each is an option of the command line
     *,
     config: Annotated[Path | None, typer.Option(help="hostlink.toml", show_default=False)] = None,
     listen: Annotated[
@@ -102,19 +107,44 @@ def command(
         list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
     ] = None,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
+    check_config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Say what FILE would serve, or what is wrong with it.")
+    ] = None,
+    example: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Print an example file: config, systemd or udev.")
+    ] = None,
 ) -> None:
-    """Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090."""
+    """Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.
+
+    Exit status: 0 stopped as asked, 1 failed, 2 wrong arguments or settings, or an address that is in use.
+    """
+    if example is not None:
+        sys.stdout.write(read_example(example))
+        return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
         raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
     logs.configure(level=log_level)
-    settings = merge(load(config) if config else Config(), listen=listen, serial=serial, api=api, messages=messages)
-    asyncio.run(_serve(settings))
+    file = check_config or config
+    settings = merge(load(file) if file else Config(), listen=listen, serial=serial, api=api, messages=messages)
+    if check_config is not None:
+        sys.stdout.write(describe(settings))
+    else:
+        asyncio.run(_serve(settings, Notifier(os.environ)))
 
 
-async def _serve(config: Config) -> None:
+async def _serve(config: Config, notifier: Notifier) -> None:
     with stop_signals() as stopped:
-        async with running(config):
+        async with running(config) as (hub, _), asyncio.TaskGroup() as tasks:
+            beating = tasks.create_task(notifier.beat(lambda: _status(hub)), name="heartbeat")
+            notifier.tell("READY=1")
             await stopped.wait()
+            notifier.tell("STOPPING=1")
+            beating.cancel()
+
+
+def _status(hub: Hub) -> str:
+    connected = [robot.name for robot in hub.robots.all() if robot.link is not None]
+    return f"{len(hub.links())} devices; robots: {', '.join(connected) or 'none'}"
 
 
 def merge(

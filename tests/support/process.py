@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,11 +42,12 @@ class Process:
 
 
 @contextlib.asynccontextmanager
-async def serve(*arguments: str) -> AsyncIterator[Process]:
+async def serve(*arguments: str, environment: Mapping[str, str] | None = None) -> AsyncIterator[Process]:
     """`hostlink serve` on free ports, killed at the end of the block if it still runs."""
     child = await asyncio.create_subprocess_exec(
-        HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments, stderr=asyncio.subprocess.PIPE
-    )
+        HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments,
+        stderr=asyncio.subprocess.PIPE, env={**os.environ, **(environment or {})},
+    )  # fmt: skip
     process = Process(child)
     try:
         started = await process.read_log("daemon.started")

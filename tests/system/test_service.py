@@ -1,0 +1,119 @@
+"""The daemon as a service: what it tells systemd, and how a configuration is checked before it is used."""
+
+import asyncio
+import contextlib
+import select
+import signal
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hostlink.cli.systemd import Notifier
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.process import run, serve
+
+WATCHDOG_S = 0.4
+
+
+class Systemd:
+    """The end of the socket that systemd has."""
+
+    def __init__(self, address: str) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self.socket.bind(address)
+
+    async def heard(self, wanted: str) -> str:
+        """The next message with this line in it."""
+        async with asyncio.timeout(20):
+            while True:
+                message = (await asyncio.get_running_loop().sock_recv(self.socket, 4096)).decode()
+                if wanted in message:
+                    return message
+
+    async def is_quiet_for(self, seconds: float) -> bool:
+        """Whether nothing comes, after what has come already."""
+        with contextlib.suppress(BlockingIOError):
+            while self.socket.recv(4096):
+                pass
+        readable, _, _ = await asyncio.to_thread(select.select, [self.socket], [], [], seconds)
+        return not readable
+
+
+@pytest.fixture(params=["path", "abstract"])
+def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Systemd, str]]:
+    name = str(tmp_path / "notify")
+    listener = Systemd(name if request.param == "path" else "\0" + name)
+    yield listener, name if request.param == "path" else "@" + name
+    listener.socket.close()
+
+
+async def test_systemd_hears_of_the_start_of_each_heartbeat_and_of_the_stop(systemd: tuple[Systemd, str]) -> None:
+    listener, address = systemd
+    environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
+    async with serve(environment=environment) as daemon:
+        await listener.heard("READY=1")
+        assert "STATUS=0 devices; robots: none" in await listener.heard("WATCHDOG=1")
+        async with fake_device(daemon.tcp, robot_topics()):
+            await daemon.read_log("robot.appeared")
+            began_s = asyncio.get_running_loop().time()
+            for _ in range(4):
+                await listener.heard("WATCHDOG=1")
+            assert asyncio.get_running_loop().time() - began_s < 4 * WATCHDOG_S  # it comes before it is due
+            await listener.heard("STATUS=1 devices; robots: robot_0")
+            daemon.child.send_signal(signal.SIGTERM)
+            await listener.heard("STOPPING=1")
+            assert await daemon.child.wait() == 0
+
+
+async def test_a_stopped_process_says_nothing(systemd: tuple[Systemd, str]) -> None:
+    """The heartbeat is the event loop's own."""
+    listener, address = systemd
+    async with serve(environment={"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "100000"}) as daemon:
+        await listener.heard("WATCHDOG=1")
+        daemon.child.send_signal(signal.SIGSTOP)
+        assert await listener.is_quiet_for(1.0)
+        daemon.child.send_signal(signal.SIGCONT)
+        await listener.heard("WATCHDOG=1")
+
+
+async def test_a_systemd_that_is_gone_stops_nothing(tmp_path: Path) -> None:
+    async with serve(environment={"NOTIFY_SOCKET": str(tmp_path / "nobody"), "WATCHDOG_USEC": "10000"}) as daemon:
+        async with fake_device(daemon.tcp, robot_topics()):
+            await daemon.read_log("robot.appeared")
+        assert await daemon.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.parametrize(
+    ("environment", "interval_s"),
+    [
+        ({}, 10.0),
+        ({"WATCHDOG_USEC": "6000000"}, 3.0),
+        ({"WATCHDOG_USEC": "6000000", "WATCHDOG_PID": "1"}, 10.0),
+        ({"WATCHDOG_USEC": "0"}, 10.0),
+        ({"WATCHDOG_USEC": "soon"}, 10.0),
+    ],
+)
+def test_the_watchdog_is_fed_twice_in_its_time(environment: dict[str, str], interval_s: float) -> None:
+    assert Notifier(environment)._interval_s == interval_s
+
+
+async def test_a_configuration_is_checked_without_being_served(tmp_path: Path) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text('[[serial]]\npath = "/dev/ttyACM0"\n[api]\nport = 9191\n')
+    status, out, err = await run("serve", "--check-config", str(path))
+    assert (status, err) == (0, "")
+    assert "a device on /dev/ttyACM0 at 57600 baud\nprograms on http://127.0.0.1:9191\n" in out
+    path.write_text("[tcp]\nprot = 1\n")
+    status, out, err = await run("serve", "--check-config", str(path))
+    assert (status, out) == (2, "")
+    assert err == f"hostlink: {path}: unknown key tcp.prot; did you mean port?\n"
+
+
+async def test_an_example_is_printed_and_can_be_used(tmp_path: Path) -> None:
+    status, out, _ = await run("serve", "--example", "config")
+    assert status == 0
+    path = tmp_path / "hostlink.toml"
+    path.write_text(out)
+    assert (await run("serve", "--check-config", str(path)))[0] == 0

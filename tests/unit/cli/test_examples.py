@@ -1,0 +1,91 @@
+"""The example files: the settings are complete and true, systemd and udev can read theirs."""
+
+import dataclasses
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hostlink.cli.examples import EXAMPLES, read_example
+from hostlink.config import ApiConfig, Config, RobotConfig, SerialConfig, TokenConfig, load
+from hostlink.errors import ConfigError
+
+SETTING_NOT_MADE = re.compile(r"^#(?=\S)", re.MULTILINE)
+UDEV_KEY = r"(ACTION|SUBSYSTEM|GROUP|MODE|SYMLINK|GOTO|LABEL|ATTRS\{\w+\}|ENV\{\w+\})"
+UDEV_PART = re.compile(rf'^{UDEV_KEY}(==|!=|=|\+=)"[^"]+"$')
+
+
+@pytest.fixture
+def sample(tmp_path: Path) -> Config:
+    """The example configuration as it is."""
+    path = tmp_path / "hostlink.toml"
+    path.write_text(read_example("config"))
+    return load(path)
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> dict[str, Any]:
+    """With every setting made, as it was written; it must be valid too."""
+    text = SETTING_NOT_MADE.sub("", read_example("config"))
+    path = tmp_path / "whole.toml"
+    path.write_text(text.replace("usb_serial =", "#usb_serial ="))  # one of the two names a port
+    load(path)
+    return tomllib.loads(text)
+
+
+def test_the_example_is_the_defaults(sample: Config) -> None:
+    assert sample == Config()
+
+
+def parts(kind: type[Any], shown: dict[str, Any]) -> Iterator[tuple[type[Any], dict[str, Any]]]:
+    """The dataclass, and those that it holds, alone or several, each with what the example shows of it."""
+    yield kind, shown
+    for name, hint in typing.get_type_hints(kind).items():
+        for inner in (hint, *typing.get_args(hint)):
+            if dataclasses.is_dataclass(inner):
+                value = shown[name]
+                first = value[0] if isinstance(value, list) else value
+                yield from parts(inner, next(iter(first.values())) if typing.get_origin(hint) is dict else first)
+
+
+def test_the_example_names_every_setting_with_its_default(whole: dict[str, Any]) -> None:
+    seen = list(parts(Config, whole))
+    assert {kind for kind, _ in seen} >= {Config, SerialConfig, RobotConfig, ApiConfig, TokenConfig}
+    for kind, shown in seen:
+        fields = dataclasses.fields(kind)
+        assert set(shown) == {field.name for field in fields}, kind
+        defaults = {field.name: field.default for field in fields if isinstance(field.default, int | float | str)}
+        assert {name: shown[name] for name in defaults} == defaults, kind
+
+
+def test_systemd_accepts_the_unit_and_finds_it_well_shut(tmp_path: Path) -> None:
+    unit = tmp_path / "hostlink.service"
+    hostlink = Path(sys.executable).with_name("hostlink")
+    unit.write_text(read_example("systemd").replace("/opt/hostlink/bin/hostlink", str(hostlink)))
+    for arguments in (["verify", "--man=no"], ["security", "--offline=yes", "--threshold=20"]):
+        done = subprocess.run(
+            [str(shutil.which("systemd-analyze")), *arguments, str(unit)], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "hostlink.service:" not in done.stderr  # a key that it does not know is a warning there
+
+
+def test_every_part_of_the_udev_rules_is_one() -> None:
+    text = read_example("udev")
+    for line in text.splitlines():
+        if line and not line.startswith("#"):
+            assert all(UDEV_PART.match(part) for part in line.split(", ")), line
+    assert set(re.findall(r'GOTO="(\w+)"', text)) == set(re.findall(r'LABEL="(\w+)"', text))
+
+
+def test_an_example_that_there_is_not() -> None:
+    assert list(EXAMPLES) == ["config", "systemd", "udev"]
+    with pytest.raises(ConfigError, match="--example: cron is none of config, systemd, udev"):
+        read_example("cron")
