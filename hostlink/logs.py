@@ -1,7 +1,7 @@
 """The log: structlog events on stderr, JSON when that is no terminal. This list of events is the log's contract.
 
-Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, connection.refused,
-                 serial.waiting, serial.baud_tried, serial.baud_found
+Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
+                 connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
 What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1
 Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.unlocked, robot.unreachable,

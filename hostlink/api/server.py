@@ -14,6 +14,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from structlog.contextvars import bound_contextvars
 
 from hostlink.api.access import Access, Role, check_role, present_grant, tls_context, token_of
+from hostlink.api.captures import Captures
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.clients import Client, Clients
 from hostlink.api.events import Events
@@ -73,6 +74,7 @@ class ApiServer:
         self._routes = [
             *Rest(self._hub, self._clients).routes(),
             *Events(self._hub, self._clients).routes(),
+            *Captures(self._hub).routes(),
             self._metrics.route(),
             Route(
                 method="GET",

@@ -3,6 +3,7 @@
 import asyncio
 from typing import TypedDict, cast
 
+from hostlink.diagnosis.finding import Finding
 from hostlink.hub.hub import Hub
 from hostlink.hub.robots import Robot
 from hostlink.robot.velocity import Velocity
@@ -61,12 +62,22 @@ class TopicInfoView(TypedDict):
     buffer_bytes: int
 
 
+class FindingView(TypedDict):
+    """One thing that is wrong: a name for programs, what it means, what to do, and the numbers of this case."""
+
+    code: str
+    cause: str
+    next_step: str
+    detail: str
+
+
 class LinkView(TypedDict):
-    """One live connection, its topics and what was counted on it."""
+    """One live connection, its topics, what was counted on it and what is wrong with it, most telling first."""
 
     number: int
     peer: str
     silent_s: float
+    diagnosis: list[FindingView]
     topics: list[TopicInfoView]
     seconds: float
     frames_from_device: int
@@ -83,10 +94,32 @@ class LinkView(TypedDict):
     rejected: dict[str, int]
 
 
+class EndedLinkView(TypedDict):
+    """One of the last connections that ended: why, how long it lasted, what was wrong with it."""
+
+    number: int
+    peer: str
+    end: str
+    seconds: float
+    ended_ago_s: float
+    diagnosis: list[FindingView]
+
+
+class ClosedPortView(TypedDict):
+    """A serial port that cannot be opened."""
+
+    name: str
+    diagnosis: list[FindingView]
+
+
 class LinksView(TypedDict):
-    """Every live connection; those that a fault of hostlink itself ended, and those that were refused, by cause."""
+    """Every live connection; the last that ended, latest first; serial ports that cannot be opened; how many links a
+    fault of hostlink itself ended; how many were refused, by cause.
+    """
 
     links: list[LinkView]
+    ended: list[EndedLinkView]
+    ports: list[ClosedPortView]
     crashes: int
     refused: dict[str, int]
 
@@ -145,14 +178,42 @@ def link_views(hub: Hub) -> list[LinkView]:
             for info in link.session.topics
         ]
         silent_s = round(now_s - link.heard_at_s, 3)
-        known = {"number": link.number, "peer": link.peer, "silent_s": silent_s, "topics": topics}
-        views.append(cast("LinkView", known | link.facts()))
+        diagnosis = finding_views(hub.diagnoses.of(link))
+        known = {"number": link.number, "peer": link.peer, "silent_s": silent_s, "diagnosis": diagnosis}
+        views.append(cast("LinkView", known | {"topics": topics} | link.facts()))
     return views
 
 
 def links_view(hub: Hub) -> LinksView:
     """All of them, and what became of others."""
-    return {"links": link_views(hub), "crashes": hub.crashes, "refused": dict(hub.refused)}
+    return {
+        "links": link_views(hub),
+        "ended": ended_views(hub),
+        "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
+        "crashes": hub.crashes,
+        "refused": dict(hub.refused),
+    }
+
+
+def ended_views(hub: Hub) -> list[EndedLinkView]:
+    """The last links that ended, the latest first."""
+    now_s = asyncio.get_running_loop().time()
+    return [
+        {
+            "number": case.link.number,
+            "peer": case.link.peer,
+            "end": "" if case.end is None else case.end.value,
+            "seconds": round(case.ended_at_s - case.link.opened_at_s, 3),
+            "ended_ago_s": round(now_s - case.ended_at_s, 3),
+            "diagnosis": finding_views(case.findings),
+        }
+        for case in reversed(hub.diagnoses.ended)
+    ]
+
+
+def finding_views(findings: list[Finding]) -> list[FindingView]:
+    """In the words that log and documents have too."""
+    return [cast("FindingView", each.view()) for each in findings]
 
 
 def topic_views(hub: Hub) -> list[TopicView]:

@@ -14,6 +14,7 @@ from structlog.contextvars import bound_contextvars
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
+from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.parameters import find_parameter
 from hostlink.hub.robots import LOCK_REASON, PROGRAM_PRIORITY, Robots
 from hostlink.hub.services import Provider, Services
@@ -49,6 +50,7 @@ class Hub:
         self.topics = TopicGraph(catalog)
         self.services = Services(catalog)
         self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
+        self.diagnoses = Diagnoses()
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.crashes = 0
         self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause
@@ -80,6 +82,7 @@ class Hub:
     async def run(self) -> None:
         """Serve until cancelled; the parent of whatever is spawned."""
         async with asyncio.TaskGroup() as self._tasks:
+            self._tasks.create_task(self.diagnoses.run(), name="diagnoses")
             self.is_running.set()
             await self.robots.run()
 
@@ -98,6 +101,7 @@ class Hub:
         )
         link = Link(transport, session, config, number=next(self._numbers), on_event=self._react)
         self._devices[link.number] = Device(link, self.topics, self.services, self.catalog)
+        self.diagnoses.begin(link)
         return link
 
     async def serve(self, link: Link) -> LinkEnd:
@@ -115,6 +119,7 @@ class Hub:
                     raise
             finally:
                 self._forget(link)
+                self.diagnoses.finish(link, end)
                 log.info("link.closed", reason=end.value, **link.facts())
         return end
 
@@ -155,6 +160,8 @@ class Hub:
 
     def _react(self, link: Link, event: events.Event) -> None:
         if link.number in self._devices:  # one that was replaced has nothing to say any more
+            if not isinstance(event, events.MessageReceived):
+                self.diagnoses.note(link, event)
             self._reactions[type(event)](link, event)
 
     def _deliver(self, link: Link, event: events.MessageReceived) -> None:

@@ -24,21 +24,24 @@ async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY
         try:
             transport = await open_serial(config)
         except OSError as error:
+            hub.diagnoses.see_port(config.name, error)
             reason = error.strerror or str(error)
             if reason != said:
                 said = reason
                 log.warning("serial.waiting", port=config.name, reason=reason)
         else:
             said = ""
+            hub.diagnoses.see_port(config.name, None)
             link = hub.open(transport, link_config)
+            hub.diagnoses.see_baud(link, config.bauds[0])
             async with asyncio.TaskGroup() as tasks:
-                trying = tasks.create_task(_try_bauds(transport, link, config), name=f"baud rate of {config.name}")
+                trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
                 await hub.serve(link)
                 trying.cancel()
         await asyncio.sleep(retry_s)
 
 
-async def _try_bauds(transport: SerialTransport, link: Link, config: SerialConfig) -> None:
+async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:
     """One rate after the other, until a frame has come whole."""
     if len(config.bauds) == 1:
         return
@@ -48,6 +51,7 @@ async def _try_bauds(transport: SerialTransport, link: Link, config: SerialConfi
             transport.set_baud(baud)
         except OSError:  # the port has vanished; the link finds that by itself
             return
+        hub.diagnoses.see_baud(link, baud)
         await asyncio.sleep(config.baud_try_s)
         if link.session.counts.frames_from_device:
             log.info("serial.baud_found", port=config.name, baud=baud)

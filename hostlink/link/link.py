@@ -10,6 +10,7 @@ from enum import Enum
 import structlog
 
 from hostlink.config import LinkConfig
+from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
 from hostlink.transport.base import Transport
@@ -49,6 +50,7 @@ class Link:
         self.peer = transport.peer
         self.address = transport.address
         self.session = session
+        self.tape_from_device, self.tape_to_device = Tape(), Tape()
         self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
         self._transport = transport
         self._config = config
@@ -116,6 +118,7 @@ class Link:
                 self._tell(self.session.open(now_s=loop.time()))
                 while data := await self._transport.receive():
                     now_s = self.heard_at_s = loop.time()
+                    self.tape_from_device.add(data, now_s)
                     self._tell(self.session.receive(data, now_s=now_s))
                     self._trouble.look(self.session, now_s)
                     if self._end is not None:
@@ -149,6 +152,7 @@ class Link:
             while frame := self.session.take(now_s=loop.time(), wall_ns=time.time_ns()):
                 async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
                     await self._transport.send(frame)
+                self.tape_to_device.add(frame, loop.time())
             now_s = loop.time()
             deadline_s = self.session.deadline_s()
             if deadline_s <= now_s + SOON_S:

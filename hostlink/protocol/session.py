@@ -3,7 +3,7 @@
 It owns the stream, the topics and the outbox. The Link moves the bytes and tells the time.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from struct import error as StructError  # noqa: N812 - a class, named like one
 
@@ -18,15 +18,14 @@ from hostlink.protocol.control import (
     decode_topic_info,
     encode_parameter,
 )
+from hostlink.protocol.foreign import ForeignBytes
 from hostlink.protocol.frame import (
     FIRST_TOPIC_ID,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
-    PROTOCOL_1_MAX_BYTES,
     Frame,
     Id,
     encode,
-    holds_protocol_1,
 )
 from hostlink.protocol.outbox import Outbox
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
@@ -77,6 +76,8 @@ class Session:
     ) -> None:
         """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
         self.counts = SessionCounts()
+        self.foreign = ForeignBytes()
+        self.too_large = ""  # the last frame that was refused for its size
         self._check = check
         self._topics = TopicTable()
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
@@ -84,8 +85,6 @@ class Session:
         self._refused: dict[int, HostlinkError] = {}
         self._clock = AskClock()
         self._known: tuple[TopicInfo, ...] = ()
-        self._skipped_tail = b""
-        self._is_protocol_1 = False
 
     # -- what the link tells ------------------------------------------------------------------------------------------
 
@@ -149,6 +148,17 @@ class Session:
         return self._clock.is_asking_time
 
     @property
+    def refusals(self) -> tuple[tuple[TopicInfo, HostlinkError], ...]:
+        """The endpoints that cannot be used, and why."""
+        known = ((self._topics.get(topic_id), reason) for topic_id, reason in self._refused.items())
+        return tuple((info, reason) for info, reason in known if info is not None)
+
+    @property
+    def fixed_bytes(self) -> Mapping[int, int]:
+        """Id -> the only payload size that its type can have."""
+        return self._topics.fixed_bytes
+
+    @property
     def replaced(self) -> int:
         """Commands that never left, because a newer one took their place."""
         return self._outbox.replaced
@@ -186,7 +196,7 @@ class Session:
             raise WrongType(what, "int32 or float32", str(error)) from error
         buffers_bytes = (_buffer_bytes(info) for info in self._known if info.is_to_device)
         self._outbox.put_reply(
-            name, _fitting(what, Id.PARAMETER, payload, min(buffers_bytes, default=DEFAULT_BUFFER_BYTES))
+            name, self._fitting(what, Id.PARAMETER, payload, min(buffers_bytes, default=DEFAULT_BUFFER_BYTES))
         )
 
     def stop(self) -> None:
@@ -243,12 +253,8 @@ class Session:
         self.counts.skipped_bytes += len(data)
         if self._topics.is_negotiating:
             self._clock.is_negotiation_damaged = True
-        if not self._is_protocol_1:
-            watched = self._skipped_tail + data
-            self._skipped_tail = watched[1 - PROTOCOL_1_MAX_BYTES :]
-            if holds_protocol_1(watched):
-                self._is_protocol_1 = True
-                yield events.Protocol1Recognised()
+        if self.foreign.take(data):
+            yield events.Protocol1Recognised()
 
     # -- negotiation --------------------------------------------------------------------------------------------------
 
@@ -308,16 +314,17 @@ class Session:
         fixed_bytes = self._topics.fixed_bytes.get(info.topic_id)
         if fixed_bytes is not None and len(payload) != fixed_bytes:
             raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
-        return _fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
+        return self._fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
+
+    def _fitting(self, what: str, topic_id: int, payload: bytes, limit_bytes: int) -> bytes:
+        """The frame, or FrameTooLarge."""
+        if len(payload) + OVERHEAD_BYTES > limit_bytes:
+            error = FrameTooLarge(what, len(payload) + OVERHEAD_BYTES, limit_bytes)
+            self.too_large = str(error)
+            raise error
+        return encode(topic_id, payload)
 
 
 def _buffer_bytes(info: TopicInfo) -> int:
     """What the device takes, as far as a frame can be so long; old clients announce nothing."""
     return min(info.buffer_bytes, MAX_PAYLOAD_BYTES + OVERHEAD_BYTES) if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES
-
-
-def _fitting(what: str, topic_id: int, payload: bytes, limit_bytes: int) -> bytes:
-    """The frame, or FrameTooLarge."""
-    if len(payload) + OVERHEAD_BYTES > limit_bytes:
-        raise FrameTooLarge(what, len(payload) + OVERHEAD_BYTES, limit_bytes)
-    return encode(topic_id, payload)

@@ -1,0 +1,116 @@
+"""Captures: the raw bytes that passed on a link, as `hostlink inspect` reads them; live links and the last that ended.
+
+Whole, they are JSON lines. For those who follow a link, they come in pieces: what passed after a position, and the next
+position.
+"""
+
+import heapq
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import NotRequired, TypedDict
+
+import msgspec
+from aiohttp import web
+
+from hostlink.api.replies import reply
+from hostlink.api.routes import Route
+from hostlink.errors import UnknownTopic
+from hostlink.hub.diagnoses import Case
+from hostlink.hub.hub import Hub
+
+_START = (0, 0)
+
+
+class ReadView(TypedDict):
+    """One line of a recording: seconds since the link opened, who sent (device or host), the bytes."""
+
+    t: float
+    dir: str
+    hex: str
+    conn: int
+    event: NotRequired[str]
+
+
+class CaptureView(TypedDict):
+    """What passed after a position, the position to ask for next, and how many bytes in between are lost."""
+
+    reads: list[ReadView]
+    position: str
+    lost_bytes: int
+    is_open: bool
+
+
+class Captures:
+    """The handlers."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+
+    def routes(self) -> list[Route]:
+        """Every path of this file."""
+        path = "/api/links/{number}/capture"
+        return [
+            Route(
+                method="GET",
+                path=path,
+                handler=self._whole,
+                summary="The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
+                says=None,
+                media_type="application/x-ndjson",
+                fails=(HTTPStatus.NOT_FOUND,),
+            ),
+            Route(
+                method="GET",
+                path=path + "/{position}",
+                handler=self._after,
+                summary="What passed on a link after a position; the first one is 0-0",
+                says=CaptureView,
+                fails=(HTTPStatus.NOT_FOUND,),
+            ),
+        ]
+
+    async def _whole(self, request: web.Request) -> web.Response:
+        case = self._find(request)
+        lines = b"".join(msgspec.json.encode(read) + b"\n" for read in reads(case))
+        return web.Response(body=lines, content_type="application/x-ndjson", headers={"Cache-Control": "no-store"})
+
+    async def _after(self, request: web.Request) -> web.Response:
+        since = _parse_position(request.match_info["position"])
+        case = self._find(request)
+        from_device, to_device = case.link.tape_from_device, case.link.tape_to_device
+        view: CaptureView = {
+            "reads": list(reads(case, since)),
+            "position": f"{from_device.total_bytes}-{to_device.total_bytes}",
+            "lost_bytes": from_device.lost_bytes(since[0]) + to_device.lost_bytes(since[1]),
+            "is_open": case.end is None,
+        }
+        return reply(view)
+
+    def _find(self, request: web.Request) -> Case:
+        number = request.match_info["number"]
+        diagnoses = self._hub.diagnoses
+        case = diagnoses.case(int(number)) if number.isdecimal() else None
+        if case is None:
+            raise UnknownTopic("link", number, tuple(str(each) for each in diagnoses.numbers()))
+        return case
+
+
+def reads(case: Case, since: tuple[int, int] = _START) -> Iterator[ReadView]:
+    """The lines of a recording, in order of time; `since`: bytes of each direction that are known already."""
+    link, number = case.link, case.link.number
+    if since == _START:
+        yield {"t": 0.0, "dir": "device", "hex": "", "conn": number, "event": "open"}
+    tapes = ((link.tape_from_device, "device", since[0]), (link.tape_to_device, "host", since[1]))
+    both = [[(piece.time_s, who, piece.data) for piece in tape.pieces(known)] for tape, who, known in tapes]
+    for time_s, who, data in heapq.merge(*both):
+        yield {"t": round(time_s - link.opened_at_s, 6), "dir": who, "hex": data.hex(), "conn": number}
+    if case.end is not None:
+        end_s = round(case.ended_at_s - link.opened_at_s, 6)
+        yield {"t": end_s, "dir": "device", "hex": "", "conn": number, "event": "close"}
+
+
+def _parse_position(text: str) -> tuple[int, int]:
+    from_device, dash, to_device = text.partition("-")
+    if not (dash and from_device.isdecimal() and to_device.isdecimal()):
+        raise UnknownTopic("position", text, ("0-0", "what an earlier answer gave"))
+    return int(from_device), int(to_device)

@@ -1,0 +1,51 @@
+"""Evidence: what is known of one link at one moment. Rules read it, a Witness gathers it."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+RECENT_S = 30.0  # twelve of a device's time requests: trouble that is older is over
+
+
+class EarlierLink(NamedTuple):
+    """A link of the same address that has ended."""
+
+    end: str
+    seconds: float
+    ended_ago_s: float
+    was_negotiated: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tally:
+    """Counts over some time; `Evidence` has one since the link opened, and one of the last RECENT_S."""
+
+    bytes_from_device: int = 0
+    frames: int = 0
+    skipped_bytes: int = 0
+    unknown_ids: int = 0
+    bad_checksums: int = 0
+    wrong_sizes: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """Times are in seconds before the moment of the evidence; None where a thing has not happened."""
+
+    age_s: float
+    silent_s: float
+    total: Tally = Tally()
+    recent: Tally = Tally()
+    baud: int | None = None  # of a serial port; None behind TCP
+    asks: int = 0  # requests for topics
+    negotiated_s: float | None = None  # since the first negotiation
+    time_requested_s: float | None = None  # since the last request for the time that the host did not provoke
+    time_intervals_s: tuple[float, ...] = ()  # between requests for the time, none of them provoked
+    early_foreign: bytes = b""  # what was skipped before the first negotiation, the last of it
+    foreign: bytes = b""  # what was skipped of late
+    is_protocol_1: bool = False
+    refused: tuple[str, ...] = ()  # why topics were refused, a text each
+    too_small: tuple[str, ...] = ()  # what does not fit a buffer, a text each
+    revivals: int = 0  # of late: it fell silent, was asked, and told its topics anew
+    earlier: tuple[EarlierLink, ...] = ()
+    end: str | None = None  # why the link is no more
+    host_clock: str = ""  # what is wrong with this computer's clock

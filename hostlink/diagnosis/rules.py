@@ -1,0 +1,188 @@
+"""The rules: evidence in, findings out, most telling first. Each threshold stands with where it comes from.
+
+The codes and their words are in findings.toml; the numbers of a case go into the finding's detail.
+"""
+
+from collections.abc import Callable
+from statistics import median
+
+from hostlink.diagnosis.evidence import Evidence
+from hostlink.diagnosis.finding import Finding, finding, words
+from hostlink.diagnosis.speed import guess_speed
+
+TIME_REQUEST_S = 2.5  # PROTOCOL.md: how often a configured device asks for the time
+NO_BYTES_S = 5.0  # the topics were asked for at 0, 2 and 4 s, and an answer takes 2 s at most
+WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two requests for the time are missing, and a second for the radio
+TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # a request for topics may put one off: three are missing
+MIN_ASKS = 3  # at 0, 2 and 4 s: one answer may be lost, not three
+FOREIGN_BYTES = 32  # less is the end of a frame whose beginning nobody saw
+BURST_BYTES = 64  # before the first frame: the shortest boot message has more, half a frame of a robot's less
+JUDGED_S = 3.0  # a boot message and a first negotiation are over by then
+UNREADABLE_SHARE = 0.5  # a line that only loses bytes still has most of them in frames
+TEXT_SHARE = 0.9  # of random bytes 38 % are printable, of a TopicInfo 88 %; of a program's text all
+BAD_CHECKSUMS = 3  # in RECENT_S; an intact line has none
+WRONG_SIZES = 3
+UNKNOWN_IDS = 10  # more than come between two negotiations
+UNKNOWN_AFTER_S = 5.0  # three requests for topics were answered by then
+REBOOTS = 3  # in a minute
+SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
+CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
+CLOCK_INTERVALS = 3  # the median of three stands one outlier
+BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
+EXCERPT_CHARS = 40
+
+Rule = Callable[[Evidence], str | None]  # the detail; None where the rule does not apply
+
+
+def diagnose(evidence: Evidence) -> list[Finding]:
+    """What is wrong with a link, most telling first; an empty list where nothing is."""
+    found: dict[str, str] = {}
+    for code, rule in _RULES.items():
+        detail = rule(evidence)
+        if detail is not None:
+            found[code] = detail
+    foreign = _foreign(evidence)
+    if foreign is not None:
+        found[foreign[0]] = foreign[1]
+    return [finding(code, found[code]) for code in words() if code in found]
+
+
+# -- bytes that are no frames -----------------------------------------------------------------------------------------
+
+
+def _foreign(evidence: Evidence) -> tuple[str, str] | None:
+    """The one code for what was skipped of late, and its detail."""
+    recent, sample = evidence.recent, evidence.foreign
+    if evidence.is_protocol_1:
+        return "protocol_1", ""
+    if recent.skipped_bytes >= FOREIGN_BYTES:
+        if is_text(sample):
+            is_boot = any(word in sample for word in BOOT_WORDS)
+            return "boot_noise" if is_boot else "text_on_line", f'"{_excerpt(sample)}"'
+        if evidence.age_s >= JUDGED_S and recent.skipped_bytes >= UNREADABLE_SHARE * recent.bytes_from_device:
+            return _unreadable(evidence)
+    if recent.bad_checksums >= BAD_CHECKSUMS:
+        return "damaged", f"{recent.bad_checksums} bad checksums and {recent.frames} good frames"
+    return _burst(evidence)
+
+
+def _unreadable(evidence: Evidence) -> tuple[str, str]:
+    recent = evidence.recent
+    share = f"{recent.skipped_bytes} of {recent.bytes_from_device} bytes in no frame"
+    speed = guess_speed(evidence.foreign, evidence.baud)
+    return ("no_sync", share) if speed is None else ("wrong_baud", f"{speed}; {share}")
+
+
+def _burst(evidence: Evidence) -> tuple[str, str] | None:
+    """Bytes before the first topics, and none since."""
+    early = evidence.early_foreign
+    is_new = evidence.recent.skipped_bytes >= len(early) >= BURST_BYTES
+    if not is_new or evidence.total.skipped_bytes - len(early) >= FOREIGN_BYTES:
+        return None
+    speed = guess_speed(early, evidence.baud)
+    is_boot = speed is not None and speed.is_of_boot
+    return "boot_noise", f"{len(early)} bytes{f', {speed}' if is_boot else ''}"
+
+
+def is_text(sample: bytes) -> bool:
+    """Whether a program printed it."""
+    return bool(sample) and sum(byte in _TEXT_BYTES for byte in sample) >= TEXT_SHARE * len(sample)
+
+
+def _excerpt(sample: bytes) -> str:
+    lines = [line for line in sample.decode("ascii", "replace").splitlines() if line.strip()]
+    longest = max(lines[-4:], key=len, default="")  # the last one may be cut, and so may the first
+    return "".join(char if char.isprintable() else "?" for char in longest)[:EXCERPT_CHARS]
+
+
+_TEXT_BYTES = frozenset(b"\t\n\r\x1b") | frozenset(range(0x20, 0x7F))
+
+
+# -- what the session saw ---------------------------------------------------------------------------------------------
+
+
+def _no_bytes(evidence: Evidence) -> str | None:
+    is_so = evidence.total.bytes_from_device == 0 and evidence.age_s >= NO_BYTES_S
+    return f"{evidence.age_s:.0f} s" if is_so else None
+
+
+def _no_topics(evidence: Evidence) -> str | None:
+    total = evidence.total
+    is_so = total.frames > 0 and evidence.negotiated_s is None and evidence.asks >= MIN_ASKS
+    return f"asked {evidence.asks} times, {total.frames} frames" if is_so else None
+
+
+def _went_silent(evidence: Evidence) -> str | None:
+    is_silent = (
+        evidence.silent_s >= WENT_SILENT_S or evidence.end == "idle"
+    )  # a link is ended sooner where that is safe
+    return f"for {evidence.silent_s:.0f} s" if evidence.negotiated_s is not None and is_silent else None
+
+
+def _time_stopped(evidence: Evidence) -> str | None:
+    if evidence.negotiated_s is None or evidence.silent_s >= WENT_SILENT_S:
+        return None
+    known = (evidence.negotiated_s, evidence.time_requested_s)
+    waited_s = min(at_s for at_s in known if at_s is not None)
+    return f"for {waited_s:.0f} s" if waited_s >= TIME_STOPPED_S else None
+
+
+def _wrong_md5(evidence: Evidence) -> str | None:
+    return "; ".join(evidence.refused[:2]) if evidence.refused else None
+
+
+def _wrong_size(evidence: Evidence) -> str | None:
+    count = evidence.recent.wrong_sizes
+    return f"{count} frames" if count >= WRONG_SIZES else None
+
+
+def _buffer_too_small(evidence: Evidence) -> str | None:
+    return "; ".join(evidence.too_small[:2]) if evidence.too_small else None
+
+
+def _unknown_ids(evidence: Evidence) -> str | None:
+    count = evidence.recent.unknown_ids
+    is_settled = evidence.negotiated_s is not None and evidence.negotiated_s >= UNKNOWN_AFTER_S
+    return f"{count} frames" if is_settled and count >= UNKNOWN_IDS else None
+
+
+def _reboots(evidence: Evidence) -> str | None:
+    short = [link for link in evidence.earlier if link.was_negotiated and link.seconds < SHORT_LIFE_S]
+    if len(short) >= REBOOTS:
+        ends = ", ".join(sorted({link.end for link in short}))
+        return f"{len(short)} links in the last minute; ends: {ends}"
+    return f"{evidence.revivals} times in the last minute" if evidence.revivals >= REBOOTS else None
+
+
+def _clock_trouble(evidence: Evidence) -> str | None:
+    if evidence.host_clock:
+        return f"this computer: {evidence.host_clock}"
+    if len(evidence.time_intervals_s) < CLOCK_INTERVALS:
+        return None
+    interval_s = median(evidence.time_intervals_s)
+    is_fast = interval_s < TIME_REQUEST_S * (1 - CLOCK_ERROR)  # a late one may be a slow loop's, an early one may not
+    return f"the device asks every {interval_s:.2f} s, not every {TIME_REQUEST_S:g} s" if is_fast else None
+
+
+def _name_taken(evidence: Evidence) -> str | None:
+    return "" if evidence.end == "refused" else None
+
+
+def _host_fault(evidence: Evidence) -> str | None:
+    return "" if evidence.end == "crashed" else None
+
+
+_RULES: dict[str, Rule] = {
+    "name_taken": _name_taken,
+    "host_fault": _host_fault,
+    "no_bytes": _no_bytes,
+    "no_topics": _no_topics,
+    "wrong_md5": _wrong_md5,
+    "wrong_size": _wrong_size,
+    "buffer_too_small": _buffer_too_small,
+    "unknown_ids": _unknown_ids,
+    "reboots": _reboots,
+    "went_silent": _went_silent,
+    "time_stopped": _time_stopped,
+    "clock_trouble": _clock_trouble,
+}

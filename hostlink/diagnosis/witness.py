@@ -1,0 +1,150 @@
+"""Witness: gathers the evidence of one link. Pure: it is told events, time and when to look at the session's counts."""
+
+from collections import deque
+
+from hostlink.diagnosis.evidence import RECENT_S, EarlierLink, Evidence, Tally
+from hostlink.protocol import events
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import OVERHEAD_BYTES
+from hostlink.protocol.session import Session
+from hostlink.protocol.stream import Rejection
+
+LOOK_INTERVAL_S = 1.0
+REVIVALS_S = 60.0  # a board that starts anew four times a minute does so for a reason
+_KEPT = 16  # intervals and revivals: more say nothing new
+_TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
+
+
+class Witness:
+    """Tell it every event but messages, and let it `look` each LOOK_INTERVAL_S."""
+
+    def __init__(self, session: Session, *, now_s: float) -> None:
+        self.baud: int | None = None  # of a serial port
+        self._session = session
+        self._opened_at_s = now_s
+        self._looks: deque[tuple[float, Tally]] = deque([(now_s, Tally())], maxlen=int(RECENT_S / LOOK_INTERVAL_S) + 1)
+        self._negotiated_at_s: float | None = None
+        self._early_foreign = b""
+        self._is_provoked = False  # a device sends a request for the time with its topics
+        self._fell_silent = False
+        self._time_requested_at_s: float | None = None
+        self._previous_at_s: float | None = None
+        self._intervals_s: deque[float] = deque(maxlen=_KEPT)
+        self._revived_at_s: deque[float] = deque(maxlen=_KEPT)
+        self._device_complaint = ""
+
+    def see_baud(self, baud: int, now_s: float) -> None:
+        """The line is read at this speed from now on: what came before says nothing of it."""
+        self.baud = baud
+        self._looks.clear()
+        self._looks.append((now_s, self._total()))
+
+    def note(self, event: events.Event, now_s: float) -> None:
+        """Take an event of the session's."""
+        match event:
+            case events.TopicsAsked(reason):
+                self._is_provoked = True
+                self._fell_silent |= reason == "no_time_requests"
+            case events.TimeRequested():
+                self._note_time_request(now_s)
+            case events.TopicsNegotiated() if self._negotiated_at_s is None:
+                self._negotiated_at_s = now_s
+                self._early_foreign = self._session.foreign.tail
+            case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
+                self._device_complaint = text
+
+    def look(self, now_s: float) -> None:
+        """Remember the counts: what is recent is told from them later."""
+        if now_s >= self._looks[-1][0] + LOOK_INTERVAL_S / 2:
+            self._looks.append((now_s, self._total()))
+
+    @property
+    def was_negotiated(self) -> bool:
+        return self._negotiated_at_s is not None
+
+    def evidence(
+        self,
+        now_s: float,
+        *,
+        silent_s: float,
+        earlier: tuple[EarlierLink, ...] = (),
+        end: str | None = None,
+        host_clock: str = "",
+    ) -> Evidence:
+        """All that is known now; what the link itself cannot know is given."""
+        session, total = self._session, self._total()
+        before = next((tally for at_s, tally in self._looks if at_s >= now_s - RECENT_S), self._looks[-1][1])
+        recent = _difference(total, before)
+        return Evidence(
+            age_s=now_s - self._opened_at_s,
+            silent_s=silent_s,
+            total=total,
+            recent=recent,
+            baud=self.baud,
+            asks=session.counts.asks,
+            negotiated_s=_ago(self._negotiated_at_s, now_s),
+            time_requested_s=_ago(self._time_requested_at_s, now_s),
+            time_intervals_s=tuple(self._intervals_s),
+            early_foreign=self._early_foreign,
+            foreign=session.foreign.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
+            is_protocol_1=session.foreign.is_protocol_1,
+            refused=tuple(f"{reason}" for _, reason in session.refusals),
+            too_small=tuple(self._too_small()),
+            revivals=sum(at_s >= now_s - REVIVALS_S for at_s in self._revived_at_s),
+            earlier=earlier,
+            end=end,
+            host_clock=host_clock,
+        )
+
+    def _note_time_request(self, now_s: float) -> None:
+        if self._is_provoked:
+            self._is_provoked = False
+            self._previous_at_s = None
+            return
+        if self._previous_at_s is not None:
+            self._intervals_s.append(now_s - self._previous_at_s)
+        if self._fell_silent and self._time_requested_at_s is not None:
+            self._revived_at_s.append(now_s)
+        self._fell_silent = False
+        self._time_requested_at_s = self._previous_at_s = now_s
+
+    def _total(self) -> Tally:
+        counts, rejected = self._session.counts, self._session.rejected
+        return Tally(
+            bytes_from_device=counts.bytes_from_device,
+            frames=counts.frames_from_device,
+            skipped_bytes=counts.skipped_bytes,
+            unknown_ids=counts.unknown_ids,
+            bad_checksums=rejected.get(Rejection.CHECKSUM.value, 0) + rejected.get(Rejection.LENGTH_CHECKSUM.value, 0),
+            wrong_sizes=rejected.get(Rejection.WRONG_SIZE.value, 0),
+        )
+
+    def _too_small(self) -> list[str]:
+        """What does not fit: by the sizes that the device announced, by what was refused, by what it logged."""
+        fixed_bytes = self._session.fixed_bytes
+        announced = [
+            f"{info.name}: a frame of {fixed_bytes[info.topic_id] + OVERHEAD_BYTES} bytes, the device takes "
+            f"{info.buffer_bytes}"
+            for info in self._session.topics
+            if _is_too_small(info, fixed_bytes.get(info.topic_id))
+        ]
+        return [text for text in (*announced, self._session.too_large, self._device_complaint) if text]
+
+
+def _is_too_small(info: TopicInfo, fixed_bytes: int | None) -> bool:
+    return fixed_bytes is not None and 0 < info.buffer_bytes < fixed_bytes + OVERHEAD_BYTES
+
+
+def _ago(at_s: float | None, now_s: float) -> float | None:
+    return None if at_s is None else now_s - at_s
+
+
+def _difference(now: Tally, before: Tally) -> Tally:
+    return Tally(
+        bytes_from_device=now.bytes_from_device - before.bytes_from_device,
+        frames=now.frames - before.frames,
+        skipped_bytes=now.skipped_bytes - before.skipped_bytes,
+        unknown_ids=now.unknown_ids - before.unknown_ids,
+        bad_checksums=now.bad_checksums - before.bad_checksums,
+        wrong_sizes=now.wrong_sizes - before.wrong_sizes,
+    )

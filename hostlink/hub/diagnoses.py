@@ -1,0 +1,154 @@
+"""Diagnoses: what is wrong with each link, live ones and the last that ended; kept for the API, told in the log."""
+
+import asyncio
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+import structlog
+
+from hostlink.diagnosis.evidence import EarlierLink, Evidence
+from hostlink.diagnosis.finding import Finding
+from hostlink.diagnosis.host_clock import HostClock
+from hostlink.diagnosis.ports import port_finding
+from hostlink.diagnosis.rules import diagnose
+from hostlink.diagnosis.witness import LOOK_INTERVAL_S, Witness
+from hostlink.link.link import Link, LinkEnd
+from hostlink.logs import printable
+from hostlink.protocol import events
+
+log = structlog.get_logger()
+
+ENDED_LINKS = 16  # with their tapes 2 MiB at most
+EARLIER_S = 60.0  # what ended before that says nothing of now
+TELL_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
+MAX_TOLD = 256
+
+
+@dataclass(slots=True, eq=False)
+class Case:
+    """One link, what its witness knows, and what is wrong with it."""
+
+    link: Link
+    witness: Witness
+    findings: list[Finding] = field(default_factory=list)
+    end: LinkEnd | None = None
+    ended_at_s: float = 0.0
+    last_evidence: Evidence | None = None  # of a link that has ended, until it is judged
+
+
+class Diagnoses:
+    """Owns the cases. `run` looks at each of them once a second; the rest of the hub only tells what happens."""
+
+    def __init__(self) -> None:
+        self.ended: deque[Case] = deque(maxlen=ENDED_LINKS)
+        self._live: dict[int, Case] = {}
+        self._clock = HostClock()
+        self._host_clock = ""
+        self._told_at_s: dict[tuple[str, str], float] = {}
+        self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
+
+    def see_port(self, name: str, error: OSError | None) -> None:
+        """A serial port was opened, or could not be."""
+        if error is None:
+            self.ports.pop(name, None)
+        else:
+            self.ports[name] = port_finding(error)
+
+    def begin(self, link: Link) -> None:
+        """A link has opened."""
+        self._live[link.number] = Case(link, Witness(link.session, now_s=link.opened_at_s))
+
+    def see_baud(self, link: Link, baud: int) -> None:
+        """The link's serial port is read at this speed from now on."""
+        case = self._live.get(link.number)
+        if case is not None:
+            case.witness.see_baud(baud, _now_s())
+
+    def note(self, link: Link, event: events.Event) -> None:
+        """The session of a live link saw something other than a message."""
+        case = self._live.get(link.number)
+        if case is not None:
+            case.witness.note(event, _now_s())
+
+    def finish(self, link: Link, end: LinkEnd) -> None:
+        """A link has ended; its case and its tapes are kept for a while."""
+        case = self._live.pop(link.number, None)
+        if case is not None:
+            case.end, case.ended_at_s = end, _now_s()
+            case.last_evidence = self._evidence(case, case.ended_at_s)
+            self.ended.append(case)
+
+    def of(self, link: Link) -> list[Finding]:
+        """What is wrong with a live link, as of the last look."""
+        case = self._live.get(link.number)
+        return [] if case is None else case.findings
+
+    def case(self, number: int) -> Case | None:
+        """The link of that number, live or among the last that ended."""
+        ended = (case for case in self.ended if case.link.number == number)
+        return self._live.get(number) or next(ended, None)
+
+    def numbers(self) -> list[int]:
+        """Of every link that has a case."""
+        return sorted([*self._live, *(case.link.number for case in self.ended)])
+
+    async def run(self) -> None:
+        """Look at every case, again and again, until cancelled."""
+        while True:
+            now_s = _now_s()
+            self._host_clock = self._clock.look(now_s, time.time_ns())
+            for case in list(self._live.values()):
+                case.witness.look(now_s)
+                await self._judge(case, self._evidence(case, now_s))
+            for case in list(self.ended):
+                if case.last_evidence is not None:
+                    evidence, case.last_evidence = case.last_evidence, None
+                    await self._judge(case, evidence)
+            await asyncio.sleep(LOOK_INTERVAL_S)
+
+    async def _judge(self, case: Case, evidence: Evidence) -> None:
+        """In a thread where bytes must be looked at: the first look at a speed takes a good part of a second."""
+        is_slow = evidence.recent.skipped_bytes > 0
+        found = await asyncio.to_thread(diagnose, evidence) if is_slow else diagnose(evidence)
+        news = {each.code for each in found} - {each.code for each in case.findings}
+        case.findings = found
+        for each in found:
+            if each.code in news:
+                self._tell(case, each)
+
+    def _evidence(self, case: Case, now_s: float) -> Evidence:
+        earlier = tuple(
+            EarlierLink(
+                end="" if other.end is None else other.end.value,
+                seconds=other.ended_at_s - other.link.opened_at_s,
+                ended_ago_s=now_s - other.ended_at_s,
+                was_negotiated=other.witness.was_negotiated,
+            )
+            for other in self.ended
+            if other.link.address == case.link.address and now_s - other.ended_at_s < EARLIER_S
+        )
+        return case.witness.evidence(
+            now_s,
+            silent_s=now_s - case.link.heard_at_s,
+            earlier=earlier,
+            end=None if case.end is None else case.end.value,
+            host_clock=self._host_clock,
+        )
+
+    def _tell(self, case: Case, found: Finding) -> None:
+        """One line, not again for the same address within TELL_AGAIN_S."""
+        now_s = _now_s()
+        key = (case.link.address, found.code)
+        if now_s < self._told_at_s.get(key, float("-inf")) + TELL_AGAIN_S:
+            return
+        self._told_at_s.pop(key, None)
+        self._told_at_s[key] = now_s
+        if len(self._told_at_s) > MAX_TOLD:
+            del self._told_at_s[next(iter(self._told_at_s))]
+        about = {key: printable(text) if key == "detail" else text for key, text in found.view().items()}
+        log.warning("link.diagnosed", link=case.link.number, peer=printable(case.link.peer), **about)
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,105 @@
+"""What the API says of links that live and that ended: their bytes as a recording, and what was wrong with them."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.frame import Id, encode
+from hostlink.recording import Inspection, Read, load_reads
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.waiting import expect
+
+
+async def capture(host: Daemon, number: int = 1) -> bytes:
+    async with host.session.get(f"{host.url}/api/links/{number}/capture") as response:
+        assert (response.status, response.content_type) == (200, "application/x-ndjson")
+        return await response.read()
+
+
+def inspected(lines: bytes, folder: Path) -> dict[str, Any]:
+    path = folder / "capture.jsonl"
+    path.write_bytes(lines)
+    inspection = Inspection(Catalog())
+    inspection.take_all(load_reads(path))
+    return inspection.report()
+
+
+async def test_the_bytes_of_a_live_link_are_what_inspect_reads(tmp_path: Path) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await device.send(pose(1.0, 2.0, 0.5))
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+        report = inspected(await capture(host), tmp_path)
+    assert [each["name"] for each in report["topics"]] == [info.name for info in robot_topics()]
+    assert report["messages"]["/robot_0/odometry"]["last"] == {"x": 1.0, "y": 2.0, "theta": 0.5}
+    assert report["to_device"]["/robot_0/velocity_commands"]["last"]["linear"]["x"] == 0.0
+
+
+async def test_a_link_that_ended_can_still_be_saved(tmp_path: Path) -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await device.send(pose(1.0))
+        await expect(lambda: not host.hub.links())
+        ended = (await host.get("/api/links"))["ended"]
+        reads = [msgspec.json.decode(line, type=Read) for line in (await capture(host)).splitlines()]
+        assert inspected(await capture(host), tmp_path)["messages"]["/robot_0/odometry"]["count"] == 1
+    assert (ended[0]["number"], ended[0]["end"]) == (1, "peer_closed")
+    assert [read.event for read in reads if read.event] == ["open", "close"]
+    assert [read.t for read in reads] == sorted(read.t for read in reads)
+
+
+async def test_a_link_can_be_followed() -> None:
+    async with daemon() as host, fake_device(host.tcp, []) as device:
+        before = await host.get("/api/links/1/capture/0-0")
+        await device.send(encode(Id.TIME, bytes(8)))
+        await device.frame(Id.TIME)
+        after = await host.get(f"/api/links/1/capture/{before['position']}")
+    assert before["is_open"]
+    assert before["lost_bytes"] == after["lost_bytes"] == 0
+    assert [(read["dir"], len(read["hex"]) // 2) for read in after["reads"]] == [("device", 16), ("host", 16)]
+
+
+@pytest.mark.parametrize(
+    ("path", "status", "reason"),
+    [
+        ("7/capture", 404, "no link named 7; known: 1"),
+        ("x/capture", 404, "no link"),
+        ("1/capture/now", 404, "no position named now"),
+    ],
+)
+async def test_a_capture_that_cannot_be_given(path: str, status: int, reason: str) -> None:
+    async with daemon() as host, fake_device(host.tcp, []):
+        got, error = await host.rest("GET", f"/api/links/{path}")
+    assert got == status
+    assert reason in error["error"]["reason"]
+
+
+async def test_only_the_last_links_are_kept() -> None:
+    async with daemon() as host:
+        for _ in range(20):
+            async with fake_device(host.tcp, []):
+                pass
+        await expect(lambda: not host.hub.links())
+        ended = (await host.get("/api/links"))["ended"]
+    assert [each["number"] for each in ended] == list(range(20, 4, -1))
+
+
+async def test_a_topic_with_another_md5_is_diagnosed_in_api_and_log_in_the_same_words() -> None:
+    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
+    with capture_logs() as lines:
+        async with daemon() as host:
+            for _ in range(2):  # the second time within a minute is not told again
+                async with fake_device(host.tcp, [*robot_topics(), wrong]):
+                    await expect(lambda: host.hub.links() and host.hub.diagnoses.of(host.hub.links()[-1]))
+                    diagnosis = (await host.get("/api/links"))["links"][-1]["diagnosis"]
+    assert [each["code"] for each in diagnosis] == ["wrong_md5"]
+    assert diagnosis[0]["detail"].startswith("/odd: wanted std_msgs/Bool")
+    told = [line for line in lines if line["event"] == "link.diagnosed"]
+    assert len(told) == 1
+    assert {key: told[0][key] for key in ("code", "cause", "next_step")} == {
+        key: diagnosis[0][key] for key in ("code", "cause", "next_step")
+    }

@@ -1,0 +1,116 @@
+"""Each rule by the evidence that is just enough for it, and by what is just not enough."""
+
+from dataclasses import replace
+
+import pytest
+
+from hostlink.diagnosis.evidence import EarlierLink, Evidence, Tally
+from hostlink.diagnosis.finding import finding, words
+from hostlink.diagnosis.rules import diagnose
+from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.resampling import resample
+
+GOOD = Tally(bytes_from_device=3000, frames=100)
+HEALTHY = Evidence(
+    age_s=60.0,
+    silent_s=0.1,
+    total=GOOD,
+    recent=GOOD,
+    asks=1,
+    negotiated_s=59.0,
+    time_requested_s=1.0,
+    time_intervals_s=(2.5,) * 8,
+)
+NEW = Evidence(age_s=6.0, silent_s=0.1, asks=3)
+SLOW = resample(encode(Id.TIME, bytes(8)) * 60, ratio=2.0)[:512]
+BOOT = resample(b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\nload 0x4010f000, len 3424\r\n", ratio=1.54)
+
+
+def foreign(sample: bytes, *, frames: int = 0, of: int | None = None) -> Evidence:
+    tally = Tally(bytes_from_device=len(sample) if of is None else of, frames=frames, skipped_bytes=len(sample))
+    return replace(NEW, total=tally, recent=tally, foreign=sample)
+
+
+def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> tuple[EarlierLink, ...]:
+    return (EarlierLink("peer_closed", seconds, 5.0, was_negotiated),) * count
+
+
+CASES = [
+    ("no_bytes", replace(NEW, age_s=5.0), "5 s"),
+    ("no_topics", replace(NEW, total=GOOD, recent=GOOD), "asked 3 times, 100 frames"),
+    ("protocol_1", replace(foreign(b"\xff\xff" * 40), is_protocol_1=True), ""),
+    ("text_on_line", foreign(b"speed 0.25 m/s\r\n" * 10), '"speed 0.25 m/s"'),
+    ("text_on_line", replace(HEALTHY, recent=replace(GOOD, skipped_bytes=32), foreign=b"x = 1\r\n" * 5), '"x = 1"'),
+    ("boot_noise", foreign(b"rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST)\r\n" * 2), '"rst:0x1 (POWERON_RESET)'),
+    ("wrong_baud", replace(foreign(SLOW), baud=115200), "most likely sent at 57600; 512 of 512 bytes in no frame"),
+    ("no_sync", foreign(bytes(range(128, 256)) * 3), "384 of 384 bytes in no frame"),
+    ("wrong_md5", replace(HEALTHY, refused=("/odom: wanted a, got b",)), "/odom: wanted a, got b"),
+    ("wrong_size", replace(HEALTHY, recent=replace(GOOD, wrong_sizes=3)), "3 frames"),
+    ("buffer_too_small", replace(HEALTHY, too_small=("/cmd: too long",)), "/cmd: too long"),
+    ("unknown_ids", replace(HEALTHY, recent=replace(GOOD, unknown_ids=10)), "10 frames"),
+    ("reboots", replace(HEALTHY, earlier=lives(3)), "3 links in the last minute; ends: peer_closed"),
+    ("reboots", replace(HEALTHY, revivals=3), "3 times in the last minute"),
+    ("went_silent", replace(HEALTHY, silent_s=6.0), "for 6 s"),
+    ("time_stopped", replace(HEALTHY, time_requested_s=8.0), "for 8 s"),
+    ("time_stopped", replace(HEALTHY, time_requested_s=None, negotiated_s=9.0), "for 9 s"),
+    ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.0, 2.0, 2.6)), "every 2.00 s, not every 2.5 s"),
+    ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
+    ("damaged", replace(HEALTHY, recent=replace(GOOD, bad_checksums=3)), "3 bad checksums and 100 good frames"),
+    ("name_taken", replace(HEALTHY, end="refused"), ""),
+    ("host_fault", replace(HEALTHY, end="crashed"), ""),
+]
+
+
+@pytest.mark.parametrize(("code", "evidence", "detail"), CASES)
+def test_what_is_enough(code: str, evidence: Evidence, detail: str) -> None:
+    found = diagnose(evidence)
+    assert [each.code for each in found] == [code]
+    assert detail in found[0].detail
+
+
+@pytest.mark.parametrize(
+    "evidence",
+    [
+        HEALTHY,
+        replace(NEW, age_s=4.9),
+        replace(NEW, asks=2, total=GOOD, recent=GOOD),
+        foreign(b"x = 1\r\n" * 4),
+        replace(foreign(bytes(range(128, 256)) * 3), age_s=2.9),
+        replace(foreign(b"\x80\x90" * 40, frames=100, of=3000), negotiated_s=1.0),
+        replace(HEALTHY, recent=replace(GOOD, wrong_sizes=2, bad_checksums=2, unknown_ids=9)),
+        replace(HEALTHY, negotiated_s=4.9, recent=replace(GOOD, unknown_ids=10)),
+        replace(HEALTHY, earlier=lives(2)),
+        replace(HEALTHY, earlier=lives(3, seconds=31.0)),
+        replace(HEALTHY, earlier=lives(9, was_negotiated=False)),
+        replace(HEALTHY, revivals=2),
+        replace(HEALTHY, silent_s=5.9),
+        replace(HEALTHY, time_requested_s=7.9),
+        replace(HEALTHY, time_requested_s=None, negotiated_s=7.9),
+        replace(HEALTHY, time_intervals_s=(2.0, 2.0)),
+        replace(HEALTHY, time_intervals_s=(2.53, 2.6, 3.5)),
+        replace(HEALTHY, end="peer_closed"),
+    ],
+)
+def test_what_is_not(evidence: Evidence) -> None:
+    assert diagnose(evidence) == []
+
+
+def test_a_burst_before_the_topics_is_a_boot_message_as_long_as_it_is_new() -> None:
+    tally = replace(GOOD, skipped_bytes=len(BOOT))
+    evidence = replace(HEALTHY, total=tally, recent=tally, foreign=BOOT, early_foreign=BOOT)
+    assert [each.code for each in diagnose(evidence)] == ["boot_noise"]
+    assert diagnose(replace(evidence, recent=GOOD, foreign=b"")) == []
+
+
+def test_several_are_told_in_the_order_of_the_words() -> None:
+    found = diagnose(replace(HEALTHY, refused=("a",), silent_s=7.0, too_small=("b",)))
+    assert [each.code for each in found] == ["wrong_md5", "buffer_too_small", "went_silent"]
+
+
+@pytest.mark.parametrize("code", words())
+def test_every_finding_has_all_its_words_in_one_line_each(code: str) -> None:
+    assert set(words()[code]) == {"symptom", "cause", "next_step"}
+    assert all(text and "\n" not in text and "|" not in text for text in words()[code].values())
+    assert finding(code, "x").view() == {
+        "code": code, "cause": words()[code]["cause"], "next_step": words()[code]["next_step"], "detail": "x"
+    }  # fmt: skip

@@ -1,0 +1,109 @@
+"""What a witness makes of a session's events: requests for the time, revivals, what is recent, what does not fit."""
+
+import errno
+
+import pytest
+
+from hostlink.diagnosis.host_clock import MIN_WALL_NS, HostClock
+from hostlink.diagnosis.ports import port_finding
+from hostlink.diagnosis.witness import Witness
+from hostlink.errors import FrameTooLarge
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsAsked
+from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.session import Session
+
+TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/cmd_vel", "geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", 48)
+
+
+def session() -> Session:
+    return Session(check=lambda _: 48)
+
+
+def test_intervals_are_between_requests_that_nobody_provoked() -> None:
+    witness = Witness(session(), now_s=0.0)
+    for now_s in (0.1, 2.6, 5.1):
+        witness.note(TopicsAsked("connected") if now_s == 0.1 else TimeRequested(), now_s)
+    witness.note(TimeRequested(), 7.6)
+    witness.note(TopicsAsked("unknown_id"), 8.0)
+    witness.note(TimeRequested(), 8.1)
+    witness.note(TimeRequested(), 10.6)
+    evidence = witness.evidence(11.0, silent_s=0.0)
+    assert evidence.time_intervals_s == (2.5,)  # 2.6 answered the request for topics, as 8.1 did
+    assert evidence.time_requested_s == pytest.approx(0.4)
+
+
+def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
+    witness = Witness(session(), now_s=0.0)
+    witness.note(TimeRequested(), 2.5)
+    for start_s in (10.0, 20.0):
+        witness.note(TopicsAsked("no_time_requests"), start_s)
+        witness.note(TimeRequested(), start_s + 0.1)
+        witness.note(TimeRequested(), start_s + 2.6)
+    assert witness.evidence(23.0, silent_s=0.0).revivals == 2
+    assert witness.evidence(81.0, silent_s=0.0).revivals == 1
+
+
+def test_what_is_recent_is_of_the_last_half_minute() -> None:
+    told = session()
+    witness = Witness(told, now_s=0.0)
+    told.open(now_s=0.0)
+    told.receive(b"noise" * 10, now_s=0.5)
+    for now_s in range(1, 41):
+        witness.look(float(now_s))
+        if now_s == 20:
+            told.receive(b"more " * 2, now_s=20.5)
+    evidence = witness.evidence(40.0, silent_s=1.0)
+    assert (evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (60, 10)
+    assert evidence.foreign == b"more more "
+
+
+def test_what_does_not_fit_is_told_by_what_was_announced_refused_and_logged() -> None:
+    told = session()
+    witness = Witness(told, now_s=0.0)
+    told.open(now_s=0.0)
+    told.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
+    told.tick(now_s=1.0)
+    with pytest.raises(FrameTooLarge):
+        told.publish("/cmd_vel", bytes(48))
+    witness.note(DeviceLogged(3, "Message from device dropped: message larger than buffer."), 1.1)
+    assert witness.evidence(2.0, silent_s=0.0).too_small == (
+        "/cmd_vel: a frame of 56 bytes, the device takes 48",
+        "/cmd_vel: frame of 56 bytes, the device takes 48",
+        "Message from device dropped: message larger than buffer.",
+    )
+
+
+def test_refused_topics_are_told_with_the_reason() -> None:
+    def refuse(info: TopicInfo) -> int | None:
+        raise FrameTooLarge(info.name, 2, 1)
+
+    told = Session(check=refuse)
+    told.open(now_s=0.0)
+    told.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
+    assert Witness(told, now_s=0.0).evidence(1.0, silent_s=0.0).refused == (
+        "/cmd_vel: frame of 2 bytes, the device takes 1",
+    )
+
+
+def test_the_computers_own_clock() -> None:
+    clock = HostClock()
+    second_ns = 1_000_000_000
+    assert clock.look(0.0, MIN_WALL_NS - 1) == "its clock is not set"
+    assert clock.look(1.0, MIN_WALL_NS + 3600 * second_ns) == "its clock was set by +3599.0 s"
+    assert clock.look(30.0, MIN_WALL_NS + 3629 * second_ns) == "its clock was set by +3599.0 s"
+    assert clock.look(31.1, MIN_WALL_NS + 3630 * second_ns) == ""
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (errno.EACCES, "serial_permission"),
+        (errno.ENOENT, "serial_missing"),
+        (errno.EBUSY, "serial_busy"),
+        (errno.ENOTTY, "serial_unusable"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_is_a_finding(number: int, code: str) -> None:
+    found = port_finding(OSError(number, "/dev/ttyACM0: why"))
+    assert (found.code, found.detail) == (code, "/dev/ttyACM0: why")
