@@ -1,0 +1,132 @@
+"""A device in virtual time: a simulated robot, its 38400 baud UART, and the passthrough that dials the host again."""
+
+import asyncio
+import contextlib
+import struct
+from collections.abc import Awaitable, Callable
+from typing import Protocol
+
+from hostlink.messages.catalog import Catalog
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.robot import LOOP_S
+from hostlink.transport.base import Transport
+
+RECONNECT_S = 0.5  # ROBOT.md: how long the passthrough waits before it dials again
+LINE_POLL_S = 0.004  # how often it looks for bytes of the UART
+POSE, TWIST = struct.Struct("<3d"), struct.Struct("<6d")
+
+
+class Program(Protocol):
+    """What runs on a device."""
+
+    device: SimulatedDevice
+
+    def turn(self, now_s: float) -> float | None:
+        """One turn of its loop; None when it is done, else call again after so many seconds."""
+        ...
+
+    def reboot(self) -> None:
+        """Power off and on."""
+        ...
+
+
+class NumberedRobot:
+    """A robot whose messages can be told apart: pose n is (n, 0, 0). It keeps the commands that reach it."""
+
+    loop_s = LOOP_S
+    publish_every = 3
+
+    def __init__(self, catalog: Catalog, *, retries: bool = True) -> None:
+        self.device = SimulatedDevice(retries=retries)
+        self.sent: list[tuple[float, int]] = []  # (time, number)
+        self.commands: list[tuple[float, bytes]] = []
+        self._turns = 0
+        self._now_s = 0.0
+        self._is_done_spinning = False
+        types = [catalog.message(name) for name in ("geometry_msgs/Pose2D", "geometry_msgs/Twist")]
+        pose, twist = (type_ for type_ in types if type_ is not None)
+        self._odometry = self.device.advertise("/robot_0/odometry", pose.name, pose.md5)
+        self.device.subscribe("/robot_0/velocity_commands", twist.name, twist.md5, self._take)
+
+    def turn(self, now_s: float) -> float | None:
+        self._now_s = now_s
+        wait_s = self.device.spin(now_s)
+        if wait_s is None:
+            self._turns += 1
+            number = len(self.sent)
+            if self._turns % self.publish_every == 0 and self.device.publish(self._odometry, pose(number), now_s):
+                self.sent.append((now_s, number))
+        return wait_s
+
+    def reboot(self) -> None:
+        self.device.reboot()
+
+    def _take(self, payload: bytes) -> None:
+        self.commands.append((self._now_s, payload))
+
+
+def pose(number: int) -> bytes:
+    """Pose n."""
+    return POSE.pack(number, 0.0, 0.0)
+
+
+class VirtualDevice:
+    """Runs a program, and carries its UART to the host through whatever `dial` opens."""
+
+    def __init__(self, program: Program, dial: Callable[[], Awaitable[Transport]], *, loop_s: float = LOOP_S) -> None:
+        self.program = program
+        self.connections = 0
+        self._dial = dial
+        self._loop_s = loop_s
+        self._spoke = asyncio.Event()
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._turn(), name="device loop")
+            while True:
+                transport = await self._dial()
+                self.connections += 1
+                with contextlib.suppress(OSError):
+                    await self._talk(transport)
+                await transport.aclose()
+                self.program.device.from_host.cut()
+                self.program.device.to_host.cut()
+                await asyncio.sleep(RECONNECT_S)
+
+    async def _turn(self) -> None:
+        now_s = asyncio.get_running_loop().time
+        next_s = now_s()
+        while True:
+            wait_s = self.program.turn(now_s())
+            if self.program.device.to_host.next_arrival_s() is not None:
+                self._spoke.set()
+            if wait_s is None:
+                next_s = max(next_s + self._loop_s, now_s())
+                wait_s = next_s - now_s()
+            await asyncio.sleep(wait_s)
+
+    async def _talk(self, transport: Transport) -> None:
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                passing = tasks.create_task(self._pass_on(transport), name="device UART")
+                try:
+                    while data := await transport.receive():
+                        self.program.device.from_host.send(data, asyncio.get_running_loop().time())
+                finally:
+                    passing.cancel()
+        except* OSError as broken:
+            raise broken.exceptions[0] from None
+
+    async def _pass_on(self, transport: Transport) -> None:
+        now_s = asyncio.get_running_loop().time
+        line = self.program.device.to_host
+        while True:
+            arrival_s = line.next_arrival_s()
+            if arrival_s is None:
+                self._spoke.clear()
+                await self._spoke.wait()
+                continue
+            await asyncio.sleep(max(0.0, arrival_s - now_s()) + LINE_POLL_S)
+            if data := line.take(now_s()):
+                await transport.send(data)

@@ -1,0 +1,133 @@
+"""Host, relay and one device together in virtual time: the daemon's hub, tools/relay.py, and a simulated robot."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from hostlink.config import Config, LinkConfig
+from hostlink.errors import HostlinkError
+from hostlink.hub.hub import Hub
+from hostlink.hub.message import Message
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.session import Session
+from hostlink.robot.velocity import Velocity
+from tests.support.memory_transport import MemoryTransport, memory_pair
+from tests.support.virtual_device import POSE, Program, VirtualDevice
+from tools.faults import Script
+from tools.relay import Relay
+
+CATALOG = Catalog()
+LEAST_STEP_M_S = 0.0001  # commands are told apart by their speed
+NUMBERS = 9000  # so many, up to 0.9 m/s; then they begin again
+
+
+class Tap:
+    """The host's end of a connection; keeps what the host read and what it wrote."""
+
+    def __init__(self, end: MemoryTransport, *, number: int) -> None:
+        self.peer, self.address = f"robot:{number}", "robot"
+        self.read = bytearray()
+        self.written: list[bytes] = []
+        self.session: Session | None = None
+        self._end = end
+
+    async def receive(self) -> bytes:
+        data = await self._end.receive()
+        self.read += data
+        return data
+
+    async def send(self, data: bytes) -> None:
+        self.written.append(data)
+        await self._end.send(data)
+
+    async def aclose(self) -> None:
+        await self._end.aclose()
+
+
+@dataclass
+class World:
+    """What goes on, and what was seen of it."""
+
+    hub: Hub
+    relay: Relay
+    device: VirtualDevice
+    taps: list[Tap]
+    poses: list[tuple[float, bytes]] = field(default_factory=list)  # (time, payload) at a subscriber
+    told: list[tuple[float, str, dict[str, Any]]] = field(default_factory=list)  # what the relay said
+    commands: list[tuple[float, int]] = field(default_factory=list)  # (time, number) of what the host took
+    commanded: int = 0
+
+    @property
+    def numbers(self) -> list[float]:
+        """The poses that the subscriber got, by number."""
+        return [POSE.unpack(payload)[0] for _, payload in self.poses]
+
+    def command(self) -> None:
+        """The next velocity, if the robot is there."""
+        number = self.commanded % NUMBERS
+        if command(self.hub, number):
+            self.commands.append((asyncio.get_running_loop().time(), number))
+        self.commanded += 1
+
+    def is_working(self) -> bool:
+        """Whether the host knows the robot, on a connection that is the device's newest."""
+        links = {link.peer for link in self.hub.links()}
+        with contextlib.suppress(HostlinkError):
+            robot = self.hub.robots.find("robot_0")
+            return robot.link is not None and robot.link.peer == self.taps[-1].peer in links
+        return False
+
+
+def command(hub: Hub, number: int) -> bool:
+    """Drive robot_0 at the speed of this number; False when the host has no such robot."""
+    velocity = Velocity(linear_x_m_s=(number + 1) * LEAST_STEP_M_S)
+    try:
+        hub.robots.command(hub.robots.find("robot_0"), velocity, owner="test")
+    except HostlinkError:
+        return False
+    return True
+
+
+@contextlib.asynccontextmanager
+async def world(
+    script: Script, program: Program, *, loop_s: float = 1 / 30, uart_bytes_s: int | None = 3840
+) -> AsyncIterator[World]:
+    """For the length of the block, in the loop that runs it."""
+    hub = Hub(Config(link=LinkConfig(uart_bytes_s=uart_bytes_s)), CATALOG, reraises=True)
+    taps: list[Tap] = []
+    passages: list[asyncio.Task[None]] = []
+    now_s = asyncio.get_running_loop().time
+    async with asyncio.TaskGroup() as tasks:
+
+        async def reach_host() -> MemoryTransport:
+            host_end, relay_end = memory_pair()
+            tap = Tap(host_end, number=len(taps))
+            taps.append(tap)
+            hub.connect(tap)
+            await asyncio.sleep(0)  # the link begins
+            tap.session = next(link.session for link in hub.links() if link.peer == tap.peer)
+            return relay_end
+
+        async def reach_relay() -> MemoryTransport:
+            relay_end, device_end = memory_pair()
+            passages[:] = [task for task in passages if not task.done()]
+            passages.append(tasks.create_task(relay.serve(relay_end), name="passage"))
+            return device_end
+
+        relay = Relay(script, reach_host, lambda what, facts: made.told.append((now_s(), what, facts)))
+        made = World(hub, relay, VirtualDevice(program, reach_relay, loop_s=loop_s), taps)
+        running = [tasks.create_task(hub.run(), name="hub")]
+        await hub.is_running.wait()
+        hub.topics.subscribe("/robot_0/odometry", lambda message: _see(made, message))
+        running += [tasks.create_task(made.device.run(), name="device"), tasks.create_task(relay.run(), name="relay")]
+        try:
+            yield made
+        finally:
+            for task in (*running, *passages):
+                task.cancel()
+
+
+def _see(made: World, message: Message) -> None:
+    made.poses.append((asyncio.get_running_loop().time(), message.payload))
