@@ -22,7 +22,7 @@ help:
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
-	@echo "make soak    ten minutes of driving on the chain, every message counted"
+	@echo "make soak    ten minutes of driving on the chain, ten over a link that fails, every message counted"
 	@echo "make fuzz    the property tests with 50 times the examples"
 
 $(BIN)/python:
@@ -87,6 +87,7 @@ chain: $(VENV)/.hostlink
 soak: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)
 	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
+	$(BIN)/python tools/soak_link.py --seconds 600
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol
 
 from hostlink.messages.catalog import Catalog
-from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.device import DeviceCrashed, SimulatedDevice
 from hostlink.sim.robot import LOOP_S
 from hostlink.transport.base import Transport
 
@@ -75,7 +75,7 @@ class VirtualDevice:
 
     def __init__(self, program: Program, dial: Callable[[], Awaitable[Transport]], *, loop_s: float = LOOP_S) -> None:
         self.program = program
-        self.connections = 0
+        self.connections = self.crashes = 0
         self._dial = dial
         self._loop_s = loop_s
         self._spoke = asyncio.Event()
@@ -98,7 +98,12 @@ class VirtualDevice:
         now_s = asyncio.get_running_loop().time
         next_s = now_s()
         while True:
-            wait_s = self.program.turn(now_s())
+            try:
+                wait_s = self.program.turn(now_s())
+            except DeviceCrashed:  # its watchdog starts it again
+                self.crashes += 1
+                self.program.reboot()
+                wait_s = None
             if self.program.device.to_host.next_arrival_s() is not None:
                 self._spoke.set()
             if wait_s is None:

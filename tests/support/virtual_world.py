@@ -30,7 +30,7 @@ class Tap:
         self.peer, self.address = f"robot:{number}", "robot"
         self.read = bytearray()
         self.written: list[bytes] = []
-        self.session: Session | None = None
+        self.session: Session  # once the link is open
         self._end = end
 
     async def receive(self) -> bytes:
@@ -105,9 +105,9 @@ async def world(
             host_end, relay_end = memory_pair()
             tap = Tap(host_end, number=len(taps))
             taps.append(tap)
-            hub.connect(tap)
-            await asyncio.sleep(0)  # the link begins
-            tap.session = next(link.session for link in hub.links() if link.peer == tap.peer)
+            link = hub.open(tap)
+            tap.session = link.session
+            hub.spawn(hub.serve(link), name=f"link to {tap.peer}")
             return relay_end
 
         async def reach_relay() -> MemoryTransport:
