@@ -27,6 +27,7 @@ class TcpConfig:
     allow: tuple[str, ...] = ()  # networks that may connect, as "192.168.4.0/24"; none named: everybody
     max_connections: int = 256  # a fourth of the descriptors that a process usually has
     max_connections_per_address: int = 64  # a fleet behind one address, as the simulated one
+    mdns: bool = False  # tell the local network of this port, as _rosserial._tcp
 
     def __post_init__(self) -> None:
         for network in self.allow:

@@ -25,6 +25,7 @@ from hostlink.hub.door import Door
 from hostlink.hub.hub import Hub
 from hostlink.hub.serial_port import serve_serial
 from hostlink.messages.catalog import Catalog
+from hostlink.transport.mdns import advertised
 from hostlink.transport.tcp import serve_tcp
 
 log = structlog.get_logger()
@@ -45,9 +46,15 @@ async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
     """The whole daemon for the length of a block; leaving it stops every robot, then says goodbye to every device."""
     hub = Hub(config, Catalog(config.message_folders))
     try:
-        async with asyncio.TaskGroup() as tasks, _hub_running(hub, tasks), serve_api(config.api, hub) as api:
+        async with (
+            asyncio.TaskGroup() as tasks,
+            _hub_running(hub, tasks),
+            serve_api(config.api, hub) as api,
+            contextlib.AsyncExitStack() as last,  # what may take its time once the robots stand
+        ):
             door = Door(hub, config.tcp)
             async with serve_tcp(config.tcp, door.enter) as listener, _serial_ports(hub, config, tasks):
+                await last.enter_async_context(advertised(config.tcp, listener.address))
                 log.info("daemon.started", tcp="{}:{}".format(*listener.address), api=api)
                 yield hub, Addresses(listener.address, api)
                 log.info("daemon.stopping")

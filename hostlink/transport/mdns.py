@@ -1,0 +1,48 @@
+"""The device port's name in the local network, for those who look for `_rosserial._tcp` by mDNS (Bonjour, Avahi)."""
+
+import contextlib
+import ipaddress
+import socket
+from collections.abc import AsyncIterator
+
+from hostlink.config import TcpConfig
+from hostlink.errors import ConfigError
+
+SERVICE = "_rosserial._tcp.local."
+
+
+@contextlib.asynccontextmanager
+async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterator[None]:
+    """Tell the network of the port until the block is left, if that is wanted."""
+    if not config.mdns:
+        yield
+        return
+    try:
+        import ifaddr  # noqa: PLC0415 - an optional dependency
+        import zeroconf  # noqa: PLC0415
+        from zeroconf.asyncio import AsyncZeroconf  # noqa: PLC0415
+    except ImportError as error:
+        raise ConfigError("tcp.mdns", "needs zeroconf: pip install 'hostlink[mdns]'") from error
+    listens_on, port = address
+    is_any = ipaddress.ip_address(listens_on).is_unspecified
+    addresses = (
+        _reachable([str(ip.ip) for adapter in ifaddr.get_adapters() for ip in adapter.ips if ip.is_IPv4])
+        if is_any
+        else [listens_on]
+    )
+    host = socket.gethostname().split(".")[0]
+    info = zeroconf.ServiceInfo(
+        SERVICE, f"hostlink on {host}.{SERVICE}", port=port, parsed_addresses=addresses, server=f"{host}.local."
+    )
+    network = AsyncZeroconf(interfaces=zeroconf.InterfaceChoice.All if is_any else addresses)
+    try:
+        await (await network.async_register_service(info, allow_name_change=True))  # another host may have the name
+        yield
+    finally:
+        await network.async_unregister_all_services()
+        await network.async_close()
+
+
+def _reachable(addresses: list[str]) -> list[str]:
+    """Those that another computer may use; without any, all."""
+    return [address for address in addresses if not ipaddress.ip_address(address).is_loopback] or addresses

@@ -1,0 +1,52 @@
+"""The device port in the local network: found by its service type, gone with the daemon."""
+
+import asyncio
+import sys
+from dataclasses import replace
+
+import pytest
+from zeroconf import ServiceStateChange, Zeroconf
+from zeroconf.asyncio import AsyncServiceBrowser, AsyncServiceInfo, AsyncZeroconf
+
+from hostlink.config import Config, TcpConfig
+from hostlink.errors import ConfigError
+from hostlink.transport.mdns import SERVICE, advertised
+from tests.support.daemon import daemon
+
+MDNS = TcpConfig(host="127.0.0.1", mdns=True)
+
+
+async def test_a_daemon_is_found_by_its_service_and_no_longer_when_it_has_stopped() -> None:
+    news: asyncio.Queue[tuple[ServiceStateChange, str]] = asyncio.Queue()
+
+    def note(zeroconf: Zeroconf, service_type: str, name: str, state_change: ServiceStateChange) -> None:
+        news.put_nowait((state_change, name))
+
+    network = AsyncZeroconf(interfaces=["127.0.0.1"])
+    browser = AsyncServiceBrowser(network.zeroconf, SERVICE, handlers=[note])
+    try:
+        async with asyncio.timeout(15):
+            async with daemon(Config(tcp=MDNS)) as host:
+                change, name = await news.get()
+                assert change is ServiceStateChange.Added
+                found = AsyncServiceInfo(SERVICE, name)
+                assert await found.async_request(network.zeroconf, 3000)
+                assert (found.parsed_addresses(), found.port) == (["127.0.0.1"], host.tcp[1])
+            change, gone = await news.get()
+            assert (change, gone) == (ServiceStateChange.Removed, name)
+    finally:
+        await browser.async_cancel()
+        await network.async_close()
+
+
+async def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zeroconf", None)  # as where it is not installed
+    with pytest.raises(ConfigError, match=r"tcp.mdns: needs zeroconf: pip install 'hostlink\[mdns\]'"):
+        async with advertised(MDNS, ("127.0.0.1", 1)):
+            raise AssertionError("it tells the network")
+
+
+async def test_nothing_is_told_unless_it_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zeroconf", None)
+    async with advertised(replace(MDNS, mdns=False), ("127.0.0.1", 1)):
+        assert asyncio.get_running_loop().is_running()
