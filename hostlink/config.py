@@ -113,6 +113,13 @@ class RobotConfig:
     max_linear_deceleration_m_s2: float | None = None  # None: a stop is a stop at once
     max_angular_deceleration_rad_s2: float | None = None
     odometry_after_restart: Literal["continue", "restart"] = "continue"  # REP 105: an odometry does not jump
+    odom_topic: str | None = None  # of topics: None is the usual name below the robot's, "" is none at all
+    cmd_vel_topic: str | None = None
+    cmd_vel_stamped_topic: str | None = None  # one topic has one type
+    cmd_vel_max_age_s: float | None = None  # None: clocks differ, and the lease begins when the command comes
+    odom_frame: str | None = None  # None: "odom", and the robot's name before it where there are several
+    base_frame: str | None = None
+    publish_tf: bool = True  # false where something else publishes the transform between these frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

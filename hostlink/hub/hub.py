@@ -15,10 +15,12 @@ from hostlink.config import Config, LinkConfig
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.diagnoses import Diagnoses
+from hostlink.hub.message import Message
 from hostlink.hub.parameters import find_parameter
+from hostlink.hub.robot_topics import RobotTopics
 from hostlink.hub.robots import LOCK_REASON, PROGRAM_PRIORITY, Robots
 from hostlink.hub.services import Provider, Services
-from hostlink.hub.subscriptions import Topic, TopicGraph, resolve
+from hostlink.hub.subscriptions import Deliver, Topic, TopicGraph, Unsubscribe, resolve
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -49,8 +51,9 @@ class Hub:
         self.catalog = catalog
         self.topics = TopicGraph(catalog)
         self.services = Services(catalog)
-        self.robots = Robots(config.robots, catalog, subscribe=self.topics.subscribe, show=self._show)
         self.diagnoses = Diagnoses()
+        self.robots = Robots(config.robots, catalog, subscribe=self._watch_odometry, show=self._show)
+        self.robot_topics = RobotTopics(config.robots, self.topics, catalog)
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.crashes = 0
         self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause
@@ -153,6 +156,7 @@ class Hub:
         if device is not None:
             device.leave()
             self.robots.vanish(link)
+            self.robot_topics.update(self.robots.all())
             self.robots.leave(str(link))  # a device may drive another
             self._directory.leave(link.number)
 
@@ -191,6 +195,7 @@ class Hub:
             self._offer_lock(claim.robot.name)
         else:
             self.robots.vanish(link)
+        self.robot_topics.update(self.robots.all())
 
     def _offer_lock(self, name: str) -> None:
         """The emergency stop as services, so that programs and devices can call it."""
@@ -304,18 +309,31 @@ class Hub:
 
     def _spread(self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY) -> None:
         robot = self.robots.of_velocity_topic(topic.name)
+        command = self.robot_topics.command(topic.name, payload)
         if robot is not None:
-            velocity = Velocity.from_twist(self.robots.twist.decode(payload))
-            self.robots.command(robot, velocity, owner=str(source), priority=priority)
+            command = robot, Velocity.from_twist(self.robots.twist.decode(payload))
+        if command is not None:
+            self.robots.command(*command, owner=str(source), priority=priority)
         else:
             self.robots.expect_reset(topic.name)
             topic.spread(payload, time.time_ns(), source=source)
 
     def _show(self, name: str, payload: bytes) -> None:
-        """Let subscribers of a velocity topic see what the gate sent."""
-        topic = self.topics.find_or_none(name)
-        if topic is not None:
-            topic.deliver(payload, time.time_ns())
+        """Let subscribers of a velocity topic, under any of its names, see what the gate sent."""
+        robot = self.robots.of_velocity_topic(resolve(name))
+        for other in [name] if robot is None else self.robot_topics.names_of_velocity(robot):
+            topic = self.topics.find_or_none(other)
+            if topic is not None:
+                topic.deliver(payload, time.time_ns())
+
+    def _watch_odometry(self, name: str, see: Deliver) -> Unsubscribe:
+        """Let a robot see its odometry, and then everybody who knows it by another name."""
+
+        def see_and_relay(message: Message) -> None:
+            see(message)
+            self.robot_topics.relay(message)
+
+        return self.topics.subscribe(name, see_and_relay)
 
 
 def _ignore(link: Link, event: events.Event) -> None:

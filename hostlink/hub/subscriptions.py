@@ -55,9 +55,9 @@ class Topic:
         return bool(self.subscribers or self.devices)
 
     @property
-    def is_of_devices(self) -> bool:
-        """Whether a device publishes or takes it."""
-        return any(_rank(key) == _DEVICE_RANK for key in (*self.publishers, *self.devices))
+    def has_device_publisher(self) -> bool:
+        """Whether a device publishes it."""
+        return any(_rank(key) == _DEVICE_RANK for key in self.publishers)
 
     def forget_publisher(self, key: Hashable) -> None:
         """`key` publishes no more."""

@@ -25,10 +25,14 @@ async def test_topics_types_and_definitions() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         topics = await program.call("/rosapi/topics")
         assert dict(zip(topics["topics"], topics["types"], strict=True)) == {
+            "/robot_0/cmd_vel": "geometry_msgs/Twist",
+            "/robot_0/cmd_vel_stamped": "geometry_msgs/TwistStamped",
+            "/robot_0/odom": "nav_msgs/Odometry",
             "/robot_0/odometry": "geometry_msgs/Pose2D",
             "/robot_0/reset_odometry": "std_msgs/Empty",
             "/robot_0/velocity_commands": "geometry_msgs/Twist",
             "/rosout": "rosgraph_msgs/Log",
+            "/tf": "tf2_msgs/TFMessage",
         }
         raw = await program.call("/rosapi/topics_and_raw_types")
         twist = raw["typedefs_full_text"][raw["topics"].index("/robot_0/velocity_commands")]

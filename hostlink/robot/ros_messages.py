@@ -1,0 +1,80 @@
+"""What ROS programs expect to hear of a robot: nav_msgs/Odometry and a transform, made of what its device tells.
+
+Metres, radians, x forward, y left, z up (REP 103); the pose in `odom`, the motion in `base_link` (REP 105).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry import Twist
+
+UNMEASURED = 1e6  # the variance of what wheels cannot tell: height, roll and pitch
+POSE_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)  # diff_drive_controller's for x, y and yaw
+TWIST_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)
+_AXES = 6
+
+
+class Frames(NamedTuple):
+    """The names of the frames between which a robot's odometry is."""
+
+    odom: str
+    base: str
+
+
+class Variances(NamedTuple):
+    """The covariances that a device tells, row by row; empty: it tells none."""
+
+    pose: Sequence[float] = ()
+    twist: Sequence[float] = ()
+
+
+UNTOLD = Variances()
+
+
+def odometry_of(
+    pose: Pose, twist: Twist, frames: Frames, stamp: Mapping[str, int], told: Variances = UNTOLD
+) -> dict[str, Any]:
+    """A nav_msgs/Odometry of a planar pose."""
+    half_rad = pose.theta_rad / 2
+    orientation = {"x": 0.0, "y": 0.0, "z": math.sin(half_rad), "w": math.cos(half_rad)}
+    motion = {"linear": _vector(twist.linear_m_s), "angular": _vector(0.0, 0.0, twist.angular_rad_s)}
+    return {
+        "header": {"seq": 0, "stamp": dict(stamp), "frame_id": frames.odom},
+        "child_frame_id": frames.base,
+        "pose": {
+            "pose": {"position": _vector(pose.x_m, pose.y_m), "orientation": orientation},
+            "covariance": _covariance(told.pose, POSE_VARIANCES),
+        },
+        "twist": {"twist": motion, "covariance": _covariance(told.twist, TWIST_VARIANCES)},
+    }
+
+
+def variances_of(message: Mapping[str, Any]) -> Variances:
+    """Of a decoded geometry_msgs/Pose2D, which has none, or nav_msgs/Odometry."""
+    if "theta" in message:
+        return UNTOLD
+    return Variances(message["pose"]["covariance"], message["twist"]["covariance"])
+
+
+def transform_of(odometry: Mapping[str, Any]) -> dict[str, Any]:
+    """The tf2_msgs/TFMessage that says the same as an Odometry."""
+    pose = odometry["pose"]["pose"]
+    transform = {"translation": pose["position"], "rotation": pose["orientation"]}
+    return {
+        "transforms": [
+            {"header": odometry["header"], "child_frame_id": odometry["child_frame_id"], "transform": transform}
+        ]
+    }
+
+
+def _covariance(told: Sequence[float], variances: tuple[float, ...]) -> list[float]:
+    """What the device tells; where it tells nothing, a diagonal: all zeros would mean that nothing is ever wrong."""
+    if any(told) and all(map(math.isfinite, told)):
+        return list(told)
+    return [variances[row] if row == column else 0.0 for row in range(_AXES) for column in range(_AXES)]
+
+
+def _vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> dict[str, float]:
+    return {"x": x, "y": y, "z": z}

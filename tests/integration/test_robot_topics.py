@@ -1,0 +1,221 @@
+"""The topics by which ROS programs know a robot: odom, tf, cmd_vel."""
+
+import struct
+import time
+
+import pytest
+
+from hostlink.config import Config, RobotConfig
+from hostlink.protocol.frame import Id, encode
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
+from tests.support.rosbridge import client
+from tests.support.waiting import expect
+
+ODOM = topic(Id.PUBLISHER, 126, "/robot_0/odom", "nav_msgs/Odometry")
+TF = topic(Id.PUBLISHER, 127, "/tf", "tf/tfMessage")
+
+
+async def heard(host: Daemon, *names: str) -> None:
+    await expect(lambda: all(host.hub.topics.find(name).subscribers for name in names))
+
+
+def types(host: Daemon) -> dict[str, str]:
+    return {topic.name: topic.type_name for topic in host.hub.topics.all()}
+
+
+async def test_odometry_and_transform_come_as_ros_programs_expect_them() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await program.say(op="subscribe", topic="/robot_0/odom")
+        await program.say(op="subscribe", topic="/tf")
+        await heard(host, "/robot_0/odom", "/tf")
+        await device.send(pose(1.0, 2.0, 0.0))
+        odometry, transform = (await program.hear())["msg"], (await program.hear())["msg"]["transforms"][0]
+    assert odometry["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+    assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("odom", "base_link")
+    assert odometry["pose"]["covariance"][0] == 0.001
+    assert abs(odometry["header"]["stamp"]["secs"] - time.time()) < 5
+    assert transform["header"] == odometry["header"]
+    assert transform["child_frame_id"] == "base_link"
+    assert transform["transform"]["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
+
+
+async def test_nothing_is_made_while_nobody_listens_and_no_clock_ever() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await device.send(pose(1.0))
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+        assert host.hub.topics.find("/robot_0/odom").messages == 0
+        assert "/clock" not in types(host)
+
+
+async def test_a_pose_that_is_none_is_not_told() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await program.say(op="subscribe", topic="/robot_0/odom")
+        await heard(host, "/robot_0/odom")
+        await device.send(encode(125, struct.pack("<3d", float("nan"), 0.0, 0.0)) + pose(1.0))
+        assert (await program.hear())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("cmd_vel", {"linear": {"x": 0.2}, "angular": {"z": 0.5}}),
+        ("cmd_vel_stamped", {"twist": {"linear": {"x": 0.2}, "angular": {"z": 0.5}}}),
+        ("cmd_vel_stamped", {"header": {"stamp": {"secs": 5}}, "twist": {"linear": {"x": 0.2}, "angular": {"z": 0.5}}}),
+    ],
+    ids=["Twist", "TwistStamped", "an old stamp"],
+)
+async def test_cmd_vel_drives_through_the_same_gate(name: str, message: dict[str, object]) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        async with client(host) as program:
+            await program.say(op="publish", topic=f"/robot_0/{name}", msg=message)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
+            assert host.hub.robots.find("robot_0").gate.holder == "client 1"
+        assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
+
+
+async def test_a_stamp_that_is_too_old_is_refused_where_that_is_configured() -> None:
+    config = Config(robots={"robot_0": RobotConfig(cmd_vel_max_age_s=1.0)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        old, fresh = {"linear": {"x": 0.1}}, {"linear": {"x": 0.2}}
+        await program.say(
+            op="publish", topic="/robot_0/cmd_vel_stamped", msg={"header": {"stamp": {"secs": 5}}, "twist": old}
+        )
+        assert "cmd_vel_max_age_s allows 1" in (await program.hear())["msg"]
+        await program.say(op="publish", topic="/robot_0/cmd_vel_stamped", msg={"twist": fresh})
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+async def test_what_the_gate_sends_is_seen_on_cmd_vel_too() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
+        await expect(lambda: not host.hub.robots.find("robot_0").gate.is_active)
+        await program.say(op="subscribe", topic="/robot_0/cmd_vel")
+        await heard(host, "/robot_0/cmd_vel")
+        await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 5.0}})
+        assert (await program.hear())["msg"]["linear"]["x"] == 1.0
+
+
+async def test_a_remote_control_drives_by_cmd_vel() -> None:
+    remote = [topic(Id.PUBLISHER, 125, "/robot_0/cmd_vel", "geometry_msgs/Twist")]
+    twist = CATALOG.message("geometry_msgs/Twist")
+    assert twist is not None
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()) as device,
+        fake_device(host.tcp, remote) as sender,
+    ):
+        await sender.send(encode(125, twist.encode({"linear": {"x": 0.3}})))
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.3, 0.0)
+
+
+async def test_names_that_the_device_uses_itself_are_the_devices() -> None:
+    own = [
+        topic(Id.SUBSCRIBER, 102, "/robot_0/cmd_vel", "std_msgs/Bool"),
+        topic(Id.PUBLISHER, 126, "/robot_0/odom", "std_msgs/String"),
+        TF,
+    ]
+    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), *own]) as device:
+        known = types(host)
+        assert (known["/robot_0/cmd_vel"], known["/robot_0/odom"]) == ("std_msgs/Bool", "std_msgs/String")
+        assert known["/tf"] == "tf/tfMessage"
+        host.hub.publish("/robot_0/cmd_vel", {"data": True}, source="test")
+        assert await device.frame(102) == b"\x01"
+
+
+async def test_a_device_that_comes_later_takes_its_names_back_and_leaves_them_again() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
+        await program.say(op="subscribe", topic="/robot_0/odom", type="nav_msgs/Odometry")
+        await heard(host, "/robot_0/odom")
+        async with fake_device(host.tcp, [ODOM._replace(topic_id=125)]):
+            assert "hostlink" not in host.hub.topics.find("/robot_0/odom").publishers
+        await expect(lambda: host.hub.topics.find("/robot_0/odom").publishers == {"hostlink"})
+
+
+async def test_a_page_with_a_wrong_type_takes_no_topic_away() -> None:
+    async with daemon() as host, client(host) as program:
+        for name in ("cmd_vel", "odom", "odometry"):
+            await program.say(op="advertise", topic=f"/robot_0/{name}", type="std_msgs/String")
+        await expect(lambda: len(host.hub.topics.all()) == 4)
+        async with fake_device(host.tcp, robot_topics()) as device:
+            assert types(host)["/robot_0/odometry"] == "geometry_msgs/Pose2D"
+            assert types(host)["/robot_0/cmd_vel"] == "geometry_msgs/Twist"
+            await program.say(op="publish", topic="/robot_0/cmd_vel", type="std_msgs/String", msg={"data": "go"})
+            assert "wanted geometry_msgs/Twist, got std_msgs/String" in (await program.hear())["msg"]
+            await program.say(op="subscribe", topic="/robot_0/odom")
+            await heard(host, "/robot_0/odom")
+            await device.send(pose(1.0))
+            assert (await program.hear())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
+
+
+async def test_two_robots_have_frames_of_their_own() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("robot_0")) as first,
+        fake_device(host.tcp, robot_topics("robot_1")) as second,
+        client(host) as program,
+    ):
+        await program.say(op="subscribe", topic="/tf")
+        await heard(host, "/tf")
+        await first.send(pose(1.0))
+        frames = [(await program.hear())["msg"]["transforms"][0]]
+        await second.send(pose(1.0))
+        frames.append((await program.hear())["msg"]["transforms"][0])
+    assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames] == [
+        ("odom", "base_link"),
+        ("robot_1/odom", "robot_1/base_link"),
+    ]
+
+
+async def test_robots_that_are_configured_have_the_same_frames_whoever_comes_first() -> None:
+    config = Config(robots={"robot_0": RobotConfig(), "robot_1": RobotConfig()})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await program.say(op="subscribe", topic="/robot_0/odom")
+        await heard(host, "/robot_0/odom")
+        await device.send(pose(1.0))
+        assert (await program.hear())["msg"]["child_frame_id"] == "robot_0/base_link"
+
+
+async def test_names_frames_and_the_transform_are_configurable() -> None:
+    robot = RobotConfig(
+        odom_topic="/odom", cmd_vel_topic="/cmd_vel", cmd_vel_stamped_topic="", odom_frame="world",
+        base_frame="base_footprint", publish_tf=False,
+    )  # fmt: skip
+    async with (
+        daemon(Config(robots={"robot_0": robot})) as host,
+        fake_device(host.tcp, robot_topics()) as device,
+        client(host) as program,
+    ):
+        assert {"/odom", "/cmd_vel"} < types(host).keys()
+        assert not {"/robot_0/odom", "/robot_0/cmd_vel", "/robot_0/cmd_vel_stamped", "/tf"} & types(host).keys()
+        await program.say(op="subscribe", topic="/odom")
+        await heard(host, "/odom")
+        await device.send(pose(1.0))
+        odometry = (await program.hear())["msg"]
+    assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("world", "base_footprint")
+
+
+async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_tells() -> None:
+    told = topic(Id.PUBLISHER, 125, "/robot_0/wheels", "nav_msgs/Odometry", buffer_bytes=1024)
+    type_ = CATALOG.message("nav_msgs/Odometry")
+    assert type_ is not None
+    covariance = [float(number) for number in range(36)]
+    message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}})
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, [told, robot_topics()[1]]) as device,
+        client(host) as program,
+    ):
+        await program.say(op="subscribe", topic="/robot_0/odom")
+        await heard(host, "/robot_0/odom")
+        await device.send(encode(125, message))
+        odometry = (await program.hear())["msg"]
+    assert odometry["pose"]["pose"]["position"]["x"] == 3.0
+    assert odometry["pose"]["covariance"] == covariance
+    assert odometry["twist"]["covariance"][35] == 0.01
+
+
+async def test_a_robot_that_leaves_takes_its_topics_with_it() -> None:
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics()):
+            assert "/robot_0/odom" in types(host)
+        await expect(lambda: types(host).keys() == {"/rosout"})
