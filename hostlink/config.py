@@ -27,10 +27,12 @@ class TcpConfig:
     allow: tuple[str, ...] = ()  # networks that may connect, as "192.168.4.0/24"; none named: everybody
     max_connections: int = 256  # a fourth of the descriptors that a process usually has
     max_connections_per_address: int = 64  # a fleet behind one address, as the simulated one
+    key_file: Path | None = None  # a key that devices must prove, as the project's ESP8266 firmware can
+    keyless: tuple[str, ...] = ()  # with key_file: networks of devices that need no key
     mdns: bool = False  # tell the local network of this port, as _rosserial._tcp
 
     def __post_init__(self) -> None:
-        for network in self.allow:
+        for network in (*self.allow, *self.keyless):
             ipaddress.ip_network(network)  # its ValueError names it
         if min(self.max_connections, self.max_connections_per_address) < 1:
             raise ValueError("a bound on connections must be at least 1")

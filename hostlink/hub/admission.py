@@ -38,6 +38,7 @@ class Admission:
     def __init__(self, config: TcpConfig) -> None:
         self._config = config
         self._allowed = [ipaddress.ip_network(network) for network in config.allow]
+        self._keyless = [ipaddress.ip_network(network) for network in config.keyless]
 
     def judge(self, address: str, guests: Sequence[Guest]) -> Verdict:
         """`guests`: those that are there, oldest first."""
@@ -52,6 +53,10 @@ class Admission:
             return Verdict(refusal="too_many")
         counts = Counter(guest.address for guest in strangers)
         return Verdict(gives_way=max(strangers, key=lambda guest: counts[guest.address]).number)  # the first of equals
+
+    def needs_key(self, address: str) -> bool:
+        """If there is a key: whether this one must prove it."""
+        return not is_within(address, self._keyless)
 
 
 def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress.IPv6Network]) -> bool:

@@ -11,6 +11,7 @@ from hostlink.hub.hub import Hub
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.transport.base import Transport
+from hostlink.transport.keyed import KeyedTransport, read_key
 
 log = structlog.get_logger()
 
@@ -21,8 +22,10 @@ class Door:
     """Owns the connections that came over TCP."""
 
     def __init__(self, hub: Hub, config: TcpConfig) -> None:
+        """ConfigError when there should be a key and is none."""
         self._hub = hub
         self._admission = Admission(config)
+        self._key = None if config.key_file is None else read_key(config.key_file)
         self._links: dict[int, Link] = {}  # oldest first
         self._tell_at_s = float("-inf")
         self._untold: Counter[str] = Counter()
@@ -42,9 +45,14 @@ class Door:
             leaving = self._links.pop(verdict.gives_way)
             self._count(LinkEnd.GAVE_WAY.value, leaving.peer)
             leaving.end(LinkEnd.GAVE_WAY)
-        link = self._hub.open(transport)
+        link = self._hub.open(self._guarded(transport))
         self._links[link.number] = link
         self._hub.spawn(self._serve(link), name=f"link to {transport.peer}")
+
+    def _guarded(self, transport: Transport) -> Transport:
+        if self._key is None or not self._admission.needs_key(transport.address):
+            return transport
+        return KeyedTransport(transport, self._key, on_refused=lambda cause: self._count(cause, transport.peer))
 
     async def _serve(self, link: Link) -> None:
         try:

@@ -75,6 +75,8 @@ class Link:
                     end = await self._read()
                 finally:
                     writer.cancel()
+        except* ConnectionRefusedError:  # by the transport: the device has no key
+            end = LinkEnd.REFUSED
         except* OSError as broken:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:

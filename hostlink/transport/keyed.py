@@ -1,0 +1,92 @@
+"""A key that host and device share, proven by both at the start of a connection, before the first byte of rosserial.
+
+    host -> device   "HLK1", 16 random bytes
+    device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
+    host -> device   HMAC-SHA256(key, "host", both randoms)
+
+It says who is there at the start: what comes later is neither encrypted nor protected.
+"""
+
+import asyncio
+import hmac
+import secrets
+from collections.abc import Callable
+from pathlib import Path
+
+from hostlink.errors import ConfigError
+from hostlink.transport.base import Transport
+
+MAGIC = b"HLK1"
+RANDOM_BYTES = 16
+PROOF_BYTES = 32
+ANSWER_BYTES = len(MAGIC) + RANDOM_BYTES + PROOF_BYTES
+PROOF_TIMEOUT_S = 3.0  # two ways over a bad radio; less than a link waits for its first write
+SHORTEST_KEY_BYTES = 16
+
+
+def read_key(file: Path) -> bytes:
+    """The key, without the white space around it. ConfigError when there is none."""
+    where = "tcp.key_file"
+    try:
+        key = file.read_bytes().strip()
+    except OSError as error:
+        raise ConfigError(where, f"{file}: {error.strerror}") from error
+    if len(key) < SHORTEST_KEY_BYTES:
+        raise ConfigError(
+            where, f"{file}: a key has at least {SHORTEST_KEY_BYTES} bytes; make one: openssl rand -hex 16"
+        )
+    return key
+
+
+def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> bytes:
+    """What only somebody with the key can say; `side` keeps one's from being said again by the other."""
+    return hmac.digest(key, side + host_random + device_random, "sha256")
+
+
+class KeyedTransport:
+    """A transport that gives and takes nothing before both sides have proven the key."""
+
+    def __init__(self, transport: Transport, key: bytes, *, on_refused: Callable[[str], None]) -> None:
+        """`on_refused`: told why, "no_key" or "wrong_key", before `receive` raises."""
+        self.peer, self.address = transport.peer, transport.address
+        self._transport = transport
+        self._key = key
+        self._on_refused = on_refused
+        self._is_proven = asyncio.Event()
+
+    async def receive(self) -> bytes:
+        """What has come; the first call proves the key. ConnectionRefusedError when the device cannot."""
+        if not self._is_proven.is_set():
+            refusal = await self._prove()
+            if refusal is not None:
+                self._on_refused(refusal)
+                raise ConnectionRefusedError(refusal)
+            self._is_proven.set()
+        return await self._transport.receive()
+
+    async def send(self, data: bytes) -> None:
+        """Waits for the proof first."""
+        await self._is_proven.wait()
+        await self._transport.send(data)
+
+    async def aclose(self) -> None:
+        """As the transport below."""
+        await self._transport.aclose()
+
+    async def _prove(self) -> str | None:
+        host_random = secrets.token_bytes(RANDOM_BYTES)
+        answer = b""
+        try:
+            async with asyncio.timeout(PROOF_TIMEOUT_S):
+                await self._transport.send(MAGIC + host_random)
+                while len(answer) < ANSWER_BYTES and (data := await self._transport.receive()):
+                    answer += data
+        except TimeoutError:
+            return "no_key"
+        if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):  # a device waits for the host's proof
+            return "no_key"
+        device_random, said = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
+        if not hmac.compare_digest(said, proof(self._key, b"device", host_random, device_random)):
+            return "wrong_key"
+        await self._transport.send(proof(self._key, b"host", host_random, device_random))
+        return None
