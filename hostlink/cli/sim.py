@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.addresses import parse_address
+from hostlink.errors import ConfigError
+from hostlink.sim.faults import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
 
 
@@ -16,11 +18,15 @@ def command(
     connect: Annotated[str, typer.Option(help="The host's address for devices: HOST:PORT.")] = "127.0.0.1:11411",
     robots: Annotated[int, typer.Option(min=1, max=200, help="How many: robot_0, robot_1, ...")] = 1,
     first: Annotated[int, typer.Option(min=0, help="The number of the first one.")] = 0,
+    fault: Annotated[str | None, typer.Option(help=f"What is wrong with them: {', '.join(FAULTS)}.")] = None,
 ) -> None:
     """Run simulated robots: the paper's, on a 38400 baud UART with all the faults of the original client library."""
+    if fault is not None and fault not in FAULTS:
+        raise ConfigError("--fault", f"{fault} is none of {', '.join(FAULTS)}")
+    chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(run_fleet(host, port, robots=robots, first=first, say=_say))
+        asyncio.run(run_fleet(host, port, robots=robots, first=first, fault=chosen, say=_say))
 
 
 def _say(line: str) -> None:

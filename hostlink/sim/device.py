@@ -68,14 +68,16 @@ class SimulatedDevice:
         baud: int | None = 38400,
         retries: bool = True,
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
+        clock_rate: float = 1.0,
     ) -> None:
-        """`retries`: with the paper's retry clause."""
+        """`retries`: with the paper's retry clause; `clock_rate`: seconds that its clock counts in one."""
         self.from_host = Uart(baud=baud)
         self.to_host = Uart(baud=baud, ring_bytes=1 << 30)  # the ESP8266 reads at once
         self.is_configured = False
         self.dropped_frames = 0
         self.frames = 0
         self._retries = retries
+        self._clock_rate = clock_rate
         self._buffer_bytes = buffer_bytes
         self._from_device: list[TopicInfo] = []
         self._to_device: list[tuple[TopicInfo, Callable[[bytes], None]]] = []
@@ -126,7 +128,7 @@ class SimulatedDevice:
 
     def wall_ns(self, now_s: float) -> int:
         """The host's time as this device knows it: the round trip is added whole, as the original does."""
-        return self._offset_ns + _ms(now_s) * 1_000_000
+        return self._offset_ns + self._ms(now_s) * 1_000_000
 
     def reboot(self) -> None:
         """Power off and on: all that was known of the host is gone."""
@@ -142,7 +144,7 @@ class SimulatedDevice:
         """One turn of spinOnce; None when it is done, else call again after so many seconds. DeviceCrashed."""
         if not self._is_spinning:
             self._is_spinning, self._is_retrying = True, False
-            self._began_ms = _ms(now_s)
+            self._began_ms = self._ms(now_s)
             if self._began_ms - self._time_heard_ms > HOST_TIMEOUT_MS:
                 self.is_configured = False
             if self._mode is not Mode.FIRST_FF and self._began_ms > self._frame_deadline_ms:
@@ -242,12 +244,12 @@ class SimulatedDevice:
 
     def _ask_time(self, now_s: float) -> None:
         self.publish(Id.TIME, bytes(8), now_s)
-        self._time_sent_ms = _ms(now_s)
+        self._time_sent_ms = self._ms(now_s)
 
     def _set_time(self, payload: bytes, now_s: float) -> None:
         wall_ns = decode_time(payload)
         if wall_ns is not None:
-            now_ms = _ms(now_s)
+            now_ms = self._ms(now_s)
             self._offset_ns = wall_ns + (now_ms - self._time_sent_ms) * 1_000_000 - now_ms * 1_000_000
             self._time_heard_ms = now_ms
 
@@ -262,6 +264,5 @@ class SimulatedDevice:
             answer, self._parameter = self._parameter, None
             answer(parameter)
 
-
-def _ms(now_s: float) -> int:
-    return math.floor(now_s * 1000 + 1e-6)
+    def _ms(self, now_s: float) -> int:
+        return math.floor(now_s * self._clock_rate * 1000 + 1e-6)

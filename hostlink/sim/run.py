@@ -5,6 +5,8 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 from hostlink.messages.catalog import Catalog
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 
 READ_BYTES = 4096
@@ -13,25 +15,38 @@ LINE_POLL_S = 0.004  # how often what has left the UART is passed on: as an ESP8
 
 
 async def run_fleet(
-    host: str, port: int, *, robots: int = 1, first: int = 0, say: Callable[[str], None] = lambda _: None
+    host: str,
+    port: int,
+    *,
+    robots: int = 1,
+    first: int = 0,
+    fault: Fault = HEALTHY,
+    say: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Run robot_0, robot_1, ... until cancelled; each connects again for ever."""
     catalog = Catalog()
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
-            robot = SimulatedRobot(f"robot_{number}", catalog)
-            tasks.create_task(run_over_tcp(robot, host, port, say=say), name=robot.name)
+            robot = SimulatedRobot(f"robot_{number}", catalog, device=SimulatedDevice(clock_rate=fault.clock_rate))
+            tasks.create_task(run_over_tcp(robot, host, port, fault=fault, say=say), name=robot.name)
 
 
 async def run_over_tcp(
-    robot: SimulatedRobot, host: str, port: int, *, say: Callable[[str], None] = lambda _: None
+    robot: SimulatedRobot,
+    host: str,
+    port: int,
+    *,
+    fault: Fault = HEALTHY,
+    local_host: str | None = None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Connect, talk, connect again, until cancelled; the robot's own loop never stops."""
+    """Connect (from `local_host`), talk, connect again, until cancelled; the robot's own loop never stops."""
+    local = None if local_host is None else (local_host, 0)
     said = ""
     async with _alive(robot):
         while True:
             try:
-                reader, writer = await asyncio.open_connection(host, port)
+                reader, writer = await asyncio.open_connection(host, port, local_addr=local)
             except OSError as error:
                 if said != str(error):
                     said = str(error)
@@ -39,15 +54,21 @@ async def run_over_tcp(
             else:
                 said = ""
                 say(f"{robot.name}: connected to {host}:{port}")
-                await _talk(robot, reader, writer)
-                say(f"{robot.name}: the host closed the connection")
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(fault.runs_s):
+                        await _talk(robot, reader, writer, fault)
+                    say(f"{robot.name}: the host closed the connection")
+                if fault.runs_s is not None:
+                    robot.reboot()
             await asyncio.sleep(RECONNECT_S)
 
 
-async def run_over_streams(robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def run_over_streams(
+    robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
+) -> None:
     """Run the robot on an open connection until that ends."""
     async with _alive(robot):
-        await _talk(robot, reader, writer)
+        await _talk(robot, reader, writer, fault)
 
 
 @contextlib.asynccontextmanager
@@ -61,13 +82,15 @@ async def _alive(robot: SimulatedRobot) -> AsyncIterator[None]:
             loop.cancel()
 
 
-async def _talk(robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _talk(
+    robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, fault: Fault
+) -> None:
     """Carry bytes between the robot's UART and the connection, until one of them ends it."""
     now_s = asyncio.get_running_loop().time
     with contextlib.suppress(OSError):  # the host is gone; the caller decides what next
         try:
             async with asyncio.TaskGroup() as tasks:
-                passing = tasks.create_task(_pass_on(robot, writer), name=f"{robot.name} UART")
+                passing = tasks.create_task(_pass_on(robot, writer, fault), name=f"{robot.name} UART")
                 try:
                     while data := await reader.read(READ_BYTES):
                         robot.device.from_host.send(data, now_s())
@@ -82,10 +105,11 @@ async def _talk(robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asy
             await writer.wait_closed()
 
 
-async def _pass_on(robot: SimulatedRobot, writer: asyncio.StreamWriter) -> None:
+async def _pass_on(robot: SimulatedRobot, writer: asyncio.StreamWriter, fault: Fault) -> None:
     now_s = asyncio.get_running_loop().time
+    line = FaultyLine(fault)
     while True:
-        data = robot.device.to_host.take(now_s())
+        data = line.pass_on(robot.device.to_host.take(now_s()))
         if data:
             writer.write(data)
             await writer.drain()

@@ -1,0 +1,74 @@
+"""Every fault that a simulated device can have is named: over a real connection, by the daemon's API."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+import pytest_asyncio
+
+from hostlink.messages.catalog import Catalog
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.faults import FAULTS, HEALTHY, Fault
+from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.run import run_over_tcp
+from tests.support.daemon import Daemon, daemon
+
+PATIENCE_S = 25.0
+LOOK_S = 0.2
+CODES = {
+    "silence": "no_bytes",
+    "wrong_baud": "wrong_baud",
+    "protocol_1": "protocol_1",
+    "text": "text_on_line",
+    "no_topics": "no_topics",
+    "wrong_md5": "wrong_md5",
+    "time_stops": "time_stopped",
+    "small_buffer": "buffer_too_small",
+    "reboots": "reboots",
+    "boot_noise": "boot_noise",
+    "clock": "clock_trouble",
+}
+Seen = dict[str, dict[str, dict[str, Any]]]  # robot -> code -> finding, over the whole time
+
+
+@contextlib.asynccontextmanager
+async def robots(host: Daemon, faults: dict[str, Fault]) -> AsyncIterator[None]:
+    """A robot for each fault, each at an address of its own."""
+    async with asyncio.TaskGroup() as tasks:
+        running = []
+        for number, (name, fault) in enumerate(faults.items()):
+            device = SimulatedDevice(clock_rate=fault.clock_rate)
+            robot = SimulatedRobot(name, Catalog(), device=device)
+            where = f"127.0.1.{number + 1}"
+            running.append(tasks.create_task(run_over_tcp(robot, *host.tcp, fault=fault, local_host=where)))
+        yield
+        for each in running:
+            each.cancel()
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def seen() -> Seen:
+    """All the faults at once on one daemon, until each of them was named."""
+    faults = {"healthy": HEALTHY} | FAULTS
+    found: Seen = {name: {} for name in faults}
+    async with daemon() as host, robots(host, faults), asyncio.timeout(PATIENCE_S):
+        names = {f"127.0.1.{number + 1}": name for number, name in enumerate(faults)}
+        while not all(CODES[name] in found[name] for name in FAULTS):
+            view = await host.get("/api/links")
+            for link in [*view["links"], *view["ended"]]:
+                name = names[link["peer"].rpartition(":")[0]]
+                found[name] |= {each["code"]: each for each in link["diagnosis"]}
+            await asyncio.sleep(LOOK_S)
+    return found
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+async def test_the_fault_is_named(fault: str, seen: Seen) -> None:
+    assert CODES[fault] in seen[fault]
+    assert set(seen[fault]) <= {CODES[fault], "went_silent"}
+
+
+async def test_a_healthy_robot_has_no_findings(seen: Seen) -> None:
+    assert seen["healthy"] == {}
