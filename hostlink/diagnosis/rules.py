@@ -59,8 +59,8 @@ def _foreign(evidence: Evidence) -> tuple[str, str] | None:
         if is_text(sample):
             is_boot = any(word in sample for word in BOOT_WORDS)
             return "boot_noise" if is_boot else "text_on_line", f'"{_excerpt(sample)}"'
-        if evidence.age_s >= JUDGED_S and recent.skipped_bytes >= UNREADABLE_SHARE * recent.bytes_from_device:
-            return _unreadable(evidence)
+        if recent.skipped_bytes >= UNREADABLE_SHARE * recent.bytes_from_device:
+            return _unreadable(evidence) if evidence.age_s >= JUDGED_S else None
     if recent.bad_checksums >= BAD_CHECKSUMS:
         return "damaged", f"{recent.bad_checksums} bad checksums and {recent.frames} good frames"
     return _burst(evidence)
