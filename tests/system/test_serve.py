@@ -23,6 +23,7 @@ from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run, serve, simulated
 
 ZERO = (0.0, 0.0)
+STOP_S = 0.6  # a robot's own watchdog is 0.5 s, looked at each thirtieth of a second
 PROGRAM = Path(__file__).parent.parent / "support" / "program.py"
 
 
@@ -64,8 +65,14 @@ async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
         await daemon.child.wait()
         await running
     assert robot.device.is_configured  # it has not noticed yet, and will not for 11 s
-    spins = [robot.turn(time.monotonic() + turn / 30) for turn in range(30)]
-    assert spins.count(None) >= 15
+    last_s = robot._commanded_at_s
+    assert last_s is not None
+    now_s = time.monotonic()
+    for turn in range(int((last_s + STOP_S - now_s) * 30)):
+        robot.turn(now_s + turn / 30)
+    assert [control.pwm for control in robot.controllers] == [0, 0]
+    for turn in range(20):  # it rolls out
+        robot.turn(last_s + 1.0 + turn / 30)
     assert robot.speed_m_s < 0.01
 
 
