@@ -3,7 +3,9 @@
 import asyncio
 import contextlib
 import errno
+import itertools
 import mimetypes
+import socket as sockets
 from collections.abc import AsyncIterator
 from http import HTTPStatus
 from importlib.resources import files
@@ -35,7 +37,8 @@ log = structlog.get_logger()
 PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
-SEND_BUFFER_BYTES = 64 * 1024  # in the process, behind the client's queue, where lag is not seen
+SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
+SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
 PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
 PAGE_HEADERS = {
     "Cache-Control": "no-store",
@@ -133,13 +136,16 @@ class ApiServer:
         queue = ClientQueue(asyncio.get_running_loop().time)
         client = self._clients.enter("rosbridge", request, present_grant.get(), queue)
         socket = web.WebSocketResponse(
-            heartbeat=PING_INTERVAL_S, max_msg_size=self._config.max_message_bytes, compress=False
+            heartbeat=PING_INTERVAL_S,
+            max_msg_size=self._config.max_message_bytes,
+            compress=False,
+            timeout=SHUTDOWN_TIMEOUT_S,
+            writer_limit=0,  # each send waits for room in the buffer, so that what is too much waits in the queue
         )
         with bound_contextvars(client=client.name, peer=request.remote):
             try:
                 await socket.prepare(request)
-                if request.transport is not None:
-                    request.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+                _bound_buffers(request)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
                 await self._talk(socket, client, queue)
@@ -148,6 +154,8 @@ class ApiServer:
             finally:
                 self._sockets.discard(socket)
                 self._clients.leave(client)
+                if request.transport is not None and request.transport.get_write_buffer_size():
+                    request.transport.abort()  # it takes nothing: closing would wait for it without end
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
         return socket
 
@@ -180,29 +188,48 @@ class ApiServer:
     ) -> None:
         """Send what is queued; a client that cannot keep up with its answers is told, and closed."""
         loop = asyncio.get_running_loop()
-        while True:
-            due_s = rosbridge.flush(loop.time())
-            while (outgoing := queue.take()) is not None:
-                async with asyncio.timeout(SEND_TIMEOUT_S):
-                    if outgoing.is_binary:
-                        await socket.send_bytes(outgoing.data)
-                    else:
-                        await socket.send_str(outgoing.data.decode())
-                client.sent(len(outgoing.data))
-                self._metrics.to_client.observe(loop.time() - outgoing.since_s)
-            if queue.is_too_slow:
-                log.warning("client.too_slow", dropped=queue.dropped)
-                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up")
-                return
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(due_s):
-                    await queue.wait()
+        async with asyncio.timeout(None) as patience:
+            while not queue.is_too_slow:
+                due_s = rosbridge.flush(loop.time())
+                patience.reschedule(loop.time() + SEND_TIMEOUT_S)
+                for outgoing in itertools.islice(iter(queue.take, None), SEND_BATCH):
+                    kind = WSMsgType.BINARY if outgoing.is_binary else WSMsgType.TEXT
+                    await socket.send_frame(outgoing.data, kind)
+                    client.sent(len(outgoing.data))
+                    self._metrics.to_client.observe(loop.time() - outgoing.since_s)
+                patience.reschedule(None)
+                await _wait(queue, due_s)
+        log.warning("client.too_slow", dropped=queue.dropped)
+        await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up", drain=False)
+        raise ConnectionAbortedError("answers pile up")  # ends the reader too, which may wait for room
 
     async def _close_sockets(self, _: web.Application) -> None:
-        for socket in list(self._sockets):
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
-                    await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops")
+        async with asyncio.TaskGroup() as tasks:  # all at once: a hundred that are stuck take no longer than one
+            for socket in self._sockets:
+                tasks.create_task(_say_goodbye(socket))
+
+
+async def _say_goodbye(socket: web.WebSocketResponse) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
+            await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops", drain=False)
+
+
+async def _wait(queue: ClientQueue, until_s: float | None) -> None:
+    """Wait for something to send, or until then."""
+    if until_s is None:
+        await queue.wait()
+        return
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout_at(until_s):
+            await queue.wait()
+
+
+def _bound_buffers(request: web.Request) -> None:
+    """Little waits behind the client's queue, in the process and in the kernel: there nothing is dropped or counted."""
+    if request.transport is not None:
+        request.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
+        request.transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
 
 
 def _is_websocket(request: web.Request) -> bool:

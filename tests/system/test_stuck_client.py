@@ -1,0 +1,147 @@
+"""A hundred clients, of which one never reads and one never stops talking: what the others and the daemon notice."""
+
+import asyncio
+import contextlib
+import json
+import re
+import socket
+import statistics
+import struct
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import aiohttp
+
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import FakeDevice, fake_device, pose, topic
+from tests.support.process import Process, serve
+from tests.support.waiting import expect
+
+GOOD = 98
+TICK_S = 0.05
+IMAGES = 50  # a tick: a thousand a second
+TOPICS = [
+    topic(Id.PUBLISHER, 125, "/pose", "geometry_msgs/Pose2D"),
+    topic(Id.PUBLISHER, 126, "/image", "std_msgs/UInt8MultiArray"),
+]
+IMAGE = encode(126, bytes(8) + struct.pack("<I", 400) + bytes(400))
+RECEIVE_BUFFER_BYTES = 4096
+
+
+class Crowd:
+    """The good clients: each measures how old a pose is when it comes."""
+
+    def __init__(self) -> None:
+        self.ages_s: list[float] = []
+
+    async def listen(self, web_socket: aiohttp.ClientWebSocketResponse) -> None:
+        async for message in web_socket:
+            self.ages_s.append(time.perf_counter() - json.loads(message.data)["msg"]["x"])
+
+    def take_p99_s(self) -> float:
+        ages_s, self.ages_s = self.ages_s, []
+        assert len(ages_s) > 1000
+        return statistics.quantiles(ages_s, n=100)[98]
+
+
+@contextlib.asynccontextmanager
+async def crowd(daemon: Process) -> AsyncIterator[Crowd]:
+    everybody = Crowd()
+    async with contextlib.AsyncExitStack() as stack, asyncio.TaskGroup() as tasks:
+        session = await stack.enter_async_context(aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)))
+        sockets = [await session.ws_connect(daemon.url) for _ in range(GOOD)]
+        for each in sockets:
+            await each.send_json({"op": "subscribe", "topic": "/pose"})
+            tasks.create_task(everybody.listen(each))
+        yield everybody
+        for each in sockets:
+            await each.close()
+
+
+def frame(**request: object) -> bytes:
+    """A WebSocket frame of a client, masked with zeros."""
+    body = json.dumps(request).encode()
+    return bytes([0x81, 0xFE]) + struct.pack(">H", len(body)) + bytes(4) + body
+
+
+@contextlib.asynccontextmanager
+async def raw_client(daemon: Process) -> AsyncIterator[socket.socket]:
+    """A socket from which nothing is taken once it is a WebSocket."""
+    loop = asyncio.get_running_loop()
+    with socket.socket() as raw:
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+        raw.setblocking(False)
+        await loop.sock_connect(raw, ("127.0.0.1", int(daemon.url.rpartition(":")[2])))
+        head = "GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        head += "Sec-WebSocket-Key: c3R1Y2sgc3R1Y2sgc3R1Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+        await loop.sock_sendall(raw, head.encode())
+        while b"\r\n\r\n" not in await loop.sock_recv(raw, RECEIVE_BUFFER_BYTES):
+            continue
+        yield raw
+
+
+async def never_reads(raw: socket.socket) -> None:
+    """A client that subscribes to everything."""
+    for name in ("/pose", "/image", "/rosout"):
+        await asyncio.get_running_loop().sock_sendall(raw, frame(op="subscribe", topic=name))
+
+
+async def never_stops(raw: socket.socket) -> None:
+    """A client that talks as fast as it can, and asks questions without reading the answers."""
+    publish = frame(op="publish", topic="/chat", type="std_msgs/String", msg={"data": "x" * 100})
+    ask = frame(op="call_service", id="1", service="/rosapi/topics")
+    with contextlib.suppress(ConnectionError):
+        while True:
+            await asyncio.get_running_loop().sock_sendall(raw, publish + ask)
+            await asyncio.sleep(0)
+
+
+async def tick(device: FakeDevice, until: asyncio.Event) -> None:
+    while not until.is_set():
+        await device.send(IMAGE * IMAGES + pose(time.perf_counter()))
+        await asyncio.sleep(TICK_S)
+
+
+async def set_later(event: asyncio.Event, after_s: float) -> None:
+    await asyncio.sleep(after_s)
+    event.set()
+
+
+async def until_closed(daemon: Process, clients: set[str], done: asyncio.Event) -> int:
+    """How many messages were dropped for these clients until the daemon closed them."""
+    dropped = 0
+    while clients:
+        line = await daemon.read_log("client.closed")
+        clients.discard(line["client"])
+        dropped += line["dropped"]
+    done.set()
+    return dropped
+
+
+def resident_mib(daemon: Process) -> float:
+    status = Path(f"/proc/{daemon.child.pid}/status").read_text()
+    return int(re.findall(r"VmRSS:\s+(\d+)", status)[0]) / 1024
+
+
+def open_files(daemon: Process) -> int:
+    return len(list(Path(f"/proc/{daemon.child.pid}/fd").iterdir()))
+
+
+async def test_one_stuck_client_among_a_hundred_costs_the_others_nothing_and_the_daemon_little() -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, TOPICS) as device, crowd(daemon) as others:
+        alone, done = asyncio.Event(), asyncio.Event()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(set_later(alone, 2.0))
+            await tick(device, alone)
+        p99_alone_s, files, before_mib = others.take_p99_s(), open_files(daemon), resident_mib(daemon)
+        async with raw_client(daemon) as stuck, raw_client(daemon) as loud, asyncio.TaskGroup() as tasks:
+            await never_reads(stuck)
+            tasks.create_task(never_stops(loud))
+            closing = tasks.create_task(until_closed(daemon, {f"client {GOOD + 1}", f"client {GOOD + 2}"}, done))
+            await tick(device, done)
+        p99_beside_s = others.take_p99_s()
+        assert closing.result() > 100  # it was told nothing, it lost only its own
+        assert p99_beside_s < max(5 * p99_alone_s, 0.15), (p99_alone_s, p99_beside_s)
+        assert resident_mib(daemon) - before_mib < 32
+        await expect(lambda: open_files(daemon) <= files)  # neither of them is left behind
