@@ -39,10 +39,10 @@ class BadPayload(HostlinkError):
 
 
 class FrameTooLarge(HostlinkError):
-    """A frame over the buffer that the device announced; sent, it would corrupt the device."""
+    """A frame over what the device can take: its buffer, or its line while a stop may be needed."""
 
-    def __init__(self, topic: str, frame_bytes: int, limit_bytes: int) -> None:
-        super().__init__(f"{topic}: frame of {frame_bytes} bytes, the device takes {limit_bytes}")
+    def __init__(self, topic: str, frame_bytes: int, limit_bytes: int, *, when: str = "") -> None:
+        super().__init__(f"{topic}: frame of {frame_bytes} bytes, the device takes {limit_bytes}{when and f' {when}'}")
         self.topic, self.frame_bytes, self.limit_bytes = topic, frame_bytes, limit_bytes
 
 

@@ -106,6 +106,9 @@ class _Graph(Collector):
             "hostlink_link_rejected", "False starts of frames, by cause", labels=[*names, "cause"]
         )
         silent = GaugeMetricFamily("hostlink_link_silent_seconds", "Since the last byte", labels=names)
+        oldest = GaugeMetricFamily(
+            "hostlink_link_oldest_waiting_seconds", "Age of the oldest frame that waits for the device", labels=names
+        )
         for link in self._hub.links():
             labels = [link.address, robots.get(link, "")]
             facts = link.facts()
@@ -114,7 +117,8 @@ class _Graph(Collector):
             for cause, count in link.session.rejected.items():
                 rejected.add_metric([*labels, cause], count)
             silent.add_metric(labels, now_s - link.heard_at_s)
-        yield from (*counters.values(), rejected, silent)
+            oldest.add_metric(labels, link.session.oldest_waiting_s(now_s))
+        yield from (*counters.values(), rejected, silent, oldest)
 
     def _to_clients(self) -> Iterator[Metric]:
         clients = self._clients.views()

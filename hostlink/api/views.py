@@ -33,6 +33,8 @@ class OdometryView(TypedDict):
     age_s: float
     rate_hz: float
     count: int
+    restarts: int
+    ignored: int
 
 
 class RobotView(TypedDict):
@@ -92,6 +94,8 @@ class LinkView(TypedDict):
     asks: int
     replaced: int
     rejected: dict[str, int]
+    slowest_wait_s: float
+    oldest_waiting_s: float
 
 
 class EndedLinkView(TypedDict):

@@ -204,6 +204,7 @@ class Robots:
         payload = self.twist.encode(velocity.to_twist())
         try:
             robot.link.session.publish(robot.topics.velocity, payload, is_urgent=True)
+            robot.link.session.keep_clear(robot_moves=robot.gate.may_move)
         except HostlinkError as error:
             log.warning("robot.unreachable", robot=robot.name, cause=str(error))
             return

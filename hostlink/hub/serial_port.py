@@ -13,13 +13,17 @@ from hostlink.transport.serial import SerialTransport, open_serial
 
 log = structlog.get_logger()
 
+BITS_A_BYTE = 10  # 8N1
 RETRY_S = 1.0  # a port that vanished is looked for this often
 
 
 async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
     """Serve until cancelled."""
     said = ""
-    link_config = dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None)
+    uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
+    link_config = dataclasses.replace(
+        hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s
+    )
     while True:  # silence ends no link here: a port says by itself when it is gone, and opening one may reset a board
         try:
             transport = await open_serial(config)

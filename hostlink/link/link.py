@@ -94,6 +94,7 @@ class Link:
     def wake(self) -> None:
         """Something was put into the session's outbox."""
         self._is_drained.clear()
+        self.session.wait_s(asyncio.get_running_loop().time())  # its age begins, also while the writer is stuck
         self._wake.set()
 
     async def drained(self) -> None:
@@ -102,13 +103,15 @@ class Link:
 
     def facts(self) -> dict[str, object]:
         """What the link has seen so far: for its last log line and for the API."""
-        seconds = asyncio.get_running_loop().time() - self.opened_at_s
+        now_s = asyncio.get_running_loop().time()
         counts = dataclasses.asdict(self.session.counts)
         return {
-            "seconds": round(seconds, 3),
+            "seconds": round(now_s - self.opened_at_s, 3),
             **counts,
             "replaced": self.session.replaced,
             "rejected": self.session.rejected,
+            "slowest_wait_s": round(self.session.slowest_wait_s, 6),
+            "oldest_waiting_s": round(self.session.oldest_waiting_s(now_s), 6),
         }
 
     async def _read(self) -> LinkEnd:

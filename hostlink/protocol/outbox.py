@@ -1,31 +1,62 @@
 """Outbox: what waits for one device, in which order it leaves, and when its UART can take it."""
 
 from collections import deque
+from collections.abc import Hashable, Iterator
 
 from hostlink.errors import DeviceBusy
 from hostlink.protocol.control import encode_time
 from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
+LOOP_S = 1 / 30  # ROBOT.md: one turn of the robot's loop, the longest that a stop may wait
 RING_BYTES = 128  # ROBOT.md: the receive ring of the Due's UART, so the largest burst that it takes
+TIME_BYTES = 16
+CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # what may go ahead of a velocity
+VELOCITY_BYTES = 56
 MAX_REPLIES = 32
+
+
+class _Waiting:
+    """A frame, and since when it waits."""
+
+    __slots__ = ("frame", "is_awaited", "since_s")
+
+    def __init__(self, frame: bytes, *, is_awaited: bool = False) -> None:
+        self.frame, self.is_awaited = frame, is_awaited
+        self.since_s: float | None = None
+
+    def age_s(self, now_s: float) -> float:
+        return 0.0 if self.since_s is None else now_s - self.since_s
+
+
+_Queues = dict[Hashable, deque[_Waiting]]  # they take turns: the first in the dictionary is next
 
 
 class Outbox:
     """In this order: time answer, request for topics, urgent commands, replies and calls, other commands, stop.
 
-    A command replaces the one of its topic that has not left yet. All is paced by a token bucket of one UART ring, so
-    that nothing queues up behind the wire, where it could not be replaced.
+    A command replaces the one of its topic that has not left yet. A frame leaves when the device's UART has so little
+    left of earlier ones that a velocity put after it is on the wire within one LOOP_S. A frame on the wire cannot be
+    interrupted, and in pieces a device would drop it (its rule of 20 ms): so one that alone takes longer waits while
+    the robot moves. Only an answer to the device's own question does not: the device asks, and waits for it spinning.
+
+    Age counts from the first `wait_s` or `take` after a frame was put; the link calls it at once.
     """
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
-        self._uart_bytes_s = uart_bytes_s
+        self.slowest_wait_s = 0.0  # of all frames that left
+        self.robot_moves = False
+        self._uart = _Uart(uart_bytes_s)
         self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
-        self._urgent: dict[int, bytes] = {}
-        self._replies: deque[bytes] = deque()
-        self._commands: dict[int, deque[bytes]] = {}
-        self._credit_bytes = float(RING_BYTES)
-        self._credit_at_s = 0.0
+        self._urgent: _Queues = {}
+        self._replies: _Queues = {}
+        self._commands: _Queues = {}
+        self._new: list[_Waiting] = []  # whose age has not begun
+
+    @property
+    def prompt_bytes(self) -> float:
+        """The longest frame that may leave while the robot moves."""
+        return self._uart.prompt_bytes
 
     def put_time(self) -> None:
         """Answer the time; the clock is read when the answer leaves."""
@@ -41,85 +72,132 @@ class Outbox:
 
     def put_urgent(self, topic_id: int, frame: bytes) -> None:
         """Queue a command that must not wait behind anything but the time: a velocity. After a stop it is too late."""
-        if self._is_stopped:
-            return
-        if self._urgent.pop(topic_id, None) is not None:
-            self.replaced += 1
-        self._urgent[topic_id] = frame
+        if not self._is_stopped:
+            self._put(self._urgent, topic_id, _Waiting(frame), depth=1)
 
     def put_reply(self, name: str, frame: bytes) -> None:
-        """Queue an answer or a call; DeviceBusy when too many wait."""
-        if len(self._replies) >= MAX_REPLIES:
-            raise DeviceBusy(name, len(self._replies))
-        self._replies.append(frame)
+        """Queue an answer to a question of the device's; DeviceBusy when too many wait."""
+        self._put_reply(name, _Waiting(frame, is_awaited=True))
+
+    def put_call(self, name: str, frame: bytes) -> None:
+        """Queue a call of a service of the device's; DeviceBusy when too many wait."""
+        self._put_reply(name, _Waiting(frame))
 
     def put_command(self, topic_id: int, frame: bytes, *, depth: int = 1) -> None:
         """Queue a message of a topic that keeps the newest `depth`; it takes its turn behind other topics."""
-        waiting = self._commands.pop(topic_id, None) or deque()
-        while len(waiting) >= depth:
-            waiting.popleft()
-            self.replaced += 1
-        waiting.append(frame)
-        self._commands[topic_id] = waiting
+        self._put(self._commands, topic_id, _Waiting(frame), depth=depth)
 
     def drop_messages(self) -> None:
         """Forget every command, call and response: the ids may mean other topics now. Parameters have no such id."""
+        self.robot_moves = False
         self._urgent.clear()
         self._commands.clear()
-        self._replies = deque(frame for frame in self._replies if HEADER.unpack_from(frame)[3] < FIRST_TOPIC_ID)
+        for name, waiting in list(self._replies.items()):
+            kept = deque(one for one in waiting if HEADER.unpack_from(one.frame)[3] < FIRST_TOPIC_ID)
+            if kept:
+                self._replies[name] = kept
+            else:
+                del self._replies[name]
 
     def take(self, *, now_s: float, wall_ns: int) -> bytes | None:
         """The next frame to write, or None: nothing waits, or the UART is still busy with the last ones."""
         if self.wait_s(now_s) != 0:
             return None
-        frame = self._next(wall_ns)
-        self._credit_bytes -= len(frame)
+        frame = self._next(now_s, wall_ns)
+        self._uart.add(len(frame), now_s)
         return frame
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `take` gives a frame; None when nothing waits."""
-        if not self._is_anything_due():
-            return None
-        if self._uart_bytes_s is None:
-            return 0.0
-        earned_bytes = (now_s - self._credit_at_s) * self._uart_bytes_s
-        self._credit_bytes = min(float(RING_BYTES), self._credit_bytes + earned_bytes)
-        self._credit_at_s = now_s
-        if self._credit_bytes > -1:  # less than a byte short may be rounding, for which no clock can wait
-            return 0.0
-        return -self._credit_bytes / self._uart_bytes_s
+        """Seconds until `take` gives a frame; None when nothing waits, or only for the robot to stand."""
+        for waiting in self._new:
+            waiting.since_s = now_s
+        self._new.clear()
+        if not self._is_stopped and (self._is_time_due or self._is_request_due):
+            return self._uart.wait_s(TIME_BYTES, now_s)
+        found = self._head()
+        if found is not None:
+            queues, key = found
+            is_urgent = queues is self._urgent
+            return self._uart.wait_s(len(queues[key][0].frame), now_s, spare_bytes=0 if is_urgent else CONTROL_BYTES)
+        return self._uart.wait_s(len(STOP_REQUEST), now_s) if self._is_stop_due else None
 
-    def _is_anything_due(self) -> bool:
-        if self._is_stopped:
-            return self._is_stop_due
-        is_control_due = self._is_time_due or self._is_request_due
-        return is_control_due or bool(self._urgent or self._replies or self._commands)
+    def oldest_s(self, now_s: float) -> float:
+        """How long the frame has waited that waits longest; 0 when none does."""
+        return max((waiting.age_s(now_s) for waiting in self._all()), default=0.0)
 
-    def _next(self, wall_ns: int) -> bytes:
-        if self._is_stopped:
-            return self._next_of_the_last()
-        if self._is_time_due:
+    def _all(self) -> Iterator[_Waiting]:
+        for queues in (self._urgent, self._replies, self._commands):
+            for waiting in queues.values():
+                yield from waiting
+
+    def _put(self, queues: _Queues, key: Hashable, new: _Waiting, *, depth: int) -> None:
+        waiting = queues.pop(key, None) or deque()
+        while len(waiting) >= depth:
+            waiting.popleft()
+            self.replaced += 1
+        waiting.append(new)
+        queues[key] = waiting
+        self._new.append(new)
+
+    def _put_reply(self, name: str, new: _Waiting) -> None:
+        count = sum(map(len, self._replies.values()))
+        if count >= MAX_REPLIES:
+            raise DeviceBusy(name, count)
+        self._replies.setdefault(name, deque()).append(new)
+        self._new.append(new)
+
+    def _head(self) -> tuple[_Queues, Hashable] | None:
+        """Where the next frame of a queue is."""
+        for queues in (self._urgent,) if self._is_stopped else (self._urgent, self._replies, self._commands):
+            for key, waiting in queues.items():
+                if queues is self._urgent or not self._is_held(waiting[0]):
+                    return queues, key
+        return None
+
+    def _is_held(self, waiting: _Waiting) -> bool:
+        return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
+
+    def _next(self, now_s: float, wall_ns: int) -> bytes:
+        if self._is_time_due and not self._is_stopped:
             self._is_time_due = False
             return encode(Id.TIME, encode_time(wall_ns))
-        if self._is_request_due:
+        if self._is_request_due and not self._is_stopped:
             self._is_request_due = False
             return TOPICS_REQUEST
-        if self._urgent:
-            return self._urgent.pop(next(iter(self._urgent)))
-        if self._replies:
-            return self._replies.popleft()
-        return self._next_command()
-
-    def _next_of_the_last(self) -> bytes:
-        if self._urgent:
-            return self._urgent.pop(next(iter(self._urgent)))
-        self._is_stop_due = False
-        return STOP_REQUEST
-
-    def _next_command(self) -> bytes:
-        topic_id, waiting = next(iter(self._commands.items()))
-        frame = waiting.popleft()
-        del self._commands[topic_id]
+        found = self._head()
+        if found is None:
+            self._is_stop_due = False
+            return STOP_REQUEST
+        queues, key = found
+        waiting = queues.pop(key)
+        one = waiting.popleft()
         if waiting:
-            self._commands[topic_id] = waiting
-        return frame
+            queues[key] = waiting  # behind the others
+        self.slowest_wait_s = max(self.slowest_wait_s, one.age_s(now_s))
+        return one.frame
+
+
+class _Uart:
+    """How much of what was sent the device's UART has not passed on yet; one of unknown speed passes all on at once."""
+
+    def __init__(self, bytes_s: int | None) -> None:
+        self._bytes_s = bytes_s
+        self._busy_until_s = float("-inf")
+        self._turn_bytes = float("inf") if bytes_s is None else min(RING_BYTES, bytes_s * LOOP_S)
+        # On a line so slow that a velocity alone takes longer than a turn, others may be as long as a velocity.
+        self.prompt_bytes = max(self._turn_bytes - CONTROL_BYTES, VELOCITY_BYTES)
+
+    def add(self, size_bytes: int, now_s: float) -> None:
+        """A frame leaves."""
+        if self._bytes_s is not None:
+            self._busy_until_s = max(self._busy_until_s, now_s) + size_bytes / self._bytes_s
+
+    def wait_s(self, size_bytes: int, now_s: float, *, spare_bytes: int = 0) -> float:
+        """Seconds until a frame may leave: with what is left of others it must fit into one turn, less the spare."""
+        if self._bytes_s is None:
+            return 0.0
+        left_bytes = (self._busy_until_s - now_s) * self._bytes_s
+        allowed_bytes = max(self._turn_bytes - spare_bytes - size_bytes, 0.0)
+        if left_bytes < allowed_bytes + 1:  # less than a byte may be rounding, for which no clock can wait
+            return 0.0
+        return (left_bytes - allowed_bytes) / self._bytes_s

@@ -164,6 +164,19 @@ class Session:
         return self._outbox.replaced
 
     @property
+    def slowest_wait_s(self) -> float:
+        """The longest that a frame waited before it left."""
+        return self._outbox.slowest_wait_s
+
+    def oldest_waiting_s(self, now_s: float) -> float:
+        """How long the frame has waited that waits longest; 0 when none does."""
+        return self._outbox.oldest_s(now_s)
+
+    def keep_clear(self, *, robot_moves: bool) -> None:
+        """Say whether a stop may be needed soon: then no frame may take a slow line for longer than a stop may wait."""
+        self._outbox.robot_moves = robot_moves
+
+    @property
     def rejected(self) -> dict[str, int]:
         """Starts of frames that were none, by cause."""
         return {cause.value: count for cause, count in self._stream.rejected.items()}
@@ -175,12 +188,12 @@ class Session:
         if is_urgent:
             self._outbox.put_urgent(info.topic_id, frame)
         else:
-            self._outbox.put_command(info.topic_id, frame, depth=depth)
+            self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device's."""
         info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
-        self._outbox.put_reply(service, self._encode(info, payload))
+        self._outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
 
     def answer(self, service: str, payload: bytes) -> None:
         """Queue the response to a request of the device's."""
@@ -323,6 +336,12 @@ class Session:
             self.too_large = str(error)
             raise error
         return encode(topic_id, payload)
+
+    def _prompt(self, info: TopicInfo, frame: bytes) -> bytes:
+        """The frame, or FrameTooLarge if a stop would have to wait behind it."""
+        if self._outbox.robot_moves and len(frame) > self._outbox.prompt_bytes:
+            raise FrameTooLarge(info.name, len(frame), int(self._outbox.prompt_bytes), when="while the robot moves")
+        return frame
 
 
 def _buffer_bytes(info: TopicInfo) -> int:

@@ -264,3 +264,32 @@ def test_stop_is_the_last_frame() -> None:
     host.session.stop()
     assert [frame.topic_id for frame in host.sent()] == [100, Id.STOP]
     assert host.session.replaced == 0
+
+
+def test_what_a_stop_would_have_to_wait_behind_is_refused_while_the_robot_moves() -> None:
+    text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
+    service = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 102, "/service", "x/Y", "m", 512)
+    session = Session(check=check, uart_bytes_s=3840)
+    session.open(now_s=0.0)
+    session.receive(TIME + wire(text, service) + TIME, now_s=0.1)
+    session.keep_clear(robot_moves=True)
+    for send in (session.publish, session.call):
+        name = "/text" if send == session.publish else "/service"
+        with pytest.raises(FrameTooLarge, match="frame of 105 bytes, the device takes 104 while the robot moves"):
+            send(name, bytes(97))
+        send(name, bytes(96))
+    session.keep_clear(robot_moves=False)
+    session.publish("/text", bytes(500))
+    with pytest.raises(FrameTooLarge, match=r"frame of 513 bytes, the device takes 512$"):
+        session.publish("/text", bytes(505))
+
+
+def test_new_topics_forget_that_the_robot_moves() -> None:
+    """What moved it may be no robot any more; if it is one, its first velocity says so again."""
+    session = Session(check=check, uart_bytes_s=3840)
+    session.open(now_s=0.0)
+    session.receive(TIME + wire(ODOMETRY, LED) + TIME, now_s=0.1)
+    session.keep_clear(robot_moves=True)
+    text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
+    session.receive(wire(ODOMETRY, LED, text) + TIME, now_s=1.0)
+    session.publish("/text", bytes(500))
