@@ -1,0 +1,109 @@
+"""Any JSON, any operation with any fields, any bytes: never an error that escapes, never without bound, still alive."""
+
+import asyncio
+import json
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.api.client_queue import MAX_MESSAGES, MAX_RESULTS
+from tests.support.rosbridge_memory import World, world
+from tests.support.virtual_loop import run_virtual
+
+OPS = (
+    "advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service", "advertise_service",
+    "unadvertise_service", "service_response", "set_level", "auth", "fragment", "drive", "send_action_goal",
+    "cancel_action_goal", "advertise_action", "unadvertise_action", "action_feedback", "action_result", "dance",
+)  # fmt: skip
+FIELDS = (
+    "id", "topic", "type", "msg", "latch", "priority", "compression", "throttle_rate", "queue_length", "service",
+    "args", "timeout", "values", "result", "level", "num", "total", "data", "action", "robot", "linear", "angular",
+    "sent_s",
+)  # fmt: skip
+KNOWN = (
+    "/a", "a", "/b", "~b", "/rosout", "/rosapi/topics", "rosapi/set_param", "/rosapi/get_param", "std_msgs/String",
+    "std_msgs/msg/Header", "nav_msgs/Path", "std_srvs/SetBool", "rosapi/GetParam", "cbor", "cbor-raw", "png", "none",
+    "error", "now", "client 1 1", "client 2 1", '{"op":"subscribe","topic":"/a"}', "",
+)  # fmt: skip
+MESSAGE_KEYS = ("data", "header", "stamp", "frame_id", "secs", "nsecs", "poses", "pose", "name", "value", "success")
+
+scalars = st.one_of(
+    st.none(), st.booleans(), st.integers(-(2**70), 2**70), st.floats(), st.text(max_size=5), st.sampled_from(KNOWN),
+    st.integers(0, 3),
+)  # fmt: skip
+values = st.recursive(
+    scalars,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3),
+        st.dictionaries(st.one_of(st.sampled_from(MESSAGE_KEYS), st.text(max_size=3)), inner, max_size=3),
+    ),
+    max_leaves=8,
+)
+requests = st.builds(
+    lambda op, fields: {"op": op, **fields},
+    st.sampled_from(OPS),
+    st.dictionaries(st.sampled_from(FIELDS), st.one_of(st.sampled_from(KNOWN), values), max_size=8),
+)
+texts = st.one_of(
+    requests.map(json.dumps),
+    requests.map(json.dumps),
+    values.map(json.dumps),
+    st.text(max_size=30),
+    st.binary(max_size=30),
+)
+
+
+@given(st.lists(st.tuples(st.integers(0, 1), texts), max_size=25))
+def test_no_client_can_break_itself_or_another(said: list[tuple[int, str | bytes]]) -> None:
+    async def run() -> None:
+        async with world() as here:
+            peers = [here.client(), here.client()]
+            for number, text in said:
+                peers[number].client.receive(text)
+                await asyncio.sleep(0)
+            await asyncio.sleep(100)  # virtual: every deadline is over
+            for peer in peers:
+                peer.client.flush(asyncio.get_running_loop().time())
+                assert len(list(iter(peer.queue.take, None))) <= MAX_MESSAGES + MAX_RESULTS
+            await still_works(here)
+            for peer in peers:
+                peer.client.close()
+            assert [topic.name for topic in here.hub.topics.all()] == ["/rosout"]
+            assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
+
+    run_virtual(run())
+
+
+async def still_works(here: World) -> None:
+    """A client as good as new does what clients do."""
+    speaker, listener = here.client(), here.client()
+    listener.say(op="subscribe", topic="/fresh", type="std_msgs/String")
+    speaker.say(op="publish", topic="fresh", msg={"data": "x"})
+    listener.say(op="call_service", id=1, service="/rosapi/topics")
+    heard = await listener.answers()
+    assert heard[0] == {"op": "publish", "topic": "/fresh", "msg": {"data": "x"}}
+    assert "/fresh" in heard[1]["values"]["topics"]
+    for peer in (speaker, listener):
+        peer.client.close()
+
+
+ids = st.sampled_from([None, "x", "y", 1, 2])
+
+
+@given(st.lists(st.tuples(st.sampled_from(["/a", "a", "/b"]), ids, st.booleans()), max_size=60))
+def test_ids_that_come_and_go_leave_what_is_asked_for(said: list[tuple[str, object, bool]]) -> None:
+    async def run() -> None:
+        async with world() as here:
+            peer, wanted = here.client(), set[tuple[str, object]]()
+            for topic, request_id, is_wanted in said:
+                peer.say(op="subscribe" if is_wanted else "unsubscribe", topic=topic, id=request_id)
+                if is_wanted:
+                    wanted.add((topic, request_id))
+                elif request_id is None:
+                    wanted = {other for other in wanted if other[0] != topic}
+                else:
+                    wanted.discard((topic, request_id))
+            assert set(peer.client.subscriptions.names) == {topic for topic, _ in wanted}
+            assert peer.heard() == []
+
+    run_virtual(run())

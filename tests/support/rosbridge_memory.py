@@ -1,0 +1,66 @@
+"""Clients of rosbridge without a socket: the protocol alone on a hub without devices, for unit and property tests."""
+
+import asyncio
+import contextlib
+import itertools
+import json
+from collections.abc import AsyncIterator
+from typing import Any
+
+import cbor2
+
+from hostlink.api.client_queue import ClientQueue
+from hostlink.api.rosapi import RosApi
+from hostlink.api.rosbridge import RosbridgeClient
+from hostlink.config import Config
+from hostlink.hub.hub import Hub
+from tests.support.fake_device import CATALOG
+
+
+class Peer:
+    """One client: what it says, and all that it has heard since it was last asked."""
+
+    def __init__(self, name: str, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+        self.queue = ClientQueue()
+        self.client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task)
+        self.say(op="set_level", level="info")
+
+    def say(self, **request: Any) -> None:
+        self.client.receive(json.dumps(request))
+
+    def heard(self) -> list[Any]:
+        """JSON and CBOR messages, oldest first."""
+        heard = []
+        while (outgoing := self.queue.take()) is not None:
+            heard.append(cbor2.loads(outgoing.data) if outgoing.is_binary else json.loads(outgoing.data))
+        return heard
+
+    async def answers(self) -> list[Any]:
+        """What is heard once everything that is under way and ready has run."""
+        for _ in range(5):
+            await asyncio.sleep(0)
+        return self.heard()
+
+
+class World:
+    """A hub and its clients."""
+
+    def __init__(self, tasks: asyncio.TaskGroup) -> None:
+        self.hub = Hub(Config(), CATALOG, reraises=True)
+        RosApi(self.hub).offer()
+        self._tasks, self._numbers = tasks, itertools.count(1)
+
+    def client(self) -> Peer:
+        return Peer(f"client {next(self._numbers)}", self.hub, self._tasks)
+
+
+@contextlib.asynccontextmanager
+async def world() -> AsyncIterator[World]:
+    """What still waits at the end of the block is cancelled."""
+    async with asyncio.TaskGroup() as tasks:
+        made = World(tasks)
+        try:
+            yield made
+        finally:
+            for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                task.cancel()

@@ -1,0 +1,448 @@
+"""rosbridge v2, row by row as its clients' sources have it: what they send, and what they must get."""
+
+import asyncio
+import json
+import time
+import tracemalloc
+from typing import Any
+
+import pytest
+
+from hostlink.api.client_services import MAX_SERVICES
+from hostlink.api.client_subscriptions import MAX_SUBSCRIPTIONS
+from hostlink.api.client_topics import MAX_ADVERTISED, MAX_LATCHED
+from hostlink.api.request import MAX_TEXT
+from hostlink.api.rosbridge import MAX_CALLS
+from tests.support.rosbridge_memory import Peer, World, world
+from tests.support.virtual_loop import run_virtual
+
+CHAT = {"topic": "/chat", "type": "std_msgs/String"}
+
+
+def messages(heard: list[Any]) -> list[Any]:
+    return [frame["msg"] for frame in heard if frame["op"] == "publish"]
+
+
+def statuses(heard: list[Any]) -> list[str]:
+    return [frame["msg"] for frame in heard if frame["op"] == "status"]
+
+
+# -- topics -----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_type_is_inferred_also_when_the_topic_comes_later() -> None:
+    async with world() as here:
+        speaker, listener = here.client(), here.client()
+        listener.say(op="subscribe", topic="/chat")
+        assert "/chat" not in (await call(here.client(), "/rosapi/topics"))["topics"]
+        speaker.say(op="publish", **CHAT, msg={"data": "hello"})
+        assert messages(listener.heard()) == [{"data": "hello"}]
+        assert "/chat" in (await call(here.client(), "/rosapi/topics"))["topics"]
+
+
+async def test_every_spelling_of_a_topic_is_echoed_as_it_was_written() -> None:
+    spellings = ["chat", "/chat", "//chat", "~chat"]
+    async with world() as here:
+        listener = here.client()
+        for spelling in spellings:
+            listener.say(op="subscribe", topic=spelling)
+        here.client().say(op="publish", **CHAT, msg={"data": "x"})
+        assert [frame["topic"] for frame in listener.heard()] == spellings
+
+
+async def test_a_program_hears_itself_if_it_subscribes() -> None:
+    async with world() as here:
+        peer = here.client()
+        peer.say(op="subscribe", **CHAT)
+        peer.say(op="publish", topic="chat", msg={"data": "me"})
+        assert messages(peer.heard()) == [{"data": "me"}]
+
+
+async def test_a_topic_is_advertised_until_its_last_id_takes_it_back() -> None:
+    async with world() as here:
+        peer = here.client()
+        for number in ("a", "b"):
+            peer.say(op="advertise", id=number, **CHAT)
+        peer.say(op="unadvertise", id="a", topic="chat")
+        assert here.hub.topics.find("/chat").publishers == {"client 1"}
+        peer.say(op="unadvertise", id="b", topic="/chat")
+        assert here.hub.topics.find_or_none("/chat") is None
+        peer.say(op="advertise", id="c", **CHAT)
+        peer.say(op="unadvertise", topic="/chat")
+        assert here.hub.topics.find_or_none("/chat") is None
+
+
+async def test_another_type_is_an_error_until_nobody_uses_the_topic() -> None:
+    async with world() as here:
+        first, second = here.client(), here.client()
+        first.say(op="advertise", **CHAT)
+        second.say(op="subscribe", topic="/chat")
+        second.say(op="advertise", topic="/chat", type="std_msgs/Int32")
+        assert statuses(second.heard()) == ["/chat: wanted std_msgs/String, got std_msgs/Int32"]
+        first.client.close()
+        second.say(op="publish", topic="/chat", type="std_msgs/Int32", msg={"data": 7})
+        assert messages(second.heard()) == [{"data": 7}]
+
+
+async def test_the_last_message_of_a_latched_topic_goes_to_who_comes_later() -> None:
+    async with world() as here:
+        speaker = here.client()
+        speaker.say(op="advertise", latch=True, topic="/map", type="std_msgs/String")
+        speaker.say(op="publish", latch=True, topic="/map", msg={"data": "old"})
+        speaker.say(op="publish", latch=True, topic="/map", msg={"data": "new"})
+        speaker.say(op="publish", latch=True, topic="/unsaid", type="std_msgs/String", msg={"data": "too"})
+        listener = here.client()
+        for topic in ("/map", "/unsaid"):
+            listener.say(op="subscribe", topic=topic)
+        assert messages(listener.heard()) == [{"data": "new"}, {"data": "too"}]
+        speaker.client.close()
+        late = here.client()
+        late.say(op="subscribe", topic="/map")
+        assert late.heard() == []
+
+
+# -- subscriptions ----------------------------------------------------------------------------------------------------
+
+
+def test_ids_of_a_topic_share_one_stream_at_the_pace_of_the_fastest() -> None:
+    async def run() -> list[Any]:
+        async with world() as here:
+            listener, speaker = here.client(), here.client()
+            listener.say(op="subscribe", id="slow", throttle_rate=10_000, **CHAT)
+            listener.say(op="subscribe", id="fast", throttle_rate=100, **CHAT)
+            for number in range(10):
+                speaker.say(op="publish", topic="/chat", msg={"data": str(number)})
+                await asyncio.sleep(0.06)
+            listener.say(op="unsubscribe", id="fast", topic="/chat")
+            for number in range(10, 90):
+                speaker.say(op="publish", topic="/chat", msg={"data": str(number)})
+                await asyncio.sleep(0.06)
+            return listener.heard()
+
+    assert [message["data"] for message in messages(run_virtual(run()))] == ["0", "2", "4", "6", "8"]
+
+
+async def test_a_repeated_request_does_not_let_the_throttle_be_passed() -> None:
+    async with world() as here:
+        listener = here.client()
+        for number in range(5):
+            listener.say(op="subscribe", id="a", throttle_rate=10_000, **CHAT)
+            here.client().say(op="publish", topic="/chat", msg={"data": str(number)})
+        assert len(messages(listener.heard())) == 1
+
+
+async def test_two_compressions_of_one_topic_come_once_in_the_rawest_form() -> None:
+    async with world() as here:
+        listener, speaker = here.client(), here.client()
+        for number, form in enumerate(["none", "cbor", "cbor-raw"]):
+            listener.say(op="subscribe", id=number, compression=form, **CHAT)
+        forms = []
+        for number in (2, 1, 0):
+            speaker.say(op="publish", topic="/chat", msg={"data": "x"})
+            (frame,) = listener.heard()
+            forms.append(frame["msg"].get("bytes") or frame["msg"])
+            listener.say(op="unsubscribe", id=number, topic="/chat")
+        assert forms == [b"\x01\x00\x00\x00x", {"data": "x"}, {"data": "x"}]
+        speaker.say(op="publish", topic="/chat", msg={"data": "x"})
+        assert listener.heard() == []
+
+
+async def test_png_is_plain_json_and_is_said_so() -> None:
+    async with world() as here:
+        listener = here.client()
+        listener.say(op="subscribe", compression="png", fragment_size=10, **CHAT)
+        assert statuses(listener.heard()) == ["subscribe: compression png is not offered, /chat comes as plain JSON"]
+        here.client().say(op="publish", topic="/chat", msg={"data": "x" * 100})
+        assert messages(listener.heard()) == [{"data": "x" * 100}]
+
+
+# -- values -----------------------------------------------------------------------------------------------------------
+
+
+async def said(type_name: str, message: object) -> Any:
+    """What one client hears of what another says: the message, or the reason why not."""
+    async with world() as here:
+        speaker, listener = here.client(), here.client()
+        listener.say(op="subscribe", topic="/t", type=type_name)
+        speaker.say(op="publish", topic="/t", msg=message)
+        return (messages(listener.heard()) or statuses(speaker.heard()))[0]
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message", "heard"),
+    [
+        ("std_msgs/msg/String", {}, {"data": ""}),
+        ("std_msgs/Float64", {"data": None}, {"data": None}),
+        ("std_msgs/Int64", {"data": 2**63 - 1}, {"data": 2**63 - 1}),
+        ("std_msgs/UInt64", {"data": 2**64 - 1}, {"data": 2**64 - 1}),
+        ("std_msgs/Time", {"data": {"secs": 1, "nsecs": 2}}, {"data": {"secs": 1, "nsecs": 2}}),
+        ("std_msgs/Time", {"data": {"sec": 1, "nanosec": 2}}, {"data": {"secs": 1, "nsecs": 2}}),
+        ("std_msgs/Duration", {"data": {"secs": -1}}, {"data": {"secs": -1, "nsecs": 0}}),
+        ("sensor_msgs/CompressedImage", {"data": "AQID"}, "AQID"),
+        ("sensor_msgs/CompressedImage", {"data": [1, 2, 3]}, "AQID"),
+    ],
+)
+async def test_values_are_taken_and_given_as_clients_write_them(type_name: str, message: object, heard: object) -> None:
+    got = await said(type_name, message)
+    assert (got["data"] if isinstance(heard, str) else got) == heard
+
+
+@pytest.mark.parametrize(
+    ("type_name", "message", "reason"),
+    [
+        ("std_msgs/String", {"date": ""}, "std_msgs/String has no field 'date'; its fields: data"),
+        ("std_msgs/Int64", {"data": 2**63}, "outside -9223372036854775808..9223372036854775807"),
+        ("std_msgs/Int32", {"data": 1.5}, "wanted a whole number, got 1.5"),
+        ("std_msgs/Header", {"stamp": "soon"}, "std_msgs/Header.stamp: wanted an object with fields"),
+        ("sensor_msgs/CompressedImage", {"data": "?"}, "wanted base64"),
+        ("geometry_msgs/PoseArray", {"poses": [{}] * 20_000}, "more than 1048576 bytes"),
+    ],
+)
+async def test_values_that_cannot_be_are_named(type_name: str, message: object, reason: str) -> None:
+    assert reason in await said(type_name, message)
+
+
+@pytest.mark.parametrize(
+    "header", [{}, {"frame_id": ""}, {"stamp": {"secs": 0, "nsecs": 0}}, {"stamp": {"sec": 0}}, {"stamp": "now"}]
+)
+async def test_a_stamp_that_is_missing_or_zero_or_now_is_now(header: dict[str, object]) -> None:
+    pose = {"header": header} if header else {}
+    single = await said("geometry_msgs/PoseStamped", pose)
+    path = await said("nav_msgs/Path", {"poses": [pose, {}]})
+    for stamp in (single["header"]["stamp"], *(one["header"]["stamp"] for one in (path, *path["poses"]))):
+        assert abs(stamp["secs"] - time.time()) < 5
+
+
+async def test_a_stamp_that_is_there_is_kept_and_now_is_any_time() -> None:
+    kept = await said("std_msgs/Header", {"stamp": {"secs": 5, "nsecs": 6}})
+    assert kept["stamp"] == {"secs": 5, "nsecs": 6}
+    assert abs((await said("std_msgs/Time", {"data": "now"}))["data"]["secs"] - time.time()) < 5
+    assert (await said("std_msgs/Time", {}))["data"] == {"secs": 0, "nsecs": 0}
+
+
+# -- services ---------------------------------------------------------------------------------------------------------
+
+
+async def call(peer: Peer, service: str, args: object = None, **more: Any) -> Any:
+    """The values of a call."""
+    peer.say(op="call_service", id="call", service=service, args=args, **more)
+    (answer,) = [frame for frame in await peer.answers() if frame["op"] == "service_response"]
+    assert (answer["id"], answer["service"]) == ("call", service)
+    return answer["values"]
+
+
+async def test_arguments_may_be_a_list_in_the_order_of_the_fields() -> None:
+    async with world() as here:
+        peer = here.client()
+        assert (await call(peer, "/rosapi/set_param", ["/gain", "7"])) == {}
+        assert (await call(peer, "rosapi/get_param", ["/gain"])) == {"value": "7"}
+        assert (await call(peer, "/rosapi/get_time", []))["time"].keys() == {"secs", "nsecs"}
+        assert (await call(peer, "/rosapi/get_param", ["/none", "8", "one too many"])) == {"value": "8"}
+        assert "args must be an object" in await call(peer, "/rosapi/get_param", "x")
+
+
+async def offered(here: World, type_name: str = "std_srvs/SetBool") -> Peer:
+    server = here.client()
+    server.say(op="advertise_service", service="switch", type=type_name)
+    return server
+
+
+async def test_a_call_goes_to_the_program_complete_and_its_answer_comes_back_complete_and_once() -> None:
+    async with world() as here:
+        server, caller = await offered(here), here.client()
+        caller.say(op="call_service", id=7, service="/switch", args=[True])
+        (asked,) = await server.answers()
+        assert (asked["op"], asked["service"], asked["args"]) == ("call_service", "switch", {"data": True})
+        for _ in range(2):
+            server.say(op="service_response", id=asked["id"], service="switch", values={"success": True}, result=True)
+        assert await caller.answers() == [
+            {
+                "op": "service_response", "service": "/switch", "result": True, "id": 7,
+                "values": {"success": True, "message": ""},
+            }
+        ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ({"values": "no", "result": False}, "switch: no"),
+        ({"result": False}, "switch: None"),
+        ({"values": [1], "result": True}, "switch: its answer is no object"),
+        ({"values": {"sucess": True}, "result": True}, "no field 'sucess'"),
+    ],
+)
+async def test_a_failure_has_its_reason_in_values(answer: dict[str, Any], reason: str) -> None:
+    async with world() as here:
+        server, caller = await offered(here), here.client()
+        caller.say(op="call_service", id=7, service="/switch")
+        (asked,) = await server.answers()
+        server.say(op="service_response", id=asked["id"], service="switch", **answer)
+        (heard,) = await caller.answers()
+        assert heard["result"] is False
+        assert reason in heard["values"]
+
+
+async def test_a_type_that_nobody_defines_passes_as_it_is() -> None:
+    async with world() as here:
+        server, caller = await offered(here, "my_srvs/Odd"), here.client()
+        caller.say(op="call_service", id=7, service="/switch", args={"any": [1, None]})
+        (asked,) = await server.answers()
+        assert asked["args"] == {"any": [1, None]}
+        server.say(op="service_response", id=asked["id"], service="switch", values={"x": 1}, result=True)
+        assert (await caller.answers())[0]["values"] == {"x": 1}
+
+
+async def test_a_program_that_leaves_fails_its_calls_at_once() -> None:
+    async with world() as here:
+        server, caller = await offered(here), here.client()
+        caller.say(op="call_service", id=7, service="/switch")
+        await server.answers()
+        server.client.close()
+        (heard,) = await caller.answers()
+        assert (heard["result"], heard["values"]) == (False, "no service named switch")
+
+
+def test_a_call_has_a_deadline_of_the_callers_choice() -> None:
+    async def run() -> list[Any]:
+        async with world() as here:
+            _, caller = await offered(here), here.client()
+            caller.say(op="call_service", id=7, service="/switch", timeout=2)
+            await asyncio.sleep(2.5)
+            short = caller.heard()
+            caller.say(op="call_service", id=8, service="/switch")
+            await asyncio.sleep(59)
+            assert caller.heard() == []
+            await asyncio.sleep(2)
+            return short + caller.heard()
+
+    heard = run_virtual(run())
+    assert [answer["values"] for answer in heard] == ["/switch: no answer within 2 s", "/switch: no answer within 60 s"]
+
+
+async def test_hostlinks_own_services_are_nobody_elses() -> None:
+    async with world() as here:
+        thief = here.client()
+        thief.say(op="advertise_service", service="/rosapi/topics", type="rosapi/Topics")
+        assert statuses(thief.heard()) == ["/rosapi/topics is a service of hostlink's own"]
+        thief.client.close()
+        assert "/rosout" in (await call(here.client(), "/rosapi/topics"))["topics"]
+
+
+# -- the rest ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "op", ["cancel_action_goal", "advertise_action", "unadvertise_action", "action_feedback", "action_result"]
+)
+async def test_actions_are_refused_in_words(op: str) -> None:
+    async with world() as here:
+        peer = here.client()
+        peer.say(op=op, id="g", action="/dock")
+        assert peer.heard() == [{"op": "status", "level": "error", "msg": f"{op}: no actions here", "id": "g"}]
+
+
+async def test_auth_is_accepted_and_an_unknown_op_does_no_harm() -> None:
+    async with world() as here:
+        peer = here.client()
+        peer.say(op="auth", mac="m", client="c", dest="d", rand="r", t=1, level="l", end=2)
+        assert peer.heard() == []
+        peer.say(op="dance", id="x")
+        assert statuses(peer.heard()) == ["unknown op 'dance'"]
+        peer.say(op="set_level", level="none")
+        peer.say(op="dance")
+        assert peer.heard() == []
+
+
+async def test_fragments_are_put_together_in_any_order() -> None:
+    text = json.dumps({"op": "publish", **CHAT, "msg": {"data": "ä" * 50}}, ensure_ascii=False)
+    pieces = [text[at : at + 20] for at in range(0, len(text), 20)]
+    async with world() as here:
+        listener, speaker = here.client(), here.client()
+        listener.say(op="subscribe", topic="/chat")
+        for number in reversed(range(len(pieces))):
+            speaker.say(op="fragment", id="f", num=number, total=len(pieces), data=pieces[number])
+        assert messages(listener.heard()) == [{"data": "ä" * 50}]
+        assert speaker.heard() == []
+
+
+# -- bounds -----------------------------------------------------------------------------------------------------------
+
+
+async def test_what_a_client_may_hold_is_bounded() -> None:
+    async with world() as here:
+        peer = here.client()
+        for number in range(10_000):
+            peer.say(op="subscribe", topic=f"/topic_{number}", type="std_msgs/Bool")
+            peer.say(op="subscribe", id=number, topic="/one", type="std_msgs/Bool")
+            peer.queue.take()
+        assert sum(len(topic.subscribers) for topic in here.hub.topics.all()) == MAX_SUBSCRIPTIONS // 2 + 1
+        for number in range(MAX_ADVERTISED + 50):
+            peer.say(op="advertise", id=number, latch=number < 50, topic=f"/mine_{number}", type="std_msgs/Bool")
+            peer.say(op="advertise_service", service=f"/mine_{number}", type="std_srvs/Empty")
+        assert len(peer.client.topics.names) == MAX_ADVERTISED
+        assert sum(bool(topic.latched) for topic in here.hub.topics.all()) == MAX_LATCHED
+        assert len(peer.client.services.names) == MAX_SERVICES
+        peer.heard()
+        peer.say(op="subscribe", topic="x" * (MAX_TEXT + 1))
+        assert statuses(peer.heard()) == [f"subscribe: topic is longer than {MAX_TEXT} characters"]
+
+
+async def test_calls_under_way_are_bounded_and_each_is_answered() -> None:
+    async with world() as here:
+        await offered(here)
+        caller = here.client()
+        for number in range(MAX_CALLS + 3):
+            caller.say(op="call_service", id=number, service="/switch")
+        refused = await caller.answers()
+        assert [answer["id"] for answer in refused] == [MAX_CALLS, MAX_CALLS + 1, MAX_CALLS + 2]
+        assert {answer["values"] for answer in refused} == {f"more than {MAX_CALLS} calls under way"}
+
+
+async def test_many_quick_calls_in_one_read_are_all_answered() -> None:
+    async with world() as here:
+        caller, answers = here.client(), []
+        for number in range(200):
+            caller.say(op="call_service", id=number, service="/rosapi/get_time")
+            await caller.client.settle()
+            answers += caller.heard()
+        answers += await caller.answers()
+        assert sorted(answer["id"] for answer in answers if answer["result"]) == list(range(200))
+
+
+async def test_a_client_that_does_not_read_its_answers_is_not_read_from() -> None:
+    async with world() as here:
+        peer = here.client()
+        for number in range(150):
+            peer.say(op="dance", id=number)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.01):
+                await peer.client.settle()
+        assert len(peer.heard()) == 150
+        await peer.client.settle()
+        assert not peer.queue.is_too_slow
+
+
+async def test_a_gigabyte_of_nesting_costs_no_memory() -> None:
+    async with world() as here:
+        peer = here.client()
+        deep = ["[" * 1_000_000, '{"op":' * 160_000, '{"op":"publish","topic":"/x","msg":' + '{"a":' * 200_000]
+        for text in deep:
+            peer.client.receive(text)
+        assert all("no JSON" in text for text in statuses(peer.heard()))
+        tracemalloc.start()
+        for _ in range(340):
+            for text in deep:
+                peer.client.receive(text)
+            peer.heard()
+        held_bytes, peak_bytes = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert held_bytes < 100_000
+    assert peak_bytes < 10_000_000
+
+
+async def test_a_megabyte_of_lists_is_let_go() -> None:
+    async with world() as here:
+        peer = here.client()
+        peer.client.receive('{"op":"subscribe","topic":"/x","id":[' + "[]," * 300_000 + "[]]}")
+        assert statuses(peer.heard()) == ["subscribe: id must be a number, or a text of at most 1024 characters"]
