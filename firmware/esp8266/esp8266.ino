@@ -17,6 +17,7 @@ void setup() {
   const hostlink::Settings wanted = settings();
   uart.begin(wanted);
   network.begin(wanted);
+  passthrough.set_key(wanted.key, board::random_seed);
   updates.begin(wanted);
   board::begin_led();
 }

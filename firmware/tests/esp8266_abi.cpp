@@ -12,6 +12,11 @@ struct Bridge {
   hostlink::Passthrough passthrough{uart, network, 1};
 };
 
+uint32_t next_random() {
+  static uint32_t state = 1;
+  return state = state * 1664525u + 1013904223u;
+}
+
 size_t move_all(Bytes& from, uint8_t* to, size_t limit) { return test::move_out(from, to, limit); }
 }  // namespace
 
@@ -33,7 +38,21 @@ void assembler_take(FrameAssembler* a, uint8_t* to, size_t count) {
 }
 size_t assembler_drop_oldest(FrameAssembler* a) { return a->drop_oldest(); }
 
+void sha256(const uint8_t* bytes, size_t count, size_t cut, uint8_t* digest) {
+  hostlink::Sha256 hash;
+  hash.add(bytes, cut);
+  hash.add(bytes + cut, count - cut);
+  hash.finish(digest);
+}
+void hmac_sha256(const uint8_t* key, size_t key_bytes, const uint8_t* bytes, size_t count, uint8_t* digest) {
+  hostlink::HmacSha256 hmac(key, key_bytes);
+  hmac.add(bytes, count);
+  hmac.finish(digest);
+}
+
 Bridge* bridge_new() { return new Bridge; }
+// The key must outlive the bridge.
+void bridge_set_key(Bridge* b, const char* key) { b->passthrough.set_key(key, next_random); }
 void bridge_delete(Bridge* b) { delete b; }
 // One turn of the sketch's loop(); returns whether a link is up.
 int bridge_turn(Bridge* b, uint32_t now_ms) {

@@ -167,6 +167,8 @@ void the_backoff_doubles_to_its_limit_and_jitters() {
   CHECK(Backoff(1).next_ms() != Backoff(9999).next_ms());
 }
 
+uint32_t four() { return 4; }
+
 // A passthrough between ports in memory, with a clock that only goes when it is told to.
 struct Rig {
   test::MemoryUart uart;
@@ -175,6 +177,8 @@ struct Rig {
   uint32_t now_ms = 0xfffff000u;
 
   size_t device_room = 128;
+
+  explicit Rig(const char* key = "") { passthrough.set_key(key, four); }
 
   void turn(uint32_t after_ms = 1) {
     now_ms += after_ms;
@@ -337,6 +341,61 @@ void a_stalled_network_drops_whole_old_frames() {
   CHECK(rig.network.writes.size() == 1 && part(rig.network.writes[0], 0, 32) == frame(125, Bytes(24, 36)));
 }
 
+std::string hex(const uint8_t* bytes, size_t count) {
+  std::string text;
+  char pair[3];
+  for (size_t i = 0; i < count; ++i) {
+    std::snprintf(pair, sizeof pair, "%02x", bytes[i]);
+    text += pair;
+  }
+  return text;
+}
+
+std::string hmac_of(const std::string& key, const std::string& text) {
+  uint8_t digest[hostlink::Sha256::kDigestBytes];
+  hostlink::HmacSha256 hmac(reinterpret_cast<const uint8_t*>(key.data()), key.size());
+  hmac.add(reinterpret_cast<const uint8_t*>(text.data()), text.size());
+  hmac.finish(digest);
+  return hex(digest, sizeof digest);
+}
+
+void the_hmac_is_that_of_rfc_4231() {
+  CHECK(hmac_of("Jefe", "what do ya want for nothing?") ==
+        "5bdcc146bf60754e6a042426089575c75a003f089d2739839dec58b964ec3843");
+  CHECK(hmac_of(std::string(131, '\xaa'), "Test Using Larger Than Block-Size Key - Hash Key First") ==
+        "60e431591ee0b67f0d8a26aacbf5b77f8e0bc6213728c5140546040f0ee37f54");
+}
+
+void with_a_key_nothing_passes_before_the_host_has_proven_it() {
+  Rig rig("a key of 16 bytes");
+  rig.turns(3);
+  CHECK(rig.passthrough.state() == LinkState::kProving && rig.network.writes.empty());
+  const Bytes question = {'H', 'L', 'K', '1', 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  rig.network.from_host = question + kTwist;
+  rig.uart.from_device = kPose;
+  rig.turns(3);
+  CHECK(rig.network.writes.size() == 1 && rig.network.writes[0].size() == hostlink::KeyProof::kAnswerBytes);
+  CHECK(rig.uart.to_device.empty());  // the command stood where the proof had to
+  CHECK(rig.ends(LinkEnd::kKeyRefused) == 1 && !rig.network.connected);
+}
+
+void a_host_that_asks_for_no_key_is_refused() {
+  Rig rig("a key of 16 bytes");
+  rig.turns(2);
+  rig.network.from_host = kTwist;
+  rig.turns(2);
+  CHECK(rig.ends(LinkEnd::kKeyRefused) == 1 && rig.uart.to_device.empty());
+}
+
+void a_host_that_says_nothing_is_given_up() {
+  Rig rig("a key of 16 bytes");
+  rig.turns(2);
+  rig.turn(Passthrough::kProof_ms - 10);
+  CHECK(rig.passthrough.state() == LinkState::kProving);
+  rig.turn(20);
+  CHECK(rig.ends(LinkEnd::kKeyRefused) == 1);
+}
+
 void the_led_says_the_state() {
   CHECK(hostlink::is_led_lit(LinkState::kConnected, 123));
   CHECK(hostlink::is_led_lit(LinkState::kJoining, 0) && !hostlink::is_led_lit(LinkState::kJoining, 100));
@@ -372,6 +431,10 @@ const std::pair<const char*, std::function<void()>> kTests[] = {
     TEST(a_host_that_answers_no_time_request_ends_the_link),
     TEST(a_host_that_answers_keeps_the_link),
     TEST(a_stalled_network_drops_whole_old_frames),
+    TEST(the_hmac_is_that_of_rfc_4231),
+    TEST(with_a_key_nothing_passes_before_the_host_has_proven_it),
+    TEST(a_host_that_asks_for_no_key_is_refused),
+    TEST(a_host_that_says_nothing_is_given_up),
     TEST(the_led_says_the_state),
 };
 }  // namespace

@@ -39,7 +39,10 @@ def library() -> ctypes.CDLL:
         "assembler_ready": (size, pointer, size, time),
         "assembler_take": (None, pointer, octets, size),
         "assembler_drop_oldest": (size, pointer),
+        "sha256": (None, octets, size, size, octets),
+        "hmac_sha256": (None, octets, size, octets, size, octets),
         "bridge_new": (pointer,),
+        "bridge_set_key": (None, pointer, octets),
         "bridge_delete": (None, pointer),
         "bridge_turn": (ctypes.c_int, pointer, time),
         "bridge_from_device": (None, pointer, octets, size),
@@ -93,9 +96,11 @@ class Assembler:
 class Bridge:
     """Passthrough between ports in memory."""
 
-    def __init__(self) -> None:
+    def __init__(self, key: bytes = b"") -> None:
         self._lib = library()
         self._self = self._lib.bridge_new()
+        self._key = ctypes.create_string_buffer(key)  # the bridge keeps where it is
+        self._lib.bridge_set_key(self._self, self._key)
         self._buffer = ctypes.create_string_buffer(1 << 16)
         self.now_ms = 0xFFFFF000
 

@@ -7,6 +7,7 @@ const uint32_t Backoff::kLongest_ms;
 const uint32_t Passthrough::kRejoin_ms;
 const uint32_t Passthrough::kWriteStalled_ms;
 const uint32_t Passthrough::kHostSilent_ms;
+const uint32_t Passthrough::kProof_ms;
 
 namespace {
 const uint16_t kTimeId = 10;
@@ -34,6 +35,13 @@ void Passthrough::connection_tried(bool is_connected, uint32_t now_ms) {
     retry_in(backoff_.next_ms(), now_ms);
     return;
   }
+  if (!proof_.has_key()) return begin_link(now_ms);
+  proof_.begin();
+  state_ = LinkState::kProving;
+  state_since_ms_ = now_ms;
+}
+
+void Passthrough::begin_link(uint32_t now_ms) {
   ++counters_.links;
   counters_.to_device_discarded_bytes += static_cast<uint32_t>(to_device_.forget_unstarted());
   from_device_.restart(now_ms);
@@ -48,7 +56,11 @@ void Passthrough::step(uint32_t now_ms) {
     step_connected(now_ms);
   } else {
     discard_from_device();
-    step_joining(now_ms);
+    if (state_ == LinkState::kProving) {
+      step_proving(now_ms);
+    } else {
+      step_joining(now_ms);
+    }
   }
   write_device(now_ms);
 }
@@ -64,6 +76,19 @@ void Passthrough::step_joining(uint32_t now_ms) {
     network_.rejoin();
     state_since_ms_ = now_ms;
   }
+}
+
+void Passthrough::step_proving(uint32_t now_ms) {
+  uint8_t bytes[KeyProof::kAnswerBytes];
+  const size_t count = network_.read(bytes, least(sizeof bytes, proof_.wanted_bytes()));
+  proof_.take(bytes, count);
+  const size_t waiting = least(proof_.to_say_bytes(), network_.room_bytes());
+  if (waiting > 0) proof_.said(network_.write(proof_.to_say(), waiting));
+  if (proof_.state() == KeyProof::State::kProven) return begin_link(now_ms);
+  if (!network_.is_joined()) return end_link(LinkEnd::kWifiLost, now_ms);
+  const bool is_late = now_ms - state_since_ms_ >= kProof_ms;
+  if (proof_.state() == KeyProof::State::kRefused || is_late) return end_link(LinkEnd::kKeyRefused, now_ms);
+  if (count == 0 && !network_.is_connected()) end_link(LinkEnd::kPeerClosed, now_ms);
 }
 
 void Passthrough::step_connected(uint32_t now_ms) {

@@ -7,13 +7,14 @@
 
 #include "backoff.h"
 #include "frame_assembler.h"
+#include "key_proof.h"
 #include "ports.h"
 
 namespace hostlink {
 
-enum class LinkState : uint8_t { kJoining, kWaiting, kConnected };
+enum class LinkState : uint8_t { kJoining, kWaiting, kProving, kConnected };
 
-enum class LinkEnd : uint8_t { kWifiLost, kPeerClosed, kWriteStalled, kHostSilent, kCount };
+enum class LinkEnd : uint8_t { kWifiLost, kPeerClosed, kWriteStalled, kHostSilent, kKeyRefused, kCount };
 
 struct Counters {
   uint32_t from_device_bytes = 0;  // forwarded
@@ -31,7 +32,10 @@ struct Counters {
   joining    WiFi is up                            waiting, the first attempt at once
   joining    kRejoin_ms without WiFi               joining, asks the WiFi to join anew
   waiting    WiFi is gone                          joining
-  waiting    attempt due, connect() succeeds       connected, both buffers empty
+  waiting    attempt due, connect() succeeds       connected, both buffers empty; with a key: proving
+  proving    the host has proven the key           connected, both buffers empty
+  proving    it has not, for kProof_ms or wrongly; waiting, backoff doubled
+             WiFi gone, peer closed
   waiting    attempt due, connect() fails          waiting, backoff doubled
   connected  WiFi gone, peer closed, write stalled waiting (joining if there is no WiFi)
              for kWriteStalled_ms, or no byte from
@@ -44,7 +48,12 @@ class Passthrough {
   static const uint32_t kWriteStalled_ms = 2000;
   static const uint32_t kHostSilent_ms = 6000;  // a device asks every 2.5 s and falls silent after 11 s
 
+  static const uint32_t kProof_ms = 4000;  // the host gives up after 3 s
+
   Passthrough(Uart& uart, Network& network, uint32_t seed);
+
+  // From the next connection on host and device prove that they share this key; an empty one: they do not.
+  void set_key(const char* key, uint32_t (*random)()) { proof_.set_key(key, random); }
 
   // Whether the shell should call Network::connect() now and report to connection_tried().
   bool wants_connection(uint32_t now_ms) const;
@@ -59,6 +68,8 @@ class Passthrough {
 
  private:
   void step_joining(uint32_t now_ms);
+  void step_proving(uint32_t now_ms);
+  void begin_link(uint32_t now_ms);
   void step_connected(uint32_t now_ms);
   bool read_host(uint32_t now_ms);
   void write_device(uint32_t now_ms);
@@ -71,6 +82,7 @@ class Passthrough {
   Uart& uart_;
   Network& network_;
   Backoff backoff_;
+  KeyProof proof_;
   FrameAssembler from_device_;
   FrameAssembler to_device_;
   Counters counters_;

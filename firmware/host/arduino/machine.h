@@ -15,6 +15,7 @@ struct Options {
   std::string uart = "listen:0";  // listen:PORT, connect:HOST:PORT or pty
   std::string server = "127.0.0.1";
   uint16_t server_port = 11411;
+  std::string key;
   unsigned boot_noise_bytes = 0;  // what the ROM's messages look like at another baud rate
   bool is_uart_paced = true;
   bool is_uart_swapped = false;

@@ -18,6 +18,7 @@ constexpr char kUsage[] =
     "usage: esp8266_native [--uart listen:PORT|connect:HOST:PORT|pty] [--server HOST:PORT]\n"
     "  --unpaced            bytes pass the UART as fast as they come (default: 10 bits a byte at the sketch's baud "
     "rate)\n"
+    "  --key TEXT           the key that host and device share\n"
     "  --boot-noise N       N bytes of garbage on the UART at power-up\n"
     "  --wait-for-device    power up when the other end of the UART is there\n"
     "  --swap               UART on GPIO15 and GPIO13\n"
@@ -49,6 +50,7 @@ standin::Options parse(int argc, char** argv) {
   const std::map<std::string, std::function<void(Value)>> settings = {
       {"--uart", [&](Value value) { options.uart = value; }},
       {"--server", [&](Value value) { set_server(options, value); }},
+      {"--key", [&](Value value) { options.key = value; }},
       {"--boot-noise", [&](Value value) { options.boot_noise_bytes = number(value); }},
       {"--join-ms", [&](Value value) { radio.join_ms = number(value); }},
       {"--connect-ms", [&](Value value) { radio.connect_ms = number(value); }},

@@ -10,6 +10,7 @@ inline hostlink::Settings settings() {
   s.wifi_name = "here";
   s.server = options.server.c_str();
   s.server_port = options.server_port;
+  s.key = options.key.c_str();
   s.is_uart_swapped = options.is_uart_swapped;
   s.update_password = "here";
   return s;
