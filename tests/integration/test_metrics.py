@@ -1,5 +1,9 @@
 """What Prometheus reads."""
 
+import json
+import re
+from pathlib import Path
+
 from prometheus_client.parser import text_string_to_metric_families
 
 from tests.support.daemon import Daemon, daemon
@@ -46,3 +50,19 @@ async def test_an_empty_daemon_has_metrics_too() -> None:
         seen = await metrics(host)
     assert seen["hostlink_links[]"] == 0
     assert seen["hostlink_client_lag_seconds[]"] == 0
+
+
+async def test_the_dashboard_shows_metrics_that_exist() -> None:
+    dashboard = json.loads(Path("docs/grafana.json").read_text(encoding="utf-8"))
+    wanted = {
+        name
+        for panel in dashboard["panels"]
+        for target in panel["targets"]
+        for name in re.findall(r"\b(?:hostlink|process)_\w+", target["expr"])
+    }
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5))
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
+        seen = {name.partition("[")[0] for name in await metrics(host)}
+    assert len(wanted) > 10
+    assert wanted - seen == set()
