@@ -177,7 +177,7 @@ class ApiServer:
                     client.messages_from_client += 1
                     rosbridge.receive(message.data)
                     # who says too much is heard later, and holds up only himself
-                    await asyncio.sleep(self._limit.delay_s(client, loop.time()))
+                    await asyncio.sleep(self._limit.delay_s(client.name, loop.time()))
                     await rosbridge.settle()
             finally:
                 rosbridge.close()
