@@ -7,7 +7,13 @@ from typing import cast
 
 from aiohttp import web
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Histogram, ProcessCollector, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    InfoMetricFamily,
+    Metric,
+)
 from prometheus_client.registry import Collector
 
 from hostlink.api.clients import Clients
@@ -109,6 +115,9 @@ class _Graph(Collector):
         oldest = GaugeMetricFamily(
             "hostlink_link_oldest_waiting_seconds", "Age of the oldest frame that waits for the device", labels=names
         )
+        latency = HistogramMetricFamily(
+            "hostlink_command_to_device_seconds", "From a velocity's command to the device's socket", labels=names
+        )
         for link in self._hub.links():
             labels = [link.address, robots.get(link, "")]
             facts = link.facts()
@@ -118,7 +127,8 @@ class _Graph(Collector):
                 rejected.add_metric([*labels, cause], count)
             silent.add_metric(labels, now_s - link.heard_at_s)
             oldest.add_metric(labels, link.session.oldest_waiting_s(now_s))
-        yield from (*counters.values(), rejected, silent, oldest)
+            latency.add_metric(labels, link.command_latency.buckets(), link.command_latency.sum_s)
+        yield from (*counters.values(), rejected, silent, oldest, latency)
 
     def _to_clients(self) -> Iterator[Metric]:
         clients = self._clients.views()

@@ -10,6 +10,7 @@ from enum import Enum
 import structlog
 
 from hostlink.config import LinkConfig
+from hostlink.link.latency import Latency
 from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
@@ -50,6 +51,7 @@ class Link:
         self.peer = transport.peer
         self.address = transport.address
         self.session = session
+        self.command_latency = Latency()  # from a velocity's command to the transport
         self.tape_from_device, self.tape_to_device = Tape(), Tape()
         self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
         self._transport = transport
@@ -155,8 +157,11 @@ class Link:
         while True:
             self._wake.clear()
             while frame := self.session.take(now_s=loop.time(), wall_ns=time.time_ns()):
+                commanded_at_s = self.session.urgent_since_s
                 async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
                     await self._transport.send(frame)
+                if commanded_at_s is not None:
+                    self.command_latency.add(loop.time() - commanded_at_s)
                 self.tape_to_device.add(frame, loop.time())
             now_s = loop.time()
             deadline_s = self.session.deadline_s()

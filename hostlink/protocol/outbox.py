@@ -45,6 +45,7 @@ class Outbox:
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
         self.slowest_wait_s = 0.0  # of all frames that left
+        self.urgent_since_s: float | None = None  # when the frame that was taken last was put, if it is an urgent one
         self.robot_moves = False
         self._uart = _Uart(uart_bytes_s)
         self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
@@ -103,6 +104,7 @@ class Outbox:
         """The next frame to write, or None: nothing waits, or the UART is still busy with the last ones."""
         if self.wait_s(now_s) != 0:
             return None
+        self.urgent_since_s = None
         frame = self._next(now_s, wall_ns)
         self._uart.add(len(frame), now_s)
         return frame
@@ -174,6 +176,7 @@ class Outbox:
         if waiting:
             queues[key] = waiting  # behind the others
         self.slowest_wait_s = max(self.slowest_wait_s, one.age_s(now_s))
+        self.urgent_since_s = one.since_s if queues is self._urgent else None
         return one.frame
 
 

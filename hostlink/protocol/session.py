@@ -168,6 +168,11 @@ class Session:
         """The longest that a frame waited before it left."""
         return self._outbox.slowest_wait_s
 
+    @property
+    def urgent_since_s(self) -> float | None:
+        """When the frame that was taken last was put, if it carries a velocity."""
+        return self._outbox.urgent_since_s
+
     def oldest_waiting_s(self, now_s: float) -> float:
         """How long the frame has waited that waits longest; 0 when none does."""
         return self._outbox.oldest_s(now_s)

@@ -42,6 +42,11 @@ async def test_links_robots_and_clients() -> None:
         assert seen["hostlink_device_to_client_seconds_count[]"] == 2
         assert 0 < seen["hostlink_device_to_client_seconds_sum[]"] < 5
         assert seen["hostlink_client_dropped_total[]"] == 0
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
+        seen = await metrics(host)
+        assert seen["hostlink_command_to_device_seconds_count" + device_labels] >= 2  # the first is a zero
+        assert 0 < seen["hostlink_command_to_device_seconds_sum" + device_labels] < 5
         assert seen["process_open_fds[]"] > 3
 
 
@@ -52,11 +57,13 @@ async def test_an_empty_daemon_has_metrics_too() -> None:
     assert seen["hostlink_client_lag_seconds[]"] == 0
 
 
+DASHBOARD = json.loads(Path("docs/grafana.json").read_text(encoding="utf-8"))
+
+
 async def test_the_dashboard_shows_metrics_that_exist() -> None:
-    dashboard = json.loads(Path("docs/grafana.json").read_text(encoding="utf-8"))
     wanted = {
         name
-        for panel in dashboard["panels"]
+        for panel in DASHBOARD["panels"]
         for target in panel["targets"]
         for name in re.findall(r"\b(?:hostlink|process)_\w+", target["expr"])
     }
