@@ -15,6 +15,7 @@ from hostlink.transport.keyed import KeyedTransport, read_key
 
 log = structlog.get_logger()
 
+PAUSE_S = 5.0  # a device whose robot's name is another's comes again at once, and nothing will have changed
 TELL_INTERVAL_S = 10.0  # whoever is refused comes again at once
 
 
@@ -27,6 +28,7 @@ class Door:
         self._admission = Admission(config)
         self._key = None if config.key_file is None else read_key(config.key_file)
         self._links: dict[int, Link] = {}  # oldest first
+        self._paused_until_s: dict[str, float] = {}
         self._tell_at_s = float("-inf")
         self._untold: Counter[str] = Counter()
 
@@ -37,8 +39,9 @@ class Door:
             for link in self._links.values()
         ]
         verdict = self._admission.judge(transport.address, guests)
-        if verdict.refusal is not None:
-            self._count(verdict.refusal, transport.peer)
+        refusal = "name_taken" if self._is_paused(transport.address) else verdict.refusal
+        if refusal is not None:
+            self._count(refusal, transport.peer)
             self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")
             return
         if verdict.gives_way is not None:
@@ -56,9 +59,15 @@ class Door:
 
     async def _serve(self, link: Link) -> None:
         try:
-            await self._hub.serve(link)
+            if await self._hub.serve(link) is LinkEnd.REFUSED:
+                self._paused_until_s[link.address] = asyncio.get_running_loop().time() + PAUSE_S
         finally:
             self._links.pop(link.number, None)
+
+    def _is_paused(self, address: str) -> bool:
+        now_s = asyncio.get_running_loop().time()
+        self._paused_until_s = {each: until_s for each, until_s in self._paused_until_s.items() if until_s > now_s}
+        return address in self._paused_until_s
 
     def _count(self, cause: str, peer: str) -> None:
         """Count it; tell the first, then at most one in TELL_INTERVAL_S, with what came since."""

@@ -30,6 +30,7 @@ class LinkEnd(Enum):
     REPLACED = "replaced"
     REFUSED = "refused"
     GAVE_WAY = "gave_way"
+    UNPROVEN = "unproven"
     STOPPED = "stopped"
     BROKEN = "broken"
     CRASHED = "crashed"
@@ -78,7 +79,7 @@ class Link:
                 finally:
                     writer.cancel()
         except* ConnectionRefusedError:  # by the transport: the device has no key
-            end = LinkEnd.REFUSED
+            end = LinkEnd.UNPROVEN
         except* OSError as broken:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
