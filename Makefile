@@ -23,7 +23,7 @@ help:
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make soak    ten minutes of driving on the chain, ten over a link that fails, every message counted"
-	@echo "make fuzz    the property tests with 50 times the examples"
+	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris on each reader of bytes"
 
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer: install python3.11, or run make PYTHON=/path/to/python3"; exit 1; }
@@ -63,6 +63,8 @@ bench: $(VENV)/.dev
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
+	$(BIN)/python tools/fuzz.py --seconds 60
 
 web: $(VENV)/.dev
 	@command -v npm >/dev/null || { echo "make web needs Node 20.19 or newer, with npm"; exit 1; }

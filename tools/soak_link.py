@@ -36,17 +36,19 @@ def main() -> int:
     arguments = parser.parse_args()
     logs.configure(level="error")
     lines = arguments.line or ["every 120 lose", f"at {arguments.seconds / 2} cut"]
-    account = asyncio.run(drive(parse([f"seed {arguments.seed}", *lines]), arguments.seconds))
-    row = account.row()
-    print(json.dumps({"seconds": arguments.seconds, "script": lines, **row}))
-    return 1 if row["lost outside cuts"] else 0
-
-
-async def drive(script: Script, seconds: float) -> Account:
-    """Commands ten times a second through the relay, odometry as often."""
-    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0), link=LinkConfig(uart_bytes_s=3840))
     robot = NumberedRobot(Catalog())
     robot.publish_every = round(0.1 / LOOP_S)
+    account = asyncio.run(drive(robot, parse([f"seed {arguments.seed}", *lines]), arguments.seconds))
+    # A busy machine turns the robot's loop late, and then its ring of 127 bytes is too small: the robot's own loss.
+    own = {"ring_bytes": robot.device.from_host.lost_bytes, "frames": robot.device.dropped_frames}
+    print(json.dumps({"seconds": arguments.seconds, "script": lines, **account.row(), "lost by the robot": own}))
+    outside = sum(outside for outside, _ in account.lost().values())
+    return 1 if outside > own["frames"] else 0
+
+
+async def drive(robot: NumberedRobot, script: Script, seconds: float) -> Account:
+    """Commands ten times a second through the relay, odometry as often."""
+    config = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0), link=LinkConfig(uart_bytes_s=3840))
     account = Account(poses_sent=robot.sent)
     loop = asyncio.get_running_loop()
     async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:

@@ -1,0 +1,115 @@
+"""What a fuzzer tries with any bytes, and the laws that must hold: one function a target, an error is a find.
+
+`tools/fuzz.py` lets atheris look for such bytes; tests/unit/test_corpus.py tries those that it has found.
+"""
+
+import contextlib
+import math
+from collections.abc import Callable
+
+from hostlink.errors import BadPayload, HostlinkError
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol import control
+from hostlink.protocol.ask_clock import ASK_INTERVAL_S
+from hostlink.protocol.events import TopicsAsked
+from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.protocol.session import Session
+from hostlink.protocol.stream import FrameStream, Skipped
+
+LIMIT_BYTES = 1024
+SIZES = {"geometry_msgs/Pose2D": 24, "geometry_msgs/Twist": 48}
+CATALOG = Catalog()
+TYPES = [
+    found
+    for name in (
+        "std_msgs/Bool", "std_msgs/String", "std_msgs/Float32MultiArray", "geometry_msgs/Twist", "nav_msgs/Odometry",
+        "sensor_msgs/LaserScan", "sensor_msgs/JointState", "sensor_msgs/PointCloud2", "diagnostic_msgs/DiagnosticArray",
+        "tf2_msgs/TFMessage", "rosgraph_msgs/Log",
+    )
+    if (found := CATALOG.message(name)) is not None
+]  # fmt: skip
+
+
+def stream(data: bytes) -> None:
+    """No byte is lost, and how they were cut changes no frame."""
+    cut = data[0] if data else 0
+    whole, pieces = FrameStream(limit_bytes=LIMIT_BYTES), FrameStream(limit_bytes=LIMIT_BYTES)
+    found = list(whole.feed(data))
+    apart = [*pieces.feed(data[:cut]), *pieces.feed(data[cut:])]
+    assert [item for item in found if isinstance(item, Frame)] == [item for item in apart if isinstance(item, Frame)]
+    assert whole.pending_bytes <= LIMIT_BYTES + OVERHEAD_BYTES
+    while whole.pending_bytes:
+        found += whole.give_up()
+    wires = (item.data if isinstance(item, Skipped) else encode(item.topic_id, item.payload) for item in found)
+    assert b"".join(wires) == data
+
+
+def session(data: bytes) -> None:
+    """Any bytes at any time: no error, no two requests for topics within a second, nothing too large to a device."""
+    tried = Session(check=lambda info: SIZES.get(info.type))
+    now_s = 0.0
+    found = tried.open(now_s=now_s)
+    asked_at_s = -ASK_INTERVAL_S
+    while True:
+        for event in found:
+            if isinstance(event, TopicsAsked):
+                assert now_s >= asked_at_s + ASK_INTERVAL_S
+                asked_at_s = now_s
+        send_all(tried, now_s)
+        if now_s >= tried.deadline_s():
+            found = tried.tick(now_s=now_s)
+        elif data:
+            size = data[0] % 64
+            now_s += data[0] // 64 * 0.7  # before the bytes
+            found = tried.receive(data[1 : 1 + size], now_s=now_s)
+            data = data[1 + size :]
+        else:
+            return
+
+
+def send_all(tried: Session, now_s: float) -> None:
+    """Say something on each topic, and look at what leaves for the device."""
+    for info in tried.topics:
+        with contextlib.suppress(HostlinkError):  # refused before it is queued
+            tried.publish(info.name, bytes(SIZES.get(info.type, 3)))
+    buffers = {info.topic_id: info.buffer_bytes for info in tried.topics if info.is_to_device}
+    while (frame := tried.take(now_s=now_s, wall_ns=0)) is not None:
+        topic_id = int.from_bytes(frame[5:7], "little")
+        assert topic_id < FIRST_TOPIC_ID or topic_id in buffers
+        assert buffers.get(topic_id, 0) <= 0 or len(frame) <= buffers[topic_id]
+
+
+def control_payloads(data: bytes) -> None:
+    """Each payload is nothing, or something that is the same when it is written and read again."""
+    for kind in list(Id)[: Id.SERVICE_CLIENT_SUBSCRIBER + 1]:
+        info = control.decode_topic_info(kind, data)
+        assert info is None or control.decode_topic_info(kind, control.encode_topic_info(info)) == info
+    log = control.decode_log(data)
+    assert log is None or control.decode_log(control.encode_log(log)) == log
+    name = control.decode_parameter_request(data)
+    assert name is None or control.decode_parameter_request(control.encode_parameter_request(name)) == name
+    parameter = control.decode_parameter(data)
+    if parameter is not None and not any(map(math.isnan, parameter.floats)):
+        assert control.decode_parameter(control.encode_parameter(parameter)) == parameter
+    control.decode_time(data)
+
+
+def codec(data: bytes) -> None:
+    """A payload fits its type or is refused; what fits is the same when it is written and read again."""
+    if not data:
+        return
+    type_ = TYPES[data[0] % len(TYPES)]
+    try:
+        message = type_.decode(data[1:])
+    except BadPayload:
+        return
+    again = type_.encode(message)
+    assert type_.encode(type_.decode(again)) == again
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "stream": stream,
+    "session": session,
+    "control": control_payloads,
+    "codec": codec,
+}
