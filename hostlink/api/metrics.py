@@ -36,6 +36,13 @@ _LINK_COUNTERS = {
     "replaced": "Messages that a newer one took the place of",
 }
 
+_LINK_CLOCK = {
+    "offset_s": ("clock_offset_seconds", "What the device's stamps lack to their arrival, on the fastest way"),
+    "drift_ppm": ("clock_drift_ppm", "How much faster the device's clock runs than the host's"),
+    "round_trip_s": ("round_trip_seconds", "Of the network, as TCP measures it"),
+    "answer_s": ("answer_seconds", "From a request for the device's topics to the first of them"),
+}
+
 
 class Metrics:
     """The registry of one daemon."""
@@ -115,6 +122,10 @@ class _Graph(Collector):
         oldest = GaugeMetricFamily(
             "hostlink_link_oldest_waiting_seconds", "Age of the oldest frame that waits for the device", labels=names
         )
+        clocks = {
+            name: GaugeMetricFamily(f"hostlink_link_{metric}", help_, labels=names)
+            for name, (metric, help_) in _LINK_CLOCK.items()
+        }
         latency = HistogramMetricFamily(
             "hostlink_command_to_device_seconds", "From a velocity's command to the device's socket", labels=names
         )
@@ -127,8 +138,11 @@ class _Graph(Collector):
                 rejected.add_metric([*labels, cause], count)
             silent.add_metric(labels, now_s - link.heard_at_s)
             oldest.add_metric(labels, link.session.oldest_waiting_s(now_s))
+            for name, value in cast("dict[str, float | None]", facts["clock"] or {}).items():
+                if value is not None:
+                    clocks[name].add_metric(labels, value)
             latency.add_metric(labels, link.command_latency.buckets(), link.command_latency.sum_s)
-        yield from (*counters.values(), rejected, silent, oldest, latency)
+        yield from (*counters.values(), *clocks.values(), rejected, silent, oldest, latency)
 
     def _to_clients(self) -> Iterator[Metric]:
         clients = self._clients.views()

@@ -73,6 +73,19 @@ class FindingView(TypedDict):
     detail: str
 
 
+class ClockView(TypedDict):
+    """A device's clock and the way to it, in parts that are null until they are measured.
+
+    offset_s: what its header stamps lack to their arrival, on the fastest way. drift_ppm: how much faster it runs.
+    round_trip_s: of the network, as TCP measures it. answer_s: from a request for its topics to the first of them.
+    """
+
+    offset_s: float | None
+    drift_ppm: float | None
+    round_trip_s: float | None
+    answer_s: float | None
+
+
 class LinkView(TypedDict):
     """One live connection, its topics, what was counted on it and what is wrong with it, most telling first."""
 
@@ -96,6 +109,7 @@ class LinkView(TypedDict):
     rejected: dict[str, int]
     slowest_wait_s: float
     oldest_waiting_s: float
+    clock: ClockView | None
 
 
 class EndedLinkView(TypedDict):

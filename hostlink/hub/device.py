@@ -1,5 +1,8 @@
 """Device: what one link means to the graph: its topics, its services, and the routes of its frames."""
 
+import struct
+import time
+
 import structlog
 
 from hostlink.errors import WrongType
@@ -8,11 +11,15 @@ from hostlink.hub.subscriptions import SendToDevice, Topic, TopicGraph, resolve
 from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.fields import Field
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 
 log = structlog.get_logger()
 
+_HEADER = Field("header", "std_msgs/Header")
+_STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
+_NS_PER_S = 1_000_000_000
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
 
 
@@ -36,6 +43,7 @@ class Device:
     def __init__(self, link: Link, topics: TopicGraph, services: Services, catalog: Catalog) -> None:
         self.link = link
         self.routes: dict[int, Topic] = {}  # where the messages of an id go
+        self._stamped: set[int] = set()  # the ids of messages that begin with a header
         self._topics, self._services, self._catalog = topics, services, catalog
 
     def announce(self, infos: tuple[TopicInfo, ...]) -> None:
@@ -47,15 +55,25 @@ class Device:
             except WrongType as error:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
 
+    def look_at_stamp(self, topic_id: int, payload: bytes) -> None:
+        """A message came: if it has a header, its stamp says something about the device's clock."""
+        if topic_id in self._stamped and len(payload) >= _STAMP.size:
+            secs, nsecs = _STAMP.unpack_from(payload)
+            clock = self.link.session.device_clock
+            clock.see(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=self.link.heard_at_s)
+
     def leave(self) -> None:
         """Take everything of this device out of the graph."""
         self.routes.clear()
+        self._stamped.clear()
         self._topics.leave(self.link)
         self._services.leave(self.link)
 
     def _add(self, info: TopicInfo) -> None:
         if info.kind is Id.PUBLISHER:
-            self.routes[info.topic_id] = self._topics.advertise(info.name, self.link, type_name=info.type)
+            topic = self.routes[info.topic_id] = self._topics.advertise(info.name, self.link, type_name=info.type)
+            if topic.type is not None and topic.type.fields[:1] == (_HEADER,):
+                self._stamped.add(info.topic_id)
         elif info.kind is Id.SUBSCRIBER:
             self._topics.take(info.name, self.link, self._sender(info.name), type_name=info.type)
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:

@@ -169,9 +169,11 @@ class Hub:
             self._reactions[type(event)](link, event)
 
     def _deliver(self, link: Link, event: events.MessageReceived) -> None:
-        topic = self._devices[link.number].routes.get(event.topic.topic_id)
+        device = self._devices[link.number]
+        topic = device.routes.get(event.topic.topic_id)
         if topic is None:
             return
+        device.look_at_stamp(event.topic.topic_id, event.payload)
         try:
             self._spread(topic, event.payload, source=link)
         except HostlinkError as error:

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import structlog
 
@@ -20,6 +21,7 @@ from hostlink.robot.velocity_gate import Limits, VelocityGate
 
 log = structlog.get_logger()
 
+_NS_PER_S = 1_000_000_000
 TICK_S = 0.05  # how late the end of a lease may be noticed
 LOCK_REASON = "emergency stop"  # of whoever does not say
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
@@ -47,9 +49,17 @@ class Robot:
     def see(self, message: Message) -> None:
         """Take a message of the robot's odometry topic."""
         try:
-            self.odometry.see(message.decoded, now_s=_now_s(), wall_ns=message.stamp_ns)
+            self.odometry.see(message.decoded, now_s=_now_s(), wall_ns=self._stamp_ns(message))
         except BadPayload as error:
             log.debug("odometry.unreadable", robot=self.name, reason=str(error))
+
+    def _stamp_ns(self, message: Message) -> int:
+        """When the message was made, in the host's time: its header's stamp where it has one, else its arrival."""
+        header: Any = message.decoded.get("header")
+        if header is None or self.link is None:
+            return message.stamp_ns
+        stamp_ns = header["stamp"]["secs"] * _NS_PER_S + header["stamp"]["nsecs"]
+        return self.link.session.device_clock.to_host_ns(stamp_ns, message.stamp_ns)
 
 
 class Robots:

@@ -115,6 +115,7 @@ class Link:
             "rejected": self.session.rejected,
             "slowest_wait_s": round(self.session.slowest_wait_s, 6),
             "oldest_waiting_s": round(self.session.oldest_waiting_s(now_s), 6),
+            "clock": self.session.device_clock.view(self._transport.round_trip_s()),
         }
 
     async def _read(self) -> LinkEnd:

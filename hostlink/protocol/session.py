@@ -10,6 +10,7 @@ from struct import error as StructError  # noqa: N812 - a class, named like one
 from hostlink.errors import FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 from hostlink.protocol import events
 from hostlink.protocol.ask_clock import AskClock
+from hostlink.protocol.clock import DeviceClock
 from hostlink.protocol.control import (
     Parameter,
     TopicInfo,
@@ -23,6 +24,7 @@ from hostlink.protocol.frame import (
     FIRST_TOPIC_ID,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
+    TOPICS_REQUEST,
     Frame,
     Id,
     encode,
@@ -76,6 +78,7 @@ class Session:
     ) -> None:
         """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
         self.counts = SessionCounts()
+        self.device_clock = DeviceClock()
         self.foreign = ForeignBytes()
         self.too_large = ""  # the last frame that was refused for its size
         self._check = check
@@ -127,6 +130,8 @@ class Session:
         """The next frame to write; None when nothing waits or the device's UART is busy."""
         frame = self._outbox.take(now_s=now_s, wall_ns=wall_ns)
         if frame is not None:
+            if frame is TOPICS_REQUEST:
+                self.device_clock.asked(now_s)
             self.counts.frames_to_device += 1
             self.counts.bytes_to_device += len(frame)
         return frame
@@ -285,6 +290,7 @@ class Session:
             self._outbox.drop_messages()
         self._refused.pop(info.topic_id, None)
         self._clock.told_at_s = now_s
+        self.device_clock.told(now_s)
         self._clock.is_answered = True
         fixed_bytes = None
         try:

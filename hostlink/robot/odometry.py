@@ -19,7 +19,7 @@ SHAKE_M = 0.02
 SHAKE_RAD = 0.05
 FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
 RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest that a stalled network is waited for elsewhere
-CLOCK_SET_NS = 1_000_000_000  # a stamp so far back is of a host whose clock was set; smaller ones are held
+CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are held
 
 
 class Twist(NamedTuple):

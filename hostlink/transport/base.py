@@ -20,6 +20,10 @@ class Transport(Protocol):
         """Returns when the operating system has taken all of it."""
         ...
 
+    def round_trip_s(self) -> float | None:
+        """How long the network takes there and back, as it measures by itself; None: it does not."""
+        ...
+
     async def aclose(self) -> None:
         """Close within CLOSE_TIMEOUT_S, then abort; once is enough."""
         ...

@@ -69,6 +69,10 @@ class KeyedTransport:
         await self._is_proven.wait()
         await self._transport.send(data)
 
+    def round_trip_s(self) -> float | None:
+        """As the transport below."""
+        return self._transport.round_trip_s()
+
     async def aclose(self) -> None:
         """As the transport below."""
         await self._transport.aclose()

@@ -24,6 +24,10 @@ class StreamTransport:
         self._writer.write(data)
         await self._writer.drain()
 
+    def round_trip_s(self) -> float | None:
+        """Nobody measures it."""
+        return None
+
     async def aclose(self) -> None:
         """Let what was sent leave, but do not wait for a dead peer; whoever gives this up aborts."""
         if self._is_closed:  # a close that was given up cannot be waited for again

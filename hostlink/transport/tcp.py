@@ -5,6 +5,7 @@ import contextlib
 import errno
 import os
 import socket
+import struct
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from hostlink.errors import ConfigError
 from hostlink.transport.base import Transport
 from hostlink.transport.stream import StreamTransport
 
+_RTT_AT = 68  # tcpi_rtt, microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where nothing can replace them
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged for so long: the peer is gone
 KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # seconds, seconds, probes: found within 11 s
@@ -23,6 +25,22 @@ class Listener:
     """Where it really listens."""
 
     address: tuple[str, int]
+
+
+class TcpTransport(StreamTransport):
+    """A connection whose system measures the way."""
+
+    def round_trip_s(self) -> float | None:
+        """What the kernel makes of its acknowledgements; None where it has no TCP_INFO, or the connection is gone."""
+        connection = self._writer.get_extra_info("socket")
+        if connection is None or not hasattr(socket, "TCP_INFO"):
+            return None
+        try:
+            info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _RTT_AT + 4)
+        except OSError:
+            return None
+        rtt_us: int = struct.unpack_from("=I", info, _RTT_AT)[0]
+        return rtt_us / 1e6
 
 
 @contextlib.asynccontextmanager
@@ -39,7 +57,7 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
             writer.transport.abort()
             return
         host, port = peername[:2]
-        on_connection(StreamTransport(reader, writer, peer=spelled(host, port), address=host))
+        on_connection(TcpTransport(reader, writer, peer=spelled(host, port), address=host))
 
     try:
         server = await asyncio.start_server(accept, config.host, config.port)

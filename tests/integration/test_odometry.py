@@ -1,12 +1,14 @@
 """Odometry on a running daemon: devices that restart, lose their connection, or are reset."""
 
+import time
 from typing import Any
 
 import pytest
 
 from hostlink.config import Config, RobotConfig
+from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -59,3 +61,30 @@ async def test_a_reset_by_somebody_is_at_the_origin_and_no_restart(way: str) -> 
         assert await device.frame(101) == b""
         shown = await tell(host, device, 0.0)
     assert (shown["pose"]["x_m"], shown["restarts"]) == (0.0, 0)
+
+
+async def test_a_header_stamp_becomes_host_time_and_the_link_tells_its_clock() -> None:
+    """The device's clock is an hour behind; its third message was held up for half a second on its way."""
+    odometry = topic(Id.PUBLISHER, 125, "/robot_0/odometry", "nav_msgs/Odometry")
+    type_ = CATALOG.message("nav_msgs/Odometry")
+    assert type_ is not None
+    async with daemon() as host, fake_device(host.tcp, [odometry, robot_topics()[1]]) as device:
+        robot = host.hub.robots.find("robot_0")
+        stamps = []
+        for number, late_ns in enumerate([0, 0, 500_000_000]):
+            stamp_ns = time.time_ns() - 3600 * 10**9 - late_ns
+            secs, nsecs = divmod(stamp_ns, 10**9)
+            message = {"header": {"stamp": {"secs": secs, "nsecs": nsecs}}, "pose": {}}
+            await device.send(encode(125, type_.encode(message)))
+            await expect(lambda count=number + 1: robot.odometry.count == count)
+            stamps.append((await host.get("/api/robots/robot_0/odometry"))["stamp_ns"])
+        clock = (await host.get("/api/links"))["links"][0]["clock"]
+        metrics = await (await host.session.get(host.url + "/metrics")).text()
+    assert clock["offset_s"] == pytest.approx(3600, abs=0.3)
+    assert clock["drift_ppm"] is None
+    assert 0 < clock["round_trip_s"] < 1
+    assert 0 < clock["answer_s"] < 2
+    assert stamps == sorted(stamps)
+    assert stamps[2] == pytest.approx(time.time_ns() - 500_000_000, abs=480_000_000)
+    assert 'hostlink_link_clock_offset_seconds{peer="127.0.0.1",robot="robot_0"} 3600.' in metrics
+    assert "hostlink_link_round_trip_seconds{" in metrics

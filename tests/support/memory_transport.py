@@ -81,6 +81,10 @@ class MemoryTransport:
         """Returns when the line has room for all of it."""
         await self._to_peer.put(data)
 
+    def round_trip_s(self) -> float | None:
+        """There is no network."""
+        return None
+
     async def aclose(self) -> None:
         """End both directions."""
         self._from_peer.end()

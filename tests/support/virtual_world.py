@@ -42,6 +42,9 @@ class Tap:
         self.written.append(data)
         await self._end.send(data)
 
+    def round_trip_s(self) -> float | None:
+        return self._end.round_trip_s()
+
     async def aclose(self) -> None:
         await self._end.aclose()
 
