@@ -31,8 +31,9 @@ class Admission:
     |-----------------------------------|--------------------------------------------------------------------------|
     | from outside the allowed networks | refused: not_allowed                                                     |
     | over the bound of its address     | refused: too_many_of_address                                             |
-    | over the bound of all             | of those that told no topics, the oldest of the address that has most of |
-    |                                   | them gives way; without any it is refused: too_many                      |
+    | over the bound of all             | of the strangers, who told no topics, the oldest of the address that has |
+    |                                   | most of them gives way, if its own has fewer; else it is refused:        |
+    |                                   | too_many                                                                 |
     """
 
     def __init__(self, config: TcpConfig) -> None:
@@ -49,10 +50,11 @@ class Admission:
         if len(guests) < self._config.max_connections:
             return Verdict()
         strangers = [guest for guest in guests if not guest.has_told_topics]
-        if not strangers:
-            return Verdict(refusal="too_many")
         counts = Counter(guest.address for guest in strangers)
-        return Verdict(gives_way=max(strangers, key=lambda guest: counts[guest.address]).number)  # the first of equals
+        oldest = max(strangers, key=lambda guest: counts[guest.address], default=None)  # the first of equals
+        if oldest is None or counts[address] >= counts[oldest.address]:
+            return Verdict(refusal="too_many")
+        return Verdict(gives_way=oldest.number)
 
     def needs_key(self, address: str) -> bool:
         """If there is a key: whether this one must prove it."""

@@ -46,12 +46,12 @@ async def test_a_crowd_that_says_nothing_does_not_keep_a_robot_out() -> None:
         async with daemon(config) as host, strangers(host.tcp, 300, local_host=CROWD):
             await expect(lambda: host.hub.refused["too_many_of_address"] == 285)
             async with strangers(host.tcp, 15, local_host="127.0.0.4"):
-                await expect(lambda: host.hub.refused["gave_way"] == 10)
+                await expect(lambda: host.hub.refused["too_many"] == 5)
                 async with fake_device(host.tcp, robot_topics(), local_host=ROBOT) as device:
                     await device.send(pose(1.0))
                     await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
                     await expect(lambda: len(host.hub.links()) == 20)
-                    assert host.hub.refused == {"too_many_of_address": 285, "gave_way": 11}
+                    assert host.hub.refused == {"too_many_of_address": 285, "too_many": 5, "gave_way": 6}
                     assert host.hub.robots.find("robot_0").link is not None
     told = [line for line in lines if line["event"] == "connection.refused"]
     assert len(told) == 1  # not one for each

@@ -45,6 +45,14 @@ def test_the_oldest_stranger_of_the_address_with_the_most_of_them_gives_way() ->
     assert admission.judge(ROBOT, there) == Verdict(gives_way=2)
 
 
+def test_a_crowd_does_not_push_itself_out() -> None:
+    """Each that was let in costs more than one that is refused."""
+    admission = Admission(TcpConfig(max_connections=4))
+    there = guests((CROWD, False), (OTHER, False), (CROWD, False), (OTHER, False))
+    assert admission.judge(CROWD, there) == Verdict(refusal="too_many")
+    assert admission.judge(ROBOT, there) == Verdict(gives_way=0)
+
+
 def test_nobody_who_told_topics_gives_way() -> None:
     admission = Admission(TcpConfig(max_connections=2))
     assert admission.judge(CROWD, guests((ROBOT, True), (OTHER, True))) == Verdict(refusal="too_many")
