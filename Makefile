@@ -42,7 +42,15 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo
 
-test: $(VENV)/.dev
+CLIENTS := tests/clients/node_modules/.package-lock.json
+
+$(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
+	@{ command -v node && command -v npm; } >/dev/null || tools/require.sh nodejs npm
+	@echo "installing the JavaScript clients that the tests run ..."
+	@cd tests/clients && npm ci --ignore-scripts --no-progress --loglevel=error
+	@touch $@
+
+test: $(VENV)/.dev $(CLIENTS)
 	@tools/require.sh tmux procps systemd chromium $(FIRMWARE_PACKAGES)
 	$(BIN)/python -m pytest
 

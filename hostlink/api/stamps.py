@@ -22,8 +22,10 @@ def to_time(stamp_ns: int) -> dict[str, int]:
 
 def _filled(type_: MessageType, message: dict[str, Any], now: dict[str, int]) -> dict[str, Any]:
     filled = dict(message)
-    if type_.name == HEADER and _is_zero(message.get("stamp")):
-        filled["stamp"] = now
+    if type_.name == HEADER:
+        filled = {name: value for name, value in message.items() if value is not None}  # as roslibpy leaves fields out
+        if _is_zero(filled.get("stamp")):
+            filled["stamp"] = now
     for field in type_.fields:
         nested = type_.nested.get(field.type)
         if field.type == "time":

@@ -203,7 +203,15 @@ async def test_values_that_cannot_be_are_named(type_name: str, message: object, 
 
 
 @pytest.mark.parametrize(
-    "header", [{}, {"frame_id": ""}, {"stamp": {"secs": 0, "nsecs": 0}}, {"stamp": {"sec": 0}}, {"stamp": "now"}]
+    "header",
+    [
+        {},
+        {"frame_id": ""},
+        {"stamp": {"secs": 0, "nsecs": 0}},
+        {"stamp": {"sec": 0}},
+        {"stamp": "now"},
+        {"seq": None, "stamp": None, "frame_id": None},
+    ],
 )
 async def test_a_stamp_that_is_missing_or_zero_or_now_is_now(header: dict[str, object]) -> None:
     pose = {"header": header} if header else {}
