@@ -1,7 +1,6 @@
 /** Asks for a token when the daemon wants one, and says why. */
 
 import { find, say } from "./dom";
-import type { Refused } from "./rest";
 import { keepToken } from "./token";
 
 export class Access {
@@ -19,9 +18,9 @@ export class Access {
     });
   }
 
-  ask(refused: Refused): void {
-    say(find("#access-title"), refused.status === 401 ? "A token is needed" : "This token does not allow that");
-    say(find("#access-reason"), `hostlink says: ${refused.message}.`);
+  ask(title: string, reason: string): void {
+    say(find("#access-title"), title);
+    say(find("#access-reason"), `hostlink says: ${reason}.`);
     if (!this.panel.hidden) return;
     this.panel.hidden = false;
     find("#access-token").focus();

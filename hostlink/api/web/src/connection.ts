@@ -5,7 +5,7 @@
  * that was meant before a break may reach a robot after it.
  */
 
-import { Ros, Service, Topic } from "roslib";
+import { Ros, type RosbridgeMessage, Service, Topic, WebSocketTransportFactory } from "roslib";
 
 const LOOK_MS = 100;
 const ASK_MS = 400;
@@ -14,9 +14,25 @@ const DEAD_MS = 2000;
 const OPEN_MS = 1500;
 const BACKOFF_MS = [250, 500, 1000];
 
-/** What is published, by the name under which a refusal comes back. */
-const REFUSABLE = ["drive", "tune"] as const;
-export type What = (typeof REFUSABLE)[number];
+const PUBLISH_ID = "publish"; // under these a refusal comes back
+const DRIVE_ID = "drive";
+
+/** hostlink's own operation beside rosbridge's: a command that is answered, and refused when it comes too late. */
+export interface DriveRequest {
+  robot: string;
+  linear: number;
+  angular: number;
+  priority: number;
+  link: number | null;
+  sent_s: number;
+}
+
+export interface DriveAnswer {
+  result: boolean;
+  kind?: string;
+  reason?: string;
+  is_limited?: boolean;
+}
 
 /** late: nothing comes back, it may only be slow. */
 export type State = "connecting" | "open" | "late" | "closed";
@@ -44,7 +60,8 @@ export class Connection {
   constructor(
     private readonly address: () => string,
     private readonly onState: (state: State) => void,
-    private readonly onRefusal: (what: What, reason: string) => void,
+    private readonly onDriven: (answer: DriveAnswer) => void,
+    private readonly onRefusal: (reason: string) => void,
   ) {}
 
   start(): void {
@@ -74,17 +91,32 @@ export class Connection {
     };
   }
 
-  /** Say it now or never: false when it was not said. A refusal is told under `what`. */
-  publish(what: What, topic: string, msg: object, priority?: number): boolean {
+  /** Say it now or never: false when it was not said. */
+  publish(topic: string, msg: object): boolean {
+    return this.say({ op: "publish", id: PUBLISH_ID, topic, msg });
+  }
+
+  /** Say it now or never. */
+  drive(request: DriveRequest): boolean {
+    return this.say({ op: "drive", id: DRIVE_ID, ...request });
+  }
+
+  private say(message: object): boolean {
     if (this.ros === null || (this.state !== "open" && this.state !== "late")) return false;
-    const message = { op: "publish" as const, id: what, topic, msg, priority };
-    this.ros.callOnConnection(message);
+    this.ros.callOnConnection(message as RosbridgeMessage);
     return true;
   }
 
   private open(): void {
     const serial = ++this.serial;
-    const ros = new Ros();
+    const ros = new Ros({
+      transportFactory: async (url) => {
+        const transport = await WebSocketTransportFactory(url);
+        return transport.on("message", (message: object) => {
+          if ("op" in message && message.op === "drive_result") this.onDriven(message as unknown as DriveAnswer);
+        });
+      },
+    });
     this.ros = ros;
     this.attemptAt = performance.now();
     this.change("connecting");
@@ -103,9 +135,10 @@ export class Connection {
     this.askedAt = null;
     this.askAt = 0;
     ros.setStatusLevel("error");
-    for (const what of REFUSABLE) {
-      ros.on(`status:${what}`, (status) => this.onRefusal(what, "msg" in status ? String(status.msg) : ""));
-    }
+    ros.on(`status:${PUBLISH_ID}`, (status) => this.onRefusal(textOf(status)));
+    ros.on(`status:${DRIVE_ID}`, (status) => {
+      this.onDriven({ result: false, kind: "NoRole", reason: textOf(status) });
+    });
     this.topics.clear();
     for (const wish of this.wishes) this.fulfil(ros, wish);
     this.change("open");
@@ -166,4 +199,8 @@ export class Connection {
     this.state = state;
     this.onState(state);
   }
+}
+
+function textOf(status: RosbridgeMessage): string {
+  return "msg" in status ? String(status.msg) : "";
 }

@@ -1,6 +1,6 @@
 /** The drive panel: from what is held to commands on the robot's velocity topic, and why they do not work if so. */
 
-import type { Connection } from "./connection";
+import type { Connection, DriveAnswer } from "./connection";
 import { digits, find, remember, remembered, say } from "./dom";
 import { Driving, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
@@ -17,6 +17,7 @@ export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
 
   private target: RobotView | undefined; // of the commands; only changed when nothing is held
+  private device: number | null = null; // the link of what is driven: a device that connects again is not driven on
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
@@ -46,8 +47,11 @@ export class Drive {
     return isMine && !this.isRefused ? "you" : robot.holder;
   }
 
-  refused(reason: string): void {
-    this.refusal = reason;
+  /** Of somebody more important the stick waits for; after any other refusal it must be let go first. */
+  answered(answer: DriveAnswer): void {
+    if (answer.result) return;
+    if (answer.kind !== "RobotHeld") this.driving.letGo();
+    this.refusal = answer.reason ?? "";
     this.refusedAt = performance.now();
     this.show();
   }
@@ -89,13 +93,20 @@ export class Drive {
 
   private send(velocity: Velocity): void {
     if (!this.target?.connected) return;
-    const twist = {
-      linear: { x: velocity.linear_m_s, y: 0, z: 0 },
-      angular: { x: 0, y: 0, z: velocity.angular_rad_s },
-    };
-    if (this.connection.publish("drive", this.target.velocity_topic, twist, TELEOP_PRIORITY)) {
-      this.droveAt = performance.now();
-    }
+    const now = performance.now();
+    const { isHeld } = this.driving;
+    if (!isHeld)
+      this.device = null; // a zero is meant for whichever there is
+    else this.device ??= this.target.link;
+    const isSaid = this.connection.drive({
+      robot: this.target.name,
+      linear: velocity.linear_m_s,
+      angular: velocity.angular_rad_s,
+      priority: TELEOP_PRIORITY,
+      link: this.device,
+      sent_s: now / 1000,
+    });
+    if (isSaid) this.droveAt = now;
   }
 
   /** A new speed is for what is held then; it moves nothing by itself. */

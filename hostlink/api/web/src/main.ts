@@ -6,7 +6,7 @@ import "./style/showing.css";
 import "./style/sizes.css";
 import { Access } from "./access";
 import { showClients } from "./clients";
-import { Connection, type State, type What } from "./connection";
+import { Connection, type State } from "./connection";
 import { digits, find, say } from "./dom";
 import { Drive } from "./drive";
 import { Fleet } from "./fleet";
@@ -34,7 +34,15 @@ const STATES: Record<State, string> = {
 takeTokenFromAddress();
 
 const fleet = new Fleet(show, refuse);
-const connection = new Connection(address, changed, refusedOnSocket);
+const connection = new Connection(
+  address,
+  changed,
+  (answer) => {
+    drive.answered(answer);
+    if (answer.kind === "NoRole") access.ask("This token does not drive", answer.reason ?? "");
+  },
+  (reason) => tuning.refused(reason),
+);
 const drive = new Drive(fleet, connection);
 const stop = new Stop(fleet, drive.driving);
 const robots = new RobotList(fleet, (robot) => drive.driver(robot));
@@ -79,13 +87,9 @@ function changed(state: State): void {
 }
 
 function refuse(refused: Refused): void {
-  if (refused.needsToken) access.ask(refused);
+  if (refused.status === 401) access.ask("A token is needed", refused.message);
+  else if (refused.status === 403) access.ask("This is not allowed", refused.message);
   else notice("refused", refused.message, 3000);
-}
-
-function refusedOnSocket(what: What, reason: string): void {
-  if (what === "tune") tuning.refused(reason);
-  else drive.refused(reason);
 }
 
 /** Everything that comes from the daemon's views. */

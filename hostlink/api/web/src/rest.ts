@@ -12,27 +12,23 @@ export class Refused extends Error {
   ) {
     super(reason);
   }
-
-  /** Whether another token would help. */
-  get needsToken(): boolean {
-    return this.status === 401 || this.status === 403;
-  }
 }
 
 /** The answer's JSON; Refused when the daemon says no, any other error when it cannot be reached. */
-export async function rest<T>(method: string, path: string): Promise<T> {
+export async function rest<T>(method: string, path: string, body?: object): Promise<T> {
   const secret = token();
   const response = await fetch(path, {
     method,
+    body: body && JSON.stringify(body),
     headers: secret ? { Authorization: `Bearer ${secret}` } : {},
     signal: AbortSignal.timeout(TIMEOUT_MS),
     cache: "no-store",
   });
-  const body = (await response.json().catch(() => null)) as (T & { error?: { reason?: string } }) | null;
-  if (!response.ok || body === null) {
-    throw new Refused(response.status, body?.error?.reason ?? `${method} ${path}: ${response.statusText}`);
+  const answer = (await response.json().catch(() => null)) as (T & { error?: { reason?: string } }) | null;
+  if (!response.ok || answer === null) {
+    throw new Refused(response.status, answer?.error?.reason ?? `${method} ${path}: ${response.statusText}`);
   }
-  return body;
+  return answer;
 }
 
 /** The path of something that a robot has. */

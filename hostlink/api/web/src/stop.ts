@@ -46,7 +46,7 @@ export class Stop {
         await rest("POST", ofRobot(name, "stop"));
         notice("stop", null);
         notice("done", `${name} is stopped.`, 2500);
-        if (canLock) await rest("POST", ofRobot(name, "lock"));
+        if (canLock) await rest("POST", ofRobot(name, "lock"), { reason: "the stop on the page" });
         return;
       } catch (error) {
         if (error instanceof Refused) {

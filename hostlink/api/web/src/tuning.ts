@@ -75,7 +75,7 @@ export class Tuning {
         gains[gain] = Number(value);
         remember(`gain.${this.shown}.${side}${gain}`, value);
       }
-      isSent = topic !== null && this.connection.publish("tune", topic, gains) && isSent;
+      isSent = topic !== null && this.connection.publish(topic, gains) && isSent;
     }
     const time = new Date().toLocaleTimeString([], { hour12: false });
     say(this.state, isSent ? `Sent at ${time}.` : "Not sent: no connection.");
