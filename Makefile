@@ -21,6 +21,7 @@ help:
 	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
+	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make soak    ten minutes of driving on the chain, ten over a link that fails, every message counted"
 	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris on each reader of bytes"
@@ -81,7 +82,8 @@ web: $(VENV)/.dev
 
 screenshots: $(VENV)/.dev
 	@tools/require.sh chromium
-	$(BIN)/python -m pytest tests/system/test_page_looks.py
+	HOSTLINK_PICTURE_RAD=2.6 $(BIN)/python -m pytest tests/system/test_page_states.py -k looks
+	@echo "see build/screenshots"
 
 firmware: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)

@@ -10,6 +10,7 @@ import { connectKeys } from "./keys";
 import type { RobotView, Velocity } from "./views";
 
 const TELEOP_PRIORITY = 60; // a person goes before a program, which has 50
+const UNANSWERED_MS = 250; // then nothing more is sent until an answer comes: it would only be old when it arrives
 const REFUSED_MS = 1500; // a refusal that is older is over
 const AFTERGLOW_MS = 900; // so long the daemon may still name this page as the driver
 
@@ -18,6 +19,7 @@ export class Drive {
 
   private target: RobotView | undefined; // of the commands; only changed when nothing is held
   private device: number | null = null; // the link of what is driven: a device that connects again is not driven on
+  private unanswered: number[] = []; // when each of the commands was sent
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
@@ -49,11 +51,18 @@ export class Drive {
 
   /** Of somebody more important the stick waits for; after any other refusal it must be let go first. */
   answered(answer: DriveAnswer): void {
+    this.unanswered.shift();
     if (answer.result) return;
     if (answer.kind !== "RobotHeld") this.driving.letGo();
     this.refusal = answer.reason ?? "";
     this.refusedAt = performance.now();
     this.show();
+  }
+
+  /** The connection is another one, or none: what it was asked will not be answered. */
+  forget(): void {
+    this.driving.letGo();
+    this.unanswered = [];
   }
 
   show(): void {
@@ -95,9 +104,8 @@ export class Drive {
     if (!this.target?.connected) return;
     const now = performance.now();
     const { isHeld } = this.driving;
-    if (!isHeld)
-      this.device = null; // a zero is meant for whichever there is
-    else this.device ??= this.target.link;
+    if (isHeld && now - (this.unanswered[0] ?? now) > UNANSWERED_MS) return;
+    this.device = isHeld ? (this.device ?? this.target.link) : null; // a zero is meant for whichever there is
     const isSaid = this.connection.drive({
       robot: this.target.name,
       linear: velocity.linear_m_s,
@@ -106,7 +114,9 @@ export class Drive {
       link: this.device,
       sent_s: now / 1000,
     });
-    if (isSaid) this.droveAt = now;
+    if (!isSaid) return;
+    this.droveAt = now;
+    this.unanswered.push(now);
   }
 
   /** A new speed is for what is held then; it moves nothing by itself. */

@@ -14,11 +14,12 @@ export interface LogLine {
 }
 
 export class DeviceLog {
+  private readonly box = find("#log [role=log]");
   private readonly list = find("#log ol");
 
   see(line: LogLine): void {
-    const { list } = this;
-    const isAtEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 8;
+    const { box, list } = this;
+    const isAtEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 8;
     const level = LEVELS[line.level] ?? "info";
     const time = new Date(line.header.stamp.secs * 1000).toLocaleTimeString([], { hour12: false });
     list.append(
@@ -31,6 +32,6 @@ export class DeviceLog {
       ),
     );
     while (list.childElementCount > MAX_LINES) list.firstElementChild?.remove();
-    if (isAtEnd) list.scrollTop = list.scrollHeight;
+    if (isAtEnd) box.scrollTop = box.scrollHeight;
   }
 }

@@ -31,6 +31,8 @@ const STATES: Record<State, string> = {
   closed: "no connection",
 };
 
+const FRESH_MS = 500;
+
 takeTokenFromAddress();
 
 const fleet = new Fleet(show, refuse);
@@ -56,6 +58,7 @@ const access = new Access(() => connection.retryNow());
 
 let watched = { odometry: "", plot: "" };
 let unwatch: (() => void)[] = [];
+let posedAt = Number.NEGATIVE_INFINITY; // the topic told a pose; the daemon's view is up to a question behind
 
 connectTheme(() => {
   map.redraw();
@@ -76,7 +79,8 @@ function address(): string {
 }
 
 function changed(state: State): void {
-  if (state !== "open") drive.driving.letGo();
+  if (state === "late") drive.driving.letGo();
+  else if (state !== "open") drive.forget();
   const pill = find("#connection");
   pill.dataset.state = state;
   say(find("#connection .text"), STATES[state]);
@@ -97,7 +101,9 @@ function show(): void {
   const { robot, link } = fleet;
   watch();
   for (const each of fleet.robots) {
-    if (each.odometry && (each !== robot || connection.state !== "open")) map.see(each.name, each.odometry.pose);
+    const hasFreshPose = each === robot && performance.now() - posedAt < FRESH_MS;
+    if (each.odometry && !hasFreshPose) map.see(each.name, each.odometry.pose);
+    if (each.odometry && each === robot && !hasFreshPose) odometry.seePose(each.odometry.pose);
   }
   map.show(fleet.robots, robot?.name ?? null);
   drive.show();
@@ -124,6 +130,7 @@ function watch(): void {
   for (const end of unwatch) end();
   watched = wanted;
   unwatch = [];
+  posedAt = Number.NEGATIVE_INFINITY;
   if (robot && wanted.odometry) unwatch.push(connection.subscribe(wanted.odometry, "", seePose));
   if (wanted.plot) {
     unwatch.push(connection.subscribe<PlotData>(wanted.plot, "geometry_msgs/Twist", (data) => plots.see(data)));
@@ -140,6 +147,7 @@ function seePose(message: { x?: number; y?: number; theta?: number }): void {
       ? { x_m: x, y_m: y, theta_rad: theta }
       : robot.odometry?.pose;
   if (pose === undefined) return;
+  posedAt = performance.now();
   odometry.seePose(pose);
   map.see(robot.name, pose);
 }

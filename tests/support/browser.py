@@ -1,0 +1,83 @@
+"""The page in a real browser: Debian's Chromium, headless, driven from the test."""
+
+import contextlib
+import re
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from playwright.async_api import Browser, ConsoleMessage, Page, Request, async_playwright, expect
+
+CHROMIUM = "/usr/bin/chromium"  # of the package chromium: make test installs it
+FLAGS = [
+    "--no-sandbox",  # the tests may run as root
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+DESK = {"width": 1440, "height": 900}
+PHONE = {"width": 390, "height": 844}
+
+
+@dataclass
+class Visit:
+    """One visit of the page, and whatever the browser found wrong with it."""
+
+    page: Page
+    host: str
+    complaints: list[str] = field(default_factory=list)
+    foreign: list[str] = field(default_factory=list)
+
+    def hear(self, message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):  # a violation of the Content-Security-Policy is one of them
+            self.complaints.append(message.text)
+
+    def see(self, request: Request) -> None:
+        if urlsplit(request.url).netloc != self.host:
+            self.foreign.append(request.url)
+
+    async def shows(self, selector: str, text: str, *, timeout_s: float = 5.0) -> None:
+        await expect(self.page.locator(selector)).to_contain_text(text, timeout=1000 * timeout_s)
+
+    async def is_connected(self, *, timeout_s: float = 5.0) -> None:
+        await self.shows("#connection", "connected", timeout_s=timeout_s)
+
+    async def stick(self) -> tuple[float, float]:
+        """The middle of the joystick."""
+        await self.page.locator("#joystick").scroll_into_view_if_needed()
+        box = await self.page.locator("#joystick").bounding_box()
+        assert box is not None
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    async def map_tells(self, name: str, pattern: str) -> None:
+        """The map tells what it drew: `points`, `length`."""
+        await expect(self.page.locator("#map-canvas")).to_have_attribute(f"data-{name}", re.compile(pattern))
+
+
+@contextlib.asynccontextmanager
+async def chromium() -> AsyncIterator[Browser]:
+    async with async_playwright() as playwright:
+        browser = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        try:
+            yield browser
+        finally:
+            await browser.close()
+
+
+@contextlib.asynccontextmanager
+async def visit(browser: Browser, url: str, *, script: str = "", **context: Any) -> AsyncIterator[Visit]:
+    """Open the page as somebody who was never there; `script` runs before it."""
+    async with await browser.new_context(**{"viewport": DESK, **context}) as fresh:
+        page = await fresh.new_page()
+        new = Visit(page, urlsplit(url).netloc)
+        page.on("console", new.hear)
+        page.on("pageerror", lambda error: new.complaints.append(str(error)))
+        page.on("request", new.see)
+        if script:
+            await page.add_init_script(script)
+        await page.goto(url)
+        yield new

@@ -1,0 +1,301 @@
+"""The page, as somebody uses it: a real browser drives a simulated robot by mouse, finger, key and gamepad."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+
+import pytest
+import pytest_asyncio
+from playwright.async_api import Browser
+
+from hostlink.config import Config, RobotConfig
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.velocity_gate import LEASE_S
+from hostlink.sim.robot import SimulatedRobot
+from tests.support.browser import PHONE, Visit, chromium, visit
+from tests.support.daemon import Daemon, daemon
+from tests.support.proxy import Line, proxy
+from tests.support.rosbridge import client
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+SEEN_S = 1.0  # so soon the page says that nobody answers
+GAMEPAD = """
+  const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
+  window.pad = pad;
+  navigator.getGamepads = () => (pad.connected ? [pad] : []);
+"""
+
+
+@dataclass
+class Scene:
+    """A daemon with a robot, and the browser."""
+
+    host: Daemon
+    robot: SimulatedRobot
+    browser: Browser
+
+    @property
+    def wanted(self) -> tuple[float, ...]:
+        """The speeds that the robot was told to turn its wheels with."""
+        return tuple(control.set_point.target for control in self.robot.controllers)
+
+    @property
+    def holder(self) -> str | None:
+        return self.host.hub.robots.find("robot_0").gate.holder
+
+    async def drives(self) -> None:
+        await expect(lambda: self.wanted != (0, 0))
+
+    async def stands(self, *, within_s: float = 5.0) -> None:
+        """Told to stand, and nobody drives any more."""
+        await expect(lambda: self.wanted == (0, 0) and self.holder is None, timeout_s=within_s)
+
+    async def stays_still(self, seconds: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            await expect(lambda: self.wanted != (0, 0), timeout_s=seconds)
+            pytest.fail(f"the robot was told to drive: {self.wanted}")
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def everything() -> AsyncIterator[Scene]:
+    robots = {"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)}
+    async with chromium() as browser, daemon(Config(robots=robots)) as host, simulated_robot(host.tcp) as robot:
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
+        yield Scene(host, robot, browser)
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def scene(everything: Scene) -> Scene:
+    """As if nobody had been there."""
+    everything.host.hub.robots.unlock(everything.host.hub.robots.find("robot_0"))
+    await everything.stands()
+    return everything
+
+
+@contextlib.asynccontextmanager
+async def connected(scene: Scene, url: str = "", **options: object) -> AsyncIterator[Visit]:
+    async with visit(scene.browser, url or scene.host.url, **options) as guest:
+        await guest.is_connected()
+        await guest.shows("#robots", "robot_0")
+        yield guest
+
+
+@contextlib.asynccontextmanager
+async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[None]:
+    """In a slow turn on the spot."""
+    async with client(scene.host) as program, asyncio.TaskGroup() as tasks:
+
+        async def drive() -> None:
+            while True:
+                await program.say(op="drive", robot="robot_0", linear=0.0, angular=0.3, priority=priority)
+                await asyncio.sleep(LEASE_S / 4)
+
+        driving = tasks.create_task(drive())
+        await scene.drives()
+        yield
+        driving.cancel()
+
+
+async def test_it_shows_the_robot_and_asks_nobody_else(scene: Scene) -> None:
+    async with connected(scene) as guest:
+        await guest.shows("#drive-state", "nobody drives")
+        await guest.shows("#link", "Hz")
+        await guest.shows("#clients", "client")
+        assert guest.complaints == []
+        assert guest.foreign == []
+
+
+async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) -> None:
+    async with connected(scene) as guest:
+        x, y = await guest.stick()
+        await guest.page.mouse.move(x, y)
+        await guest.page.mouse.down()
+        await guest.page.mouse.move(x, y - 70, steps=3)
+        await scene.drives()
+        await guest.shows("#drive-state", "You drive")
+        await guest.shows("#robots", "you drive")
+        begun = scene.robot.pose.x_m
+        await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.1)
+        await guest.page.mouse.up()
+        await scene.stands(within_s=1.0)
+        await guest.map_tells("length", r"^0\.[1-9]")
+        assert int(await guest.page.locator("#plot-left .uplot").get_attribute("data-count") or 0) > 5
+        assert guest.complaints == []
+
+
+@pytest.mark.parametrize("end", ["touchEnd", "touchCancel"])
+async def test_a_finger_drives_until_it_is_gone(scene: Scene, end: str) -> None:
+    async with connected(scene, viewport=PHONE, has_touch=True, is_mobile=True) as guest:
+        x, y = await guest.stick()
+        touch = await guest.page.context.new_cdp_session(guest.page)
+        for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
+            await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        await expect(lambda: scene.wanted[0] > scene.wanted[1] > 0)  # a finger to the right turns clockwise
+        await touch.send("Input.dispatchTouchEvent", {"type": end, "touchPoints": []})
+        await scene.stands(within_s=1.0)
+
+
+async def test_keys_drive_while_they_are_held(scene: Scene) -> None:
+    async with connected(scene) as guest:
+        keys = guest.page.keyboard
+        await keys.down("ArrowUp")
+        await scene.drives()
+        straight = scene.wanted
+        assert straight[0] == straight[1]
+        await keys.down("KeyA")
+        await expect(lambda: 0 < scene.wanted[0] < scene.wanted[1])
+        await keys.up("KeyA")
+        await keys.up("ArrowUp")
+        await scene.stands(within_s=1.0)
+
+
+async def test_a_key_in_a_field_is_a_letter_and_a_slider_moves_nothing(scene: Scene) -> None:
+    async with connected(scene) as guest:
+        for selector in ("[aria-label='Left Kp']", "#max-linear"):
+            await guest.page.locator(selector).focus()
+            for key in ("ArrowUp", "KeyW", "ArrowRight"):
+                await guest.page.keyboard.press(key)
+        await guest.shows("label[for=max-linear] + output", "0.24")
+        await scene.stays_still(0.3)
+
+
+@pytest.mark.parametrize("event", ["blur", "pagehide"])
+async def test_what_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene, event: str) -> None:
+    async with connected(scene) as guest:
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+        await guest.page.evaluate("name => dispatchEvent(new Event(name))", event)
+        await scene.stands(within_s=1.0)
+        await guest.page.keyboard.down("KeyW")  # a repeat
+        await scene.stays_still(0.4)
+        await guest.page.keyboard.up("KeyW")
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+
+
+async def test_a_gamepad_drives_with_its_shoulder_held_and_not_when_it_is_lost(scene: Scene) -> None:
+    async with connected(scene, script=GAMEPAD) as guest:
+        await guest.page.evaluate("pad.axes[1] = -1")
+        await guest.shows("#gamepad", "hold a shoulder button")
+        await scene.stays_still(0.3)
+        await guest.page.evaluate("pad.buttons[4].pressed = true")
+        await scene.drives()
+        await guest.page.evaluate("pad.connected = false")
+        await scene.stands(within_s=1.0)
+
+
+@pytest.mark.parametrize("way", ["closed", "crashed"])
+async def test_a_page_that_goes_while_driving_stops_the_robot(scene: Scene, way: str) -> None:
+    async with connected(scene) as guest:
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+        if way == "closed":
+            await guest.page.close()
+        else:
+            killer = await guest.page.context.new_cdp_session(guest.page)
+            crashed = guest.page.wait_for_event("crash")
+            async with asyncio.TaskGroup() as tasks:
+                dying = tasks.create_task(killer.send("Page.crash"))
+                await crashed
+                dying.cancel()
+        await scene.stands(within_s=LEASE_S + 0.3)
+
+
+async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scene) -> None:
+    async with connected(scene) as guest:
+        scene.robot.pose = Pose(0.4, 0.3, 0.2)
+        await guest.shows("#pose", "0.40 m")
+        await guest.page.get_by_role("button", name="Reset odometry").click()
+        await expect(lambda: scene.robot.pose == Pose())
+        await guest.shows("#pose", "x0.00 m")
+
+        await guest.page.get_by_label("Left Kp").fill("12.5")
+        await guest.page.get_by_label("Right Kd").fill("0.25")
+        await guest.page.get_by_role("button", name="Send").click()
+        left, right = scene.robot.controllers
+        await expect(lambda: (left.gains.kp, right.gains.kd) == (12.5, 0.25))
+        await guest.shows("#tuning-state", "Sent")
+
+
+@pytest.mark.parametrize("way", ["click", "Space", "Escape"])
+async def test_stop_locks_until_unlocked(scene: Scene, way: str) -> None:
+    async with connected(scene) as guest:
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+        if way == "click":
+            await guest.page.get_by_role("button", name="Stop").click()
+        else:
+            await guest.page.keyboard.press(way)
+        await scene.stands(within_s=1.0)
+        await guest.shows("#drive-state", "locked")
+        await guest.page.keyboard.up("KeyW")
+        await guest.page.keyboard.down("KeyW")
+        await scene.stays_still(0.3)
+        await guest.page.keyboard.up("KeyW")
+        await guest.page.get_by_role("button", name="Unlock").click()
+        await guest.shows("#drive-state", "nobody drives")
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+
+
+async def test_stop_works_without_the_websocket(scene: Scene) -> None:
+    async with visit(scene.browser, "about:blank") as guest, driven_by_a_program(scene, priority=90):
+        await guest.page.route_web_socket("**/*", lambda socket: socket.close())
+        await guest.page.goto(scene.host.url)
+        await guest.shows("#connection", "no connection")
+        await guest.shows("#robots", "drives")
+        await guest.page.get_by_role("button", name="Stop").click()
+        await scene.stands(within_s=1.0)
+        await scene.stays_still(LEASE_S)  # though the program goes on
+        assert scene.host.hub.robots.find("robot_0").gate.lock_reason == "the stop on the page"
+
+
+@pytest.mark.parametrize("line", [Line.STALLS, Line.SWALLOWS])
+async def test_a_dead_network_is_seen_within_a_second_and_nothing_old_is_driven_after_it(
+    scene: Scene, line: Line
+) -> None:
+    host, port = scene.host.url.removeprefix("http://").split(":")
+    async with proxy((host, int(port))) as network, connected(scene, network.url) as guest:
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+        network.set_line(line)
+        await guest.shows("#connection", "no answer", timeout_s=SEEN_S)
+        await guest.shows("#notice", "does not answer")
+        await scene.stands(within_s=1.0)
+        network.set_line(Line.WORKS)
+        await scene.stays_still(0.5)  # whatever was on its way
+        await guest.is_connected()
+        await scene.stays_still(0.3)  # though the key is still held
+        await guest.page.keyboard.up("KeyW")
+        await guest.page.keyboard.down("KeyW")
+        await scene.drives()
+
+
+async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
+    host, port = scene.host.url.removeprefix("http://").split(":")
+    async with proxy((host, int(port))) as network, connected(scene, network.url) as guest:
+        network.is_refusing = True
+        network.break_off()
+        await guest.shows("#connection", "no connection", timeout_s=SEEN_S)
+        network.is_refusing = False
+        await guest.is_connected(timeout_s=3.0)
+        await guest.shows("#drive-state", "nobody drives")
+        assert await guest.page.locator("#notice").is_hidden()
+
+
+async def test_who_drives_is_said_and_who_goes_first(scene: Scene) -> None:
+    async with connected(scene) as guest:
+        async with driven_by_a_program(scene, priority=50):
+            await guest.shows("#drive-state", "your stick takes over")
+        async with driven_by_a_program(scene, priority=90):
+            await guest.shows("#drive-state", "goes before you")
+            before = scene.wanted
+            await guest.page.keyboard.down("KeyW")
+            await guest.shows("#drive-state", "drives it with a higher priority")
+            assert scene.wanted == before
+            await guest.page.keyboard.up("KeyW")
+        await guest.shows("#drive-state", "nobody drives")

@@ -1,0 +1,92 @@
+"""The page where something is missing: a robot, a token, a right. And how it looks, for eyes and for screen readers."""
+
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import pytest_asyncio
+from axe_playwright_python.async_playwright import Axe
+from playwright.async_api import Browser
+
+from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
+from tests.support.browser import DESK, PHONE, chromium, visit
+from tests.support.daemon import daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
+PICTURES = Path("build/screenshots")
+PAPER = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)})
+TURN_RAD = float(
+    os.environ.get("HOSTLINK_PICTURE_RAD", "0.1")
+)  # how far it drives before the picture: make screenshots
+SIZES: dict[str, dict[str, Any]] = {
+    "phone": {"viewport": PHONE, "device_scale_factor": 2, "has_touch": True, "is_mobile": True},
+    "desk": {"viewport": DESK},
+}
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def browser() -> AsyncIterator[Browser]:
+    async with chromium() as browser:
+        yield browser
+
+
+async def test_without_a_robot_it_says_how_to_get_one_and_when_it_is_gone_that(browser: Browser) -> None:
+    async with daemon() as host, visit(browser, host.url) as guest:
+        await guest.shows("#robots", "No robot yet")
+        await guest.shows("#drive-state", "No robot yet")
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await device.send(pose(1.0, -2.0))
+            await guest.shows("#pose", "−2.00 m")
+            await guest.shows("#plots-note", "no plot_data")
+            await guest.shows("#tuning-state", "takes no gains")
+        await guest.shows("#robots", "not connected")
+        await guest.shows("#notice", "robot_0 is not connected")
+        assert guest.complaints == []
+
+
+async def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser) -> None:
+    tokens = (TokenConfig(name="phone", role="drive", token=DRIVE), TokenConfig(name="wall", role="read", token=READ))
+    async with daemon(Config(api=ApiConfig(tokens=tokens))) as host, fake_device(host.tcp, robot_topics()):
+        async with visit(browser, host.url) as guest:
+            await guest.shows("#access", "A token is needed")
+            await guest.page.get_by_role("textbox", name="Token").fill(DRIVE)
+            await guest.page.get_by_role("button", name="Use it").click()
+            await guest.is_connected()
+            assert await guest.page.locator("#access").is_hidden()
+        async with visit(browser, f"{host.url}/?token={READ}") as guest:
+            await guest.is_connected()
+            assert guest.page.url == f"{host.url}/"
+            await guest.shows("#robots", "robot_0")
+            await guest.page.keyboard.down("KeyW")
+            await guest.shows("#access", "the token may only read")
+            await guest.page.reload()
+            await guest.is_connected()  # kept for the session
+            assert guest.foreign == []
+        assert host.hub.robots.find("robot_0").gate.counts.commands == 0
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+async def test_it_looks_right_and_reads_right(browser: Browser, size: str, scheme: str) -> None:
+    """A picture to look at is kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
+    async with daemon(PAPER) as host, visit(browser, host.url, color_scheme=scheme, **SIZES[size]) as guest:
+        await guest.is_connected()
+        async with simulated_robot(host.tcp) as robot:
+            await guest.shows("#log", "robot_0 is ready")
+            await guest.shows("#drive-state", "nobody drives")
+            await guest.page.keyboard.down("KeyW")
+            await guest.page.keyboard.down("KeyA")
+            await expect(lambda: robot.pose.theta_rad > TURN_RAD, timeout_s=60.0)
+            await guest.page.screenshot(path=PICTURES / f"page-{size}-{scheme}.png")
+            width = SIZES[size]["viewport"]["width"]
+            assert await guest.page.evaluate("document.documentElement.scrollWidth") == width
+            found = await Axe().run(guest.page)
+            assert found.violations_count == 0, found.generate_report()
+            assert guest.complaints == []
