@@ -5,6 +5,7 @@ import { Refused, rest } from "./rest";
 import type { ClientView } from "./views";
 
 const INTERVAL_MS = 2000;
+const BROWSERS = ["Firefox", "Edg", "Chrome", "Safari"]; // each says the names of the later ones too
 
 export function showClients(): void {
   const panel = find("#clients");
@@ -25,7 +26,7 @@ export function showClients(): void {
 
 function describe(client: ClientView): HTMLElement {
   const trouble = client.dropped > 0 ? `${client.dropped} dropped` : "";
-  const program = client.program.split(" ").at(-1) ?? "";
+  const program = BROWSERS.find((name) => client.program.includes(`${name}/`)) ?? client.program.split(/[ /]/)[0] ?? "";
   return make(
     "li",
     { title: client.program },

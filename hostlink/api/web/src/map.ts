@@ -126,24 +126,35 @@ export class RobotMap {
     const places = step < 1 ? Math.max(1, Math.ceil(-Math.log10(step))) : 0;
     const [left, top] = view.toM(0, 0);
     const [right, bottom] = view.toM(view.width, view.height);
+    const labels: [text: string, x: number, y: number][] = [];
     c.lineWidth = 1;
-    c.textBaseline = "top";
     for (let index = Math.ceil(left / step); index * step <= right; index++) {
       const x = Math.round(view.toPx(index * step, 0)[0]) + 0.5;
       this.drawLine(x, 0, x, view.height, index === 0);
-      c.fillText(digits(index * step, places), x + 4, 5);
+      labels.push([digits(index * step, places), x + 4, 5]);
     }
     for (let index = Math.ceil(bottom / step); index * step <= top; index++) {
       const y = Math.round(view.toPx(0, index * step)[1]) + 0.5;
       this.drawLine(0, y, view.width, y, index === 0);
-      if (y > 24) c.fillText(digits(index * step, places), 5, y + 4);
+      if (y > 24) labels.push([digits(index * step, places), 5, y + 4]);
     }
+    for (const label of labels) this.drawLabel(...label);
+  }
+
+  /** Over the lines, with a border of the ground's colour. */
+  private drawLabel(text: string, x: number, y: number): void {
+    const { context: c } = this;
+    c.textBaseline = "top";
+    c.lineWidth = 4;
+    c.strokeStyle = colour("surface");
+    c.fillStyle = colour("muted");
+    c.strokeText(text, x, y);
+    c.fillText(text, x, y);
   }
 
   private drawLine(x1: number, y1: number, x2: number, y2: number, isAxis: boolean): void {
     const { context: c } = this;
     c.strokeStyle = colour(isAxis ? "axis" : "grid");
-    c.fillStyle = colour("muted");
     c.beginPath();
     c.moveTo(x1, y1);
     c.lineTo(x2, y2);
@@ -175,12 +186,13 @@ export class RobotMap {
     const isSelected = robot.name === this.selected;
     c.save();
     c.translate(x, y);
-    c.fillStyle = colour(isSelected && robot.connected ? "accent" : "muted");
     if (this.robots.length > 1) {
       c.textAlign = "center";
-      c.fillText(robot.name, 0, radius + 6);
+      this.drawLabel(robot.name, 0, radius + 6);
+      c.textAlign = "start";
     }
     c.rotate(-pose.theta_rad);
+    c.fillStyle = colour(isSelected && robot.connected ? "accent" : "muted");
     c.strokeStyle = colour("surface");
     c.lineWidth = 2;
     c.beginPath();

@@ -43,10 +43,10 @@ export class Stop {
     const until = performance.now() + GIVE_UP_MS;
     while (press === this.presses) {
       try {
-        await rest("POST", ofRobot(name, "stop"));
+        if (canLock) await rest("POST", ofRobot(name, "lock"), { reason: "the stop on the page" });
+        else await rest("POST", ofRobot(name, "stop"));
         notice("stop", null);
         notice("done", `${name} is stopped.`, 2500);
-        if (canLock) await rest("POST", ofRobot(name, "lock"), { reason: "the stop on the page" });
         return;
       } catch (error) {
         if (error instanceof Refused) {
