@@ -32,8 +32,8 @@ class Admission:
     | from outside the allowed networks | refused: not_allowed                                                     |
     | over the bound of its address     | refused: too_many_of_address                                             |
     | over the bound of all             | of the strangers, who told no topics, the oldest of the address that has |
-    |                                   | most of them gives way, if its own has fewer; else it is refused:        |
-    |                                   | too_many                                                                 |
+    |                                   | most of them gives way, if its own has none, or at least two fewer; else |
+    |                                   | it is refused: too_many                                                  |
     """
 
     def __init__(self, config: TcpConfig) -> None:
@@ -52,7 +52,7 @@ class Admission:
         strangers = [guest for guest in guests if not guest.has_told_topics]
         counts = Counter(guest.address for guest in strangers)
         oldest = max(strangers, key=lambda guest: counts[guest.address], default=None)  # the first of equals
-        if oldest is None or counts[address] >= counts[oldest.address]:
+        if oldest is None or 0 < counts[address] >= counts[oldest.address] - 1:  # else crowds take turns without end
             return Verdict(refusal="too_many")
         return Verdict(gives_way=oldest.number)
 

@@ -50,7 +50,10 @@ def test_a_crowd_does_not_push_itself_out() -> None:
     admission = Admission(TcpConfig(max_connections=4))
     there = guests((CROWD, False), (OTHER, False), (CROWD, False), (OTHER, False))
     assert admission.judge(CROWD, there) == Verdict(refusal="too_many")
+    assert admission.judge(CROWD, guests((CROWD, False), *[(OTHER, False)] * 2, (ROBOT, True))).refusal == "too_many"
+    assert admission.judge(CROWD, guests((CROWD, False), *[(OTHER, False)] * 3)) == Verdict(gives_way=1)
     assert admission.judge(ROBOT, there) == Verdict(gives_way=0)
+    assert admission.judge(ROBOT, guests(*[(f"10.0.0.{last}", False) for last in range(4)])) == Verdict(gives_way=0)
 
 
 def test_nobody_who_told_topics_gives_way() -> None:
