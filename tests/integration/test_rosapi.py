@@ -69,6 +69,44 @@ async def test_services_nodes_and_who_does_what() -> None:
     assert publishers == {"publishers": ["/robot_0"]}
 
 
+async def test_every_answer_is_what_the_type_of_its_service_says() -> None:
+    """The definitions are rosapi's own; an answer that encodes has no field more and none of another kind."""
+    args = {
+        "type": "std_msgs/Header", "topic": "/rosout", "service": "/rosapi/topics", "node": "/hostlink",
+        "name": "/gain", "value": "1",
+    }  # fmt: skip
+    async with daemon(Config(parameters={"gain": 7})) as host:
+        names = [name for name, _ in host.hub.services.all() if name.startswith("/rosapi/")]
+        assert len(names) == 26
+        for name in sorted(names, key=lambda name: "delete" in name):
+            type_ = host.hub.services.type_of(name)
+            assert type_ is not None, name
+            wanted = {field.name for field in type_.request.fields}
+            if "service_re" in name:
+                request = {"type": "rosapi/NodeDetails"}
+            else:
+                request = {key: value for key, value in args.items() if key in wanted}
+            answer = await host.hub.services.call(name, request)
+            assert answer.keys() == {field.name for field in type_.response.fields}
+            assert type_.response.encode(answer)[:0] == b"", name
+
+
+async def test_services_are_known_by_node_host_and_type() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
+        await program.say(op="advertise_service", service="/mine", type="std_srvs/Empty")
+        await expect(lambda: host.hub.services.provider("/mine"))
+        assert await program.call("/rosapi/service_node", service="/mine") == {"node": "/client_1"}
+        assert await program.call("/rosapi/service_node", service="/none") == {"node": ""}
+        assert (await program.call("/rosapi/service_host", service="/mine"))["host"]
+        assert await program.call("/rosapi/service_host", service="/none") == {"host": ""}
+        for wanted in ("/mine", "std_srvs/Empty"):
+            assert await program.call("/rosapi/service_providers", service=wanted) == {"providers": ["/client_1"]}
+        assert await program.call("/rosapi/services_for_type", type="std_srvs/srv/Empty") == {"services": ["/mine"]}
+        assert await program.call("/rosapi/subscribers", topic="/robot_0/cmd_vel") == {"subscribers": ["/hostlink"]}
+        assert (await program.call("/rosapi/get_ros_version"))["version"] == 1
+        assert await program.call("/rosapi/search_param", name="gain") == {"global_name": ""}
+
+
 async def test_parameters_are_those_that_devices_get() -> None:
     async with (
         daemon(Config(parameters={"gain": 7})) as host,

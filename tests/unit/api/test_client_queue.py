@@ -1,9 +1,12 @@
 """What a slow client costs: bounded, counted, and nobody else's business."""
 
+import asyncio
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.client_queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULTS, ClientQueue
+from hostlink.api.client_queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULT_BYTES, MAX_RESULTS, ClientQueue
 
 
 def drain(queue: ClientQueue) -> list[bytes]:
@@ -59,6 +62,27 @@ def test_a_client_that_lets_results_pile_up_is_too_slow() -> None:
     assert not queue.is_too_slow
     queue.put_result(b"r")
     assert queue.is_too_slow
+
+
+def test_results_are_bounded_by_bytes_too_but_one_may_be_of_any_size() -> None:
+    queue = ClientQueue()
+    queue.put_result(bytes(MAX_RESULT_BYTES + 1))
+    assert not queue.is_too_slow
+    queue.put_result(b"r")
+    assert queue.is_too_slow
+
+
+async def test_there_is_room_until_results_fill_half() -> None:
+    queue = ClientQueue()
+    for _ in range(MAX_RESULTS // 2):
+        queue.put_result(b"r")
+    await queue.room()
+    queue.put_result(b"r")
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.001):
+            await queue.room()
+    queue.take()
+    await queue.room()
 
 
 def test_a_forgotten_topic_leaves_nothing_behind() -> None:

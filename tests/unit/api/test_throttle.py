@@ -43,6 +43,18 @@ def test_a_queue_keeps_the_newest_and_sends_the_oldest_of_them_first() -> None:
     assert throttle.due_s() is None
 
 
+def test_another_pace_keeps_what_waits_and_when_the_last_one_went() -> None:
+    throttle = Throttle(interval_s=1.0, queue_length=2)
+    messages = [message(number) for number in range(3)]
+    for each in messages:
+        throttle.offer(each, 0.0)
+    throttle.change(interval_s=1.0, queue_length=2)
+    assert throttle.due_s() == 1.0
+    throttle.change(interval_s=0.25, queue_length=1)
+    assert throttle.due_s() == 0.25
+    assert throttle.take(0.25) is messages[2]
+
+
 @given(st.integers(0, 5), st.lists(st.floats(0.0, 0.5), max_size=60))
 def test_never_two_within_the_interval_and_never_out_of_order(queue_length: int, pauses_s: list[float]) -> None:
     throttle = Throttle(interval_s=1.0, queue_length=queue_length)

@@ -1,0 +1,45 @@
+"""Messages in pieces: put together in any order, bounded in every way."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.api.fragments import MAX_PENDING, MAX_PIECES, TIMEOUT_S, Fragments
+from hostlink.errors import BadRequest
+
+
+@given(st.lists(st.text(max_size=5), min_size=1, max_size=20), st.randoms())
+def test_any_order_gives_the_message(pieces: list[str], random: object) -> None:
+    fragments, order = Fragments(1000), list(range(len(pieces)))
+    random.shuffle(order)  # type: ignore[attr-defined]
+    got = [fragments.add("m", number=at, total=len(pieces), data=pieces[at], now_s=0.0) for at in order]
+    assert got == [None] * (len(pieces) - 1) + ["".join(pieces)]
+    assert fragments.add("m", number=0, total=1, data="x" * 1000, now_s=0.0) == "x" * 1000  # nothing is held any more
+
+
+@pytest.mark.parametrize(
+    ("number", "total", "data", "reason"),
+    [
+        (0, 0, "", "total must be from 1"),
+        (0, MAX_PIECES + 1, "", f"total must be from 1 to {MAX_PIECES}"),
+        (3, 3, "", "num must be from 0 to 2"),
+        (1, 4, "", "total was 3 and is 4"),
+        (0, 3, "", "piece 0 is there twice"),
+        (1, 3, "ä" * 50, "more than 100 bytes in pieces"),
+    ],
+)
+def test_a_piece_that_cannot_be_ends_its_message(number: int, total: int, data: str, reason: str) -> None:
+    fragments = Fragments(100)
+    fragments.add("m", number=0, total=3, data="x", now_s=0.0)
+    with pytest.raises(BadRequest, match=reason):
+        fragments.add("m", number=number, total=total, data=data, now_s=0.0)
+    assert fragments.add("m", number=0, total=1, data="y" * 100, now_s=0.0) == "y" * 100
+
+
+def test_messages_in_pieces_are_few_and_forgotten_after_a_time() -> None:
+    fragments = Fragments(100)
+    for number in range(MAX_PENDING):
+        fragments.add(number, number=0, total=2, data="x" * 20, now_s=0.0)
+    with pytest.raises(BadRequest, match="more than 4 messages in pieces"):
+        fragments.add("late", number=0, total=2, data="", now_s=TIMEOUT_S - 1)
+    assert fragments.add("late", number=0, total=1, data="z" * 100, now_s=TIMEOUT_S) == "z" * 100

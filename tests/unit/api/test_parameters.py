@@ -1,0 +1,55 @@
+"""rosapi's parameters: JSON in and out, names with and without a slash, trees, bounds."""
+
+import pytest
+
+from hostlink.api.parameters import MAX_PARAMETERS, MAX_VALUE_CHARACTERS, Parameters
+from hostlink.config import ParameterValue
+from hostlink.errors import BadRequest, UnknownTopic
+
+
+def test_names_are_full_and_any_spelling_is_understood() -> None:
+    settings: dict[str, ParameterValue] = {"gain": 7, "~name": "x"}
+    parameters = Parameters(settings)
+    assert parameters.names() == ["/gain", "/name"]
+    assert (parameters.get("/gain", ""), parameters.get("name", "")) == ("7", '"x"')
+    parameters.put("/gain", "[1, 2.5]")
+    assert settings == {"gain": [1, 2.5], "~name": "x"}
+    parameters.delete("gain")
+    assert (parameters.has("/gain"), parameters.get("/gain", "")) == (False, "null")
+
+
+@pytest.mark.parametrize(("default", "value"), [("", "null"), ("3", "3"), ('{"a":1}', '{"a":1}'), ("text", '"text"')])
+def test_a_missing_one_is_its_default(default: str, value: str) -> None:
+    assert Parameters({}).get("/none", default) == value
+
+
+def test_a_name_may_stand_for_a_tree() -> None:
+    settings: dict[str, ParameterValue] = {}
+    parameters = Parameters(settings)
+    parameters.put("/robot", '{"pid": {"kp": 1.0, "ki": 2.0}, "name": "r"}')
+    assert settings == {"/robot/pid/kp": 1.0, "/robot/pid/ki": 2.0, "/robot/name": "r"}
+    assert parameters.get("robot/pid", "") == '{"ki":2.0,"kp":1.0}'
+    assert parameters.get("/", "") == '{"robot":{"name":"r","pid":{"ki":2.0,"kp":1.0}}}'
+    parameters.put("/robot/pid", "5")
+    assert parameters.get("/robot", "") == '{"name":"r","pid":5}'
+    parameters.delete("/robot")
+    assert settings == {}
+
+
+@pytest.mark.parametrize(
+    "text", ["{", "null", '{"a": null}', "[[1]]", "{}", "[" * 4000, "1" * (MAX_VALUE_CHARACTERS + 1)]
+)
+def test_what_no_device_can_be_answered_with_is_refused(text: str) -> None:
+    with pytest.raises(BadRequest, match="set_param: value"):
+        Parameters({}).put("/x", text)
+
+
+def test_there_is_room_for_so_many_and_none_to_delete_is_an_error() -> None:
+    parameters = Parameters({})
+    for number in range(MAX_PARAMETERS):
+        parameters.put(f"/p{number}", "1")
+    parameters.put("/p0", "2")
+    with pytest.raises(BadRequest, match=f"more than {MAX_PARAMETERS} parameters"):
+        parameters.put("/one_more", "1")
+    with pytest.raises(UnknownTopic, match="no parameter named /none"):
+        parameters.delete("/none")
