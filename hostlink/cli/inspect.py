@@ -37,24 +37,22 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"skipped bytes {report['skipped_bytes']}"
     ]
     topics = [[topic["id"], topic["kind"], topic["name"], topic["type"]] for topic in report["topics"]]
-    lines += _table(["id", "kind", "topic", "type"], topics)
+    lines += table(["id", "kind", "topic", "type"], topics)
     for title, key in (("from device", "messages"), ("to device", "to_device")):
         series = report[key].items()
-        lines += _table(
-            [title, "count", "last"], [[name, item["count"], _short(item["last"])] for name, item in series]
-        )
+        lines += table([title, "count", "last"], [[name, item["count"], _short(item["last"])] for name, item in series])
     services = report["services"].items()
-    lines += _table(
+    lines += table(
         ["service", "requests", "responses"], [[name, item["requests"], item["responses"]] for name, item in services]
     )
-    lines += _table(["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in report["parameters"]])
+    lines += table(["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in report["parameters"]])
     logs = report["logs"][-LAST_LOGS:]
-    return lines + _table(
+    return lines + table(
         ["level", f"log, the last of {len(report['logs'])} lines"], [[x["level"], x["msg"]] for x in logs]
     )
 
 
-def _table(head: list[str], rows: list[list[Any]]) -> list[str]:
+def table(head: list[str], rows: list[list[Any]]) -> list[str]:
     """Columns under a head; nothing where there are no rows."""
     if not rows:
         return []

@@ -18,6 +18,9 @@ COMMANDS = {
     "echo": "Print the messages of a topic.",
     "pub": "Publish messages on a topic.",
     "call": "Call a service.",
+    "doctor": "Say what is wrong with the devices, and what to do next.",
+    "top": "Watch links and robots, live.",
+    "capture": "Save the raw bytes of a link.",
     "inspect": "Decode a recording of a link.",
 }
 FAILED, MISUSED = 1, 2

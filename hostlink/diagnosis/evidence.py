@@ -22,7 +22,7 @@ class Tally:
     bytes_from_device: int = 0
     frames: int = 0
     skipped_bytes: int = 0
-    unknown_ids: int = 0
+    unknown_ids: int = 0  # since the last negotiation, which explained those before
     bad_checksums: int = 0
     wrong_sizes: int = 0
 
@@ -40,6 +40,7 @@ class Evidence:
     negotiated_s: float | None = None  # since the first negotiation
     time_requested_s: float | None = None  # since the last request for the time that the host did not provoke
     time_intervals_s: tuple[float, ...] = ()  # between requests for the time, none of them provoked
+    stamps_behind_s: float | None = None  # what the device's header stamps lack to the time of their arrival
     early_foreign: bytes = b""  # what was skipped before the first negotiation, the last of it
     foreign: bytes = b""  # what was skipped of late
     is_protocol_1: bool = False

@@ -27,6 +27,7 @@ UNKNOWN_AFTER_S = 5.0  # three requests for topics were answered by then
 REBOOTS = 3  # in a minute
 SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
 CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
+STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it is told: some tens of milliseconds
 CLOCK_INTERVALS = 3  # the median of three stands one outlier
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
 EXCERPT_CHARS = 40
@@ -157,6 +158,9 @@ def _reboots(evidence: Evidence) -> str | None:
 def _clock_trouble(evidence: Evidence) -> str | None:
     if evidence.host_clock:
         return f"this computer: {evidence.host_clock}"
+    behind_s = evidence.stamps_behind_s
+    if behind_s is not None and abs(behind_s) >= STAMPS_BEHIND_S:
+        return f"its stamps are {abs(behind_s):.1f} s {'behind' if behind_s > 0 else 'ahead'}"
     if len(evidence.time_intervals_s) < CLOCK_INTERVALS:
         return None
     interval_s = median(evidence.time_intervals_s)

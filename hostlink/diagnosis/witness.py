@@ -25,6 +25,7 @@ class Witness:
         self._looks: deque[tuple[float, Tally]] = deque([(now_s, Tally())], maxlen=int(RECENT_S / LOOK_INTERVAL_S) + 1)
         self._negotiated_at_s: float | None = None
         self._early_foreign = b""
+        self._unknown_before = 0  # the last negotiation: what it has explained
         self._is_provoked = False  # a device sends a request for the time with its topics
         self._fell_silent = False
         self._time_requested_at_s: float | None = None
@@ -47,9 +48,11 @@ class Witness:
                 self._fell_silent |= reason == "no_time_requests"
             case events.TimeRequested():
                 self._note_time_request(now_s)
-            case events.TopicsNegotiated() if self._negotiated_at_s is None:
-                self._negotiated_at_s = now_s
-                self._early_foreign = self._session.foreign.tail
+            case events.TopicsNegotiated():
+                self._unknown_before = self._session.counts.unknown_ids
+                if self._negotiated_at_s is None:
+                    self._negotiated_at_s = now_s
+                    self._early_foreign = self._session.foreign.tail
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
 
@@ -85,6 +88,7 @@ class Witness:
             negotiated_s=_ago(self._negotiated_at_s, now_s),
             time_requested_s=_ago(self._time_requested_at_s, now_s),
             time_intervals_s=tuple(self._intervals_s),
+            stamps_behind_s=None if session.device_clock.offset_ns is None else session.device_clock.offset_ns / 1e9,
             early_foreign=self._early_foreign,
             foreign=session.foreign.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
             is_protocol_1=session.foreign.is_protocol_1,
@@ -114,7 +118,7 @@ class Witness:
             bytes_from_device=counts.bytes_from_device,
             frames=counts.frames_from_device,
             skipped_bytes=counts.skipped_bytes,
-            unknown_ids=counts.unknown_ids,
+            unknown_ids=counts.unknown_ids - self._unknown_before,
             bad_checksums=rejected.get(Rejection.CHECKSUM.value, 0) + rejected.get(Rejection.LENGTH_CHECKSUM.value, 0),
             wrong_sizes=rejected.get(Rejection.WRONG_SIZE.value, 0),
         )
@@ -144,7 +148,7 @@ def _difference(now: Tally, before: Tally) -> Tally:
         bytes_from_device=now.bytes_from_device - before.bytes_from_device,
         frames=now.frames - before.frames,
         skipped_bytes=now.skipped_bytes - before.skipped_bytes,
-        unknown_ids=now.unknown_ids - before.unknown_ids,
+        unknown_ids=now.unknown_ids,
         bad_checksums=now.bad_checksums - before.bad_checksums,
         wrong_sizes=now.wrong_sizes - before.wrong_sizes,
     )

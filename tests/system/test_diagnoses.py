@@ -1,7 +1,8 @@
-"""Every fault that a simulated device can have is named: over a real connection, by the daemon's API."""
+"""Every fault that a simulated device can have is named over a real connection, by the daemon's API and by doctor."""
 
 import asyncio
 import contextlib
+import json
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -14,6 +15,7 @@ from hostlink.sim.faults import FAULTS, HEALTHY, Fault
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_tcp
 from tests.support.daemon import Daemon, daemon
+from tests.support.process import run
 
 PATIENCE_S = 25.0
 LOOK_S = 0.2
@@ -49,26 +51,36 @@ async def robots(host: Daemon, faults: dict[str, Fault]) -> AsyncIterator[None]:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def seen() -> Seen:
-    """All the faults at once on one daemon, until each of them was named."""
+async def seen() -> tuple[Seen, Seen]:
+    """All the faults at once on one daemon, until each of them was named: by the API, and then by doctor."""
     faults = {"healthy": HEALTHY} | FAULTS
-    found: Seen = {name: {} for name in faults}
+    names = {f"127.0.1.{number + 1}": name for number, name in enumerate(faults)}
+    of_api: Seen = {name: {} for name in faults}
+    of_doctor: Seen = {name: {} for name in faults}
     async with daemon() as host, robots(host, faults), asyncio.timeout(PATIENCE_S):
-        names = {f"127.0.1.{number + 1}": name for number, name in enumerate(faults)}
-        while not all(CODES[name] in found[name] for name in FAULTS):
+        while not all(CODES[name] in of_api[name] for name in FAULTS):
             view = await host.get("/api/links")
-            for link in [*view["links"], *view["ended"]]:
-                name = names[link["peer"].rpartition(":")[0]]
-                found[name] |= {each["code"]: each for each in link["diagnosis"]}
+            note(of_api, [*view["links"], *view["ended"]], names)
             await asyncio.sleep(LOOK_S)
-    return found
+        while not all(CODES[name] in of_doctor[name] for name in FAULTS):
+            status, out, err = await run("doctor", "--json", "--url", host.url)
+            assert (status, err) == (1, "")
+            note(of_doctor, json.loads(out)["links"], names)
+    return of_api, of_doctor
+
+
+def note(found: Seen, links: list[dict[str, Any]], names: dict[str, str]) -> None:
+    for link in links:
+        name = names[link["peer"].rpartition(":")[0]]
+        found[name] |= {each["code"]: each for each in link["diagnosis"]}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-async def test_the_fault_is_named(fault: str, seen: Seen) -> None:
-    assert CODES[fault] in seen[fault]
-    assert set(seen[fault]) <= {CODES[fault], "went_silent"}
+async def test_the_fault_is_named(fault: str, seen: tuple[Seen, Seen]) -> None:
+    for found in seen:
+        assert CODES[fault] in found[fault]
+        assert set(found[fault]) <= {CODES[fault], "went_silent"}
 
 
-async def test_a_healthy_robot_has_no_findings(seen: Seen) -> None:
-    assert seen["healthy"] == {}
+async def test_a_healthy_robot_has_no_findings(seen: tuple[Seen, Seen]) -> None:
+    assert [found["healthy"] for found in seen] == [{}, {}]

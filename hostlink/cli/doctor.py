@@ -1,0 +1,111 @@
+"""`hostlink doctor`: what is wrong with the devices, and what to do about it.
+
+Exit status: 0 nothing is wrong, 1 something is, 2 the arguments are.
+"""
+
+import asyncio
+import contextlib
+import json as json_text
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hostlink import logs
+from hostlink.cli.addresses import parse_address, parse_serial
+from hostlink.cli.arguments import Token, Url
+from hostlink.cli.looking import Report, look_at_network, look_at_port, look_at_recording, report_of
+from hostlink.client import DEFAULT_URL, connect
+from hostlink.diagnosis.finding import finding
+from hostlink.errors import HostlinkError
+
+LISTEN = "0.0.0.0:11411"
+
+
+def command(  # noqa: PLR0913 - the options of a command line
+    file: Annotated[Path | None, typer.Argument(help="A recording: diagnose that.", show_default=False)] = None,
+    *,
+    serial: Annotated[
+        str | None, typer.Option(help="Look at this serial port: /dev/ttyACM0@57600.", show_default=False)
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(help="Listen here for devices: HOST:PORT.", show_default=f"{LISTEN}, without a daemon")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=1.0, help="How long to listen.")] = 15.0,
+    messages: Annotated[
+        list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
+    ] = None,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """Say what is wrong with the devices, why, and what to do next.
+
+    Asks the running daemon. Without one it listens for devices itself, looks at a serial port, or at a recording.
+    Exit status: 0 nothing is wrong, 1 something is.
+    """
+    logs.configure(level="critical")
+    folders = tuple(messages or ())
+    if file is not None:
+        report = look_at_recording(file, folders)
+    elif serial is not None:
+        report = asyncio.run(look_at_port(parse_serial(serial), folders, _say))
+    elif listen is not None:
+        report = asyncio.run(_listen(listen, seconds, folders))
+    else:
+        report = asyncio.run(_ask_or_listen(url, token, seconds, folders))
+    _clear()
+    sys.stdout.write(json_text.dumps(report) + "\n" if json else "\n".join(_lines(report)) + "\n")
+    is_healthy = not report["findings"] and not any(link["diagnosis"] for link in report["links"])
+    raise typer.Exit(0 if is_healthy else 1)
+
+
+async def _ask_or_listen(url: str, token: str | None, seconds: float, folders: tuple[Path, ...]) -> Report:
+    try:
+        async with connect(url, token=token, reconnect=False) as host:
+            view = await host.get("/api/links")
+    except HostlinkError as error:
+        sys.stderr.write(f"{error}\n")
+        if url != DEFAULT_URL:  # asked for by name: looking elsewhere would answer another question
+            raise
+        return await _listen(LISTEN, seconds, folders)
+    report = report_of(view, url)
+    if not report["links"] and not report["findings"]:
+        refused = ", ".join(f"{cause} {count}" for cause, count in view["refused"].items())
+        report["findings"].append((finding("not_let_in", refused) if refused else finding("no_device")).view())
+    return report
+
+
+async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Report:
+    return await look_at_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _say)  # noqa: S104
+
+
+def _lines(report: Report) -> list[str]:
+    lines = [each for found in report["findings"] for each in _told(found)]
+    for link in report["links"]:
+        state = f"ended: {link['end']}" if link["end"] else f"{link['seconds']:.0f} s"
+        baud = f", {link['baud']} baud" if link.get("baud") else ""
+        state += f", {link['topics']} topics{baud}"
+        well = "  nothing was wrong" if link["end"] else "  healthy"
+        lines += [f"link {link['number']}  {link['peer']}  ({state})" + ("" if link["diagnosis"] else well)]
+        lines += [f"  {line}" for found in link["diagnosis"] for line in _told(found)]
+    return lines
+
+
+def _told(found: dict[str, Any]) -> list[str]:
+    detail = f" ({found['detail']})" if found["detail"] else ""
+    return [f"{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
+
+
+def _say(line: str) -> None:
+    """Progress: one line that is written over on a terminal; elsewhere nobody waits for it."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\x1b[2K{line} ...")
+        sys.stderr.flush()
+
+
+def _clear() -> None:
+    with contextlib.suppress(OSError):
+        if sys.stderr.isatty():
+            sys.stderr.write("\r\x1b[2K")

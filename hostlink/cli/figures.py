@@ -1,0 +1,107 @@
+"""The figures of `hostlink top`: two looks at a daemon make rates. Pure."""
+
+from typing import Any, NamedTuple
+
+LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", "lost %", "silent s", "diagnosis")
+ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "heading °", "Hz", "age s")
+_DEGREES = 57.29577951308232
+
+
+class Look(NamedTuple):
+    """What the daemon said at one moment."""
+
+    at_s: float
+    links: dict[str, Any]  # GET /api/links
+    robots: list[dict[str, Any]]
+
+
+def figures(before: Look, now: Look) -> dict[str, Any]:
+    """Rates and states for programs: links, robots, links that ended."""
+    earlier = {link["number"]: link for link in before.links["links"]}
+    names: dict[int, list[str]] = {}
+    for robot in now.robots:
+        if robot["link"] is not None:
+            names.setdefault(robot["link"], []).append(robot["name"])
+    links = []
+    for link in now.links["links"]:
+        seconds = now.at_s - before.at_s if link["number"] in earlier else link["seconds"]
+        rates = _rates(earlier.get(link["number"], {}), link, max(seconds, 1e-3))
+        known = {key: link[key] for key in ("number", "peer", "silent_s", "seconds", "diagnosis")}
+        links.append(known | rates | {"topics": len(link["topics"]), "robots": names.get(link["number"], [])})
+    return {"links": links, "robots": now.robots, "ended": now.links["ended"], "ports": now.links["ports"]}
+
+
+def _rates(before: dict[str, Any], now: dict[str, Any], seconds: float) -> dict[str, float]:
+    def difference(key: str) -> float:
+        return float(now[key] - before.get(key, 0))
+
+    came = difference("bytes_from_device")
+    return {
+        "frames_from_device_s": round(difference("frames_from_device") / seconds, 1),
+        "frames_to_device_s": round(difference("frames_to_device") / seconds, 1),
+        "bytes_from_device_s": round(came / seconds),
+        "skipped_percent": round(100 * difference("skipped_bytes") / came, 1) if came else 0.0,
+    }
+
+
+def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
+    """The cells of each link under LINK_COLUMNS."""
+    return [
+        (
+            str(link["number"]),
+            link["peer"],
+            ", ".join(link["robots"]) or "-",
+            str(link["topics"]),
+            f"{link['frames_from_device_s']:.1f}",
+            f"{link['frames_to_device_s']:.1f}",
+            str(link["bytes_from_device_s"]),
+            f"{link['skipped_percent']:.1f}",
+            f"{link['silent_s']:.1f}",
+            ", ".join(each["code"] for each in link["diagnosis"]) or "healthy",
+        )
+        for link in shown["links"]
+    ]
+
+
+def robot_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
+    """The cells of each robot under ROBOT_COLUMNS."""
+    return [_robot_row(robot) for robot in shown["robots"]]
+
+
+def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
+    odometry = robot["odometry"]
+    link = "gone" if robot["link"] is None else str(robot["link"])
+    who = "locked" if robot.get("locked") else robot["holder"] or "nobody"
+    if odometry is None:
+        return (robot["name"], link, who, *("-",) * 7)
+    pose, twist = odometry["pose"], odometry["twist"]
+    return (
+        robot["name"],
+        link,
+        who,
+        f"{twist['linear_m_s']:+.2f}",
+        f"{twist['angular_rad_s']:+.2f}",
+        f"{pose['x_m']:+.2f}",
+        f"{pose['y_m']:+.2f}",
+        f"{pose['theta_rad'] * _DEGREES:+.0f}",
+        f"{odometry['rate_hz']:.1f}",
+        f"{odometry['age_s']:.1f}",
+    )
+
+
+def advice(shown: dict[str, Any]) -> list[str]:
+    """A cause and a next step for each finding of the live links and of ports; then the last links that ended."""
+    said = []
+    for link in shown["links"]:
+        said += [_advice(f"link {link['number']}", each) for each in link["diagnosis"]]
+    said += [_advice(port["name"], each) for port in shown["ports"] for each in port["diagnosis"]]
+    for link in shown["ended"][:3]:
+        codes = ", ".join(each["code"] for each in link["diagnosis"])
+        seconds = f"after {link['seconds']:.0f} s, {link['ended_ago_s']:.0f} s ago"
+        said.append(f"link {link['number']} {link['peer']} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
+    return said
+
+
+def _advice(about: str, found: dict[str, str]) -> str:
+    detail = f" ({found['detail']})" if found["detail"] else ""
+    return f"{about} {found['code']}: {found['cause']}{detail}\n  next: {found['next_step']}"

@@ -1,0 +1,157 @@
+"""Looking at devices without a daemon: a small daemon of one's own for some seconds, or a recording."""
+
+import asyncio
+import dataclasses
+import errno
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hostlink.api.views import finding_views, links_view
+from hostlink.cli.holders import holder_of_file, holder_of_port
+from hostlink.cli.serve import running
+from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
+from hostlink.diagnosis.finding import Finding, finding
+from hostlink.diagnosis.replay import replay
+from hostlink.hub.device import check_type
+from hostlink.hub.hub import Hub
+from hostlink.messages.catalog import Catalog
+from hostlink.recording import load_reads
+
+Report = dict[str, Any]  # {"source", "links", "findings"}: what `hostlink doctor --json` prints
+Say = Callable[[str], None]
+
+COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 19200)  # rosserial's default first
+BAUD_TRY_S = 4.5  # an answer takes 2 s, a board that the opening resets boots in 2
+RECENT_END_S = 60.0
+YOUNG_S = 10.0  # a link younger than that may not have shown what is wrong with it: the one before it tells
+SETTLE_S = 9.0  # after the topics: three requests for the time
+_LOOK_S = 1.0
+_LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
+_NO_API = ApiConfig(port=0)
+
+
+async def look_at_network(host: str, port: int, seconds: float, folders: tuple[Path, ...], say: Say) -> Report:
+    """Listen where devices connect, and tell what came."""
+    source = f"TCP {host}:{port}"
+    if _is_taken(host, port):
+        holder = holder_of_port(port)
+        return _report(source, finding("address_in_use", f"port {port}" + (f", by {holder}" if holder else "")))
+    config = Config(tcp=TcpConfig(host=host, port=port), api=_NO_API, message_folders=folders)
+    async with running(config) as (hub, _):
+        for left_s in range(round(seconds), 0, -1):
+            say(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
+            await asyncio.sleep(_LOOK_S)
+        report = report_of(dict(links_view(hub)), source)
+    if not report["links"]:
+        report["findings"] += finding_views([finding("no_device", f"this computer is {_own_address()}, port {port}")])
+    return report
+
+
+async def look_at_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) -> Report:
+    """Open a serial port, try the usual speeds, and tell what came."""
+    bauds = port.bauds + tuple(baud for baud in COMMON_BAUDS if baud not in port.bauds)
+    trying = dataclasses.replace(port, baud=bauds, baud_try_s=BAUD_TRY_S)
+    config = Config(tcp=_LOOPBACK, api=_NO_API, serial=(trying,), message_folders=folders)
+    seen: dict[str, Finding] = {}
+    async with running(config) as (hub, _):
+        found_for_s = 0.0
+        for _ in range(round(len(bauds) * BAUD_TRY_S)):
+            await asyncio.sleep(_LOOK_S)
+            if hub.diagnoses.ports or found_for_s >= SETTLE_S:
+                break
+            seen |= {each.code: each for link in hub.links() for each in hub.diagnoses.of(link)}
+            baud = _present_baud(hub)
+            say(f"{port.name} at {baud or bauds[0]} baud")
+            if any(link.session.topics for link in hub.links()):
+                found_for_s += _LOOK_S
+        report = report_of(dict(links_view(hub)), port.name)
+        baud = _present_baud(hub)
+    for link in report["links"]:
+        if found_for_s:
+            link["baud"] = baud
+        else:  # the last speed that was tried is no better than the others
+            link["diagnosis"] = finding_views(list(seen.values()))
+    if found_for_s and baud not in port.bauds:
+        wrong = finding("wrong_baud", f"the device answers at {baud} baud, not at {port.bauds[0]}")
+        report["findings"] += finding_views([wrong])
+    if any(each["code"] == "serial_busy" for each in report["findings"]) and (holder := holder_of_file(port.name)):
+        report["findings"][0]["detail"] += f": {holder}"
+    return report
+
+
+def look_at_recording(path: Path, folders: tuple[Path, ...]) -> Report:
+    """What was wrong with the connections of a recording."""
+    catalog = Catalog(folders)
+    links = [
+        {
+            "number": number,
+            "peer": str(path),
+            "topics": len(connection.session.topics),
+            "seconds": round(connection.ended_at_s - connection.opened_at_s, 3),
+            "end": None,
+            "diagnosis": finding_views(connection.findings()),
+        }
+        for number, connection in replay(load_reads(path), lambda info: check_type(catalog, info)).items()
+    ]
+    return {"source": str(path), "links": links, "findings": []}
+
+
+def report_of(view: dict[str, Any], source: str) -> Report:
+    """The links of a daemon: the live ones, and those that ended of late and say more."""
+    live = [_live(link) for link in view["links"]]
+    present = {_host(link): link for link in live}
+    gone: dict[str, Report] = {}
+    for link in view["ended"]:  # the latest first
+        if link["ended_ago_s"] < RECENT_END_S and _says_more(link, present.get(_host(link))):
+            gone.setdefault(_host(link), {"topics": 0, **link})
+    findings = [each for port in view["ports"] for each in port["diagnosis"]]
+    return {"source": source, "links": live + list(gone.values()), "findings": findings}
+
+
+def _says_more(ended: Report, live: Report | None) -> bool:
+    """Than the device's present link, if it has one."""
+    if live is None:
+        return True
+    return bool(ended["diagnosis"]) and not live["diagnosis"] and live["seconds"] < YOUNG_S
+
+
+def _host(link: Report) -> str:
+    peer: str = link["peer"]
+    return peer.rpartition(":")[0] or peer
+
+
+def _live(link: dict[str, Any]) -> Report:
+    known = {key: link[key] for key in ("number", "peer", "seconds", "diagnosis")}
+    return known | {"topics": len(link["topics"]), "end": None}
+
+
+def _report(source: str, only: Finding) -> Report:
+    return {"source": source, "links": [], "findings": finding_views([only])}
+
+
+def _present_baud(hub: Hub) -> int | None:
+    cases = (hub.diagnoses.case(link.number) for link in hub.links())
+    return next((case.witness.baud for case in cases if case is not None), None)
+
+
+def _is_taken(host: str, port: int) -> bool:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+            probe.listen()
+        except OSError as error:
+            return error.errno == errno.EADDRINUSE
+    return False
+
+
+def _own_address() -> str:
+    """The address that this computer has towards others; connecting a UDP socket sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # RFC 5737: nobody's
+        except OSError:
+            return "in no network"
+        return str(probe.getsockname()[0])

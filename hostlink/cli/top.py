@@ -1,0 +1,69 @@
+"""`hostlink top`: links and robots, live; once or as JSON for scripts."""
+
+import asyncio
+import json as json_text
+import sys
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+import typer
+
+from hostlink.cli.arguments import Token, Url
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Look, advice, figures, link_rows, robot_rows
+from hostlink.cli.inspect import table
+from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.errors import ConfigError
+
+
+def command(
+    *,
+    once: Annotated[bool, typer.Option("--once", help="Print one look, and end.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object a look, for programs.")] = False,
+    interval: Annotated[float, typer.Option(min=0.1, help="Seconds between looks.")] = 1.0,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+) -> None:
+    """Watch links and robots: rates, losses, ages, and what is wrong. Ends with q or Ctrl-C."""
+    if once or json:
+        asyncio.run(_print(url, token, interval, is_once=once, as_json=json))
+    elif not sys.stdout.isatty():
+        raise ConfigError("top", "needs a terminal; elsewhere use --once or --json")
+    else:
+        from hostlink.cli.top_screen import TopScreen  # noqa: PLC0415 - textual takes longer to load than all the rest
+
+        screen = TopScreen(url, token, interval)
+        screen.run()
+        if screen.failure is not None:
+            raise screen.failure
+
+
+async def _print(url: str, token: str | None, interval_s: float, *, is_once: bool, as_json: bool) -> None:
+    async with connect(url, token=token, reconnect=False) as host:
+        async for shown in watch(host, interval_s):
+            text = json_text.dumps(shown) if as_json else "\n".join(_lines(shown))
+            sys.stdout.write(text + "\n")
+            sys.stdout.flush()
+            if is_once:
+                return
+
+
+async def watch(host: Host, interval_s: float) -> AsyncIterator[dict[str, Any]]:
+    """Figures, again and again; the first after one interval."""
+    before = await look(host)
+    while True:
+        await asyncio.sleep(interval_s)
+        now = await look(host)
+        yield figures(before, now)
+        before = now
+
+
+async def look(host: Host) -> Look:
+    """Ask the daemon for all that is shown."""
+    links, robots = await host.get("/api/links"), await host.get("/api/robots")
+    return Look(asyncio.get_running_loop().time(), links, robots["robots"])
+
+
+def _lines(shown: dict[str, Any]) -> list[str]:
+    links = table(list(LINK_COLUMNS), [list(row) for row in link_rows(shown)])
+    robots = table(list(ROBOT_COLUMNS), [list(row) for row in robot_rows(shown)])
+    return [*(links[1:] or ["no device is connected"]), *robots, *(["", *advice(shown)] if advice(shown) else [])]

@@ -1,0 +1,68 @@
+"""The full-screen table of `hostlink top`, by textual."""
+
+from typing import Any, ClassVar
+
+from textual import work
+from textual.app import App, ComposeResult
+from textual.binding import BindingType
+from textual.containers import VerticalScroll
+from textual.widgets import DataTable, Footer, Static
+
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
+from hostlink.cli.top import watch
+from hostlink.client import connect
+from hostlink.errors import HostlinkError
+
+Rows = list[tuple[str, ...]]
+
+
+class TopScreen(App[None]):
+    """Two tables and, below them, what is wrong. `failure` is why it ended, if not by the user."""
+
+    CSS = """
+    DataTable { height: auto; max-height: 40%; margin-bottom: 1; }
+    #title { text-style: bold; }
+    """
+    BINDINGS: ClassVar[list[BindingType]] = [("q", "quit", "quit")]
+    ENABLE_COMMAND_PALETTE = False
+
+    def __init__(self, url: str, token: str | None, interval_s: float) -> None:
+        super().__init__()
+        self.failure: HostlinkError | None = None
+        self._url, self._token, self._interval_s = url, token, interval_s
+
+    def compose(self) -> ComposeResult:
+        """The parts of the screen."""
+        yield Static(f"hostlink top   {self._url}", id="title", markup=False)
+        yield DataTable(id="links", cursor_type="none", show_cursor=False)
+        yield DataTable(id="robots", cursor_type="none", show_cursor=False)
+        with VerticalScroll():
+            yield Static("", id="advice", markup=False)
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Begin to watch."""
+        self.query_one("#links", DataTable).add_columns(*LINK_COLUMNS)
+        self.query_one("#robots", DataTable).add_columns(*ROBOT_COLUMNS)
+        self._watch()
+
+    @work
+    async def _watch(self) -> None:
+        """Until the app ends; a daemon that goes away ends it."""
+        try:
+            async with connect(self._url, token=self._token, reconnect=False) as host:
+                async for shown in watch(host, self._interval_s):
+                    self._show(shown)
+        except HostlinkError as error:
+            self.failure = error
+            self.exit()
+
+    def _show(self, shown: dict[str, Any]) -> None:
+        _fill(self.query_one("#links", DataTable), link_rows(shown))
+        _fill(self.query_one("#robots", DataTable), robot_rows(shown))
+        self.query_one("#advice", Static).update("\n".join(advice(shown)) or "nothing is wrong")
+
+
+def _fill(table: "DataTable[str]", rows: Rows) -> None:
+    table.clear()
+    table.add_rows(rows)

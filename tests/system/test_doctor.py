@@ -1,0 +1,156 @@
+"""`hostlink doctor` and `hostlink capture` as a person runs them: a daemon, none, a serial port, a recording."""
+
+import asyncio
+import contextlib
+import json
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hostlink.messages.catalog import Catalog
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.faults import FAULTS, HEALTHY, Fault
+from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.run import run_over_streams
+from tests.support.process import HOSTLINK, run, serve, simulated
+from tests.support.pty_pair import pty_pair
+
+NOWHERE = "http://127.0.0.1:9"
+
+
+def codes(report: str) -> list[str]:
+    seen: dict[str, Any] = json.loads(report)
+    told = [*seen["findings"], *(each for link in seen["links"] for each in link["diagnosis"])]
+    return [each["code"] for each in told]
+
+
+@contextlib.asynccontextmanager
+async def robot_on_a_port(fault: Fault) -> AsyncIterator[str]:
+    """A simulated robot behind a serial port; yields the port's path."""
+    with pty_pair() as (ours, path):
+        loop = asyncio.get_running_loop()
+        reader = asyncio.StreamReader()
+        stream = os.fdopen(os.dup(ours), "r+b", buffering=0)
+        await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), stream)
+        sink = os.fdopen(os.dup(ours), "wb", buffering=0)
+        protocol = asyncio.StreamReaderProtocol(asyncio.StreamReader())
+        transport, _ = await loop.connect_write_pipe(lambda: protocol, sink)
+        writer = asyncio.StreamWriter(transport, protocol, None, loop)
+        robot = SimulatedRobot("robot_0", Catalog(), device=SimulatedDevice(baud=None))
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(run_over_streams(robot, reader, writer, fault=fault))
+            yield path
+            running.cancel()
+
+
+async def test_a_healthy_daemon_is_status_0() -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await daemon.read_log("robot.appeared")
+        status, out, err = await run("doctor", "--url", daemon.url)
+    assert (status, err) == (0, "")
+    assert out.startswith("link 1  127.0.0.1:")
+    assert out.endswith("6 topics)  healthy\n")
+
+
+async def test_a_daemon_without_a_device_says_what_to_check() -> None:
+    async with serve() as daemon:
+        status, out, _ = await run("doctor", "--url", daemon.url)
+    assert status == 1
+    assert out.startswith("no_device: no device has connected to this computer\n  next: check the host address")
+
+
+async def test_a_serial_port_that_the_daemon_cannot_open_is_told_by_doctor(tmp_path: Path) -> None:
+    async with serve("--serial", str(tmp_path / "none")) as daemon:
+        await daemon.read_log("serial.waiting")
+        status, out, _ = await run("doctor", "--json", "--url", daemon.url)
+    assert (status, codes(out)) == (1, ["serial_missing"])
+
+
+async def test_a_daemon_that_is_not_there_is_said() -> None:
+    status, out, err = await run("doctor", "--url", NOWHERE)
+    assert (status, out) == (1, "")
+    assert "no hostlink at" in err
+
+
+async def test_an_address_in_use_names_the_program_that_has_it() -> None:
+    async with serve() as daemon:
+        status, out, _ = await run("doctor", "--listen", "{}:{}".format(*daemon.tcp))
+    assert status == 1
+    assert "address_in_use: another program listens where devices connect" in out
+    assert f"hostlink (pid {daemon.child.pid})" in out
+
+
+async def test_doctor_listens_by_itself() -> None:
+    listening = await asyncio.create_subprocess_exec(
+        HOSTLINK, "doctor", "--json", "--listen", "127.0.0.1:21417", "--seconds", "4",
+        stdout=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    async with simulated(("127.0.0.1", 21417), "--fault", "wrong_md5"):
+        out, _ = await listening.communicate()
+    assert (listening.returncode, codes(out.decode())) == (1, ["wrong_md5"])
+
+
+async def test_nobody_comes() -> None:
+    status, out, _ = await run("doctor", "--json", "--listen", "127.0.0.1:21418", "--seconds", "1")
+    assert (status, codes(out)) == (1, ["no_device"])
+
+
+async def test_doctor_looks_at_a_serial_port() -> None:
+    async with robot_on_a_port(FAULTS["small_buffer"]) as path:
+        status, out, _ = await run("doctor", "--json", "--serial", path)
+    assert (status, codes(out)) == (1, ["buffer_too_small"])
+    assert json.loads(out)["links"][0]["baud"] == 57600
+
+
+async def test_a_busy_serial_port_names_the_program_that_has_it() -> None:
+    async with robot_on_a_port(HEALTHY) as path, serve("--serial", path) as daemon:
+        await daemon.read_log("topics.negotiated")
+        status, out, _ = await run("doctor", "--serial", path)
+    assert status == 1
+    assert out.startswith("serial_busy: another program has the serial port open")
+    assert f"hostlink (pid {daemon.child.pid})" in out
+
+
+async def test_a_port_that_is_none() -> None:
+    status, out, _ = await run("doctor", "--json", "--serial", "/dev/null")
+    assert (status, codes(out)) == (1, ["serial_unusable"])
+
+
+async def test_a_capture_is_diagnosed_like_the_link_that_it_is_of(tmp_path: Path) -> None:
+    file = tmp_path / "link.jsonl"
+    async with serve() as daemon:
+        async with simulated(daemon.tcp, "--fault", "text"):
+            await daemon.read_log("link.diagnosed")
+            status, live, err = await run("capture", "1", "--seconds", "0.6", "--url", daemon.url)
+            assert (status, err.startswith("link 1: ")) == (0, True)
+        await daemon.read_log("link.closed")
+        assert (await run("capture", "--last", "-o", str(file), "--url", daemon.url))[0] == 0
+    status, out, _ = await run("doctor", "--json", str(file))
+    assert (status, codes(out)) == (1, ["text_on_line"])
+    assert file.read_text().startswith(live[: live.rindex("\n", 0, -1) + 1])
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [line["event"] for line in lines if "event" in line] == ["open", "close"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "complaint"),
+    [([], 2, "name a link by its number, or say --last"), (["7"], 1, "no link named 7"), (["--last"], 1, "no device")],
+)
+async def test_a_capture_of_nothing(arguments: list[str], status: int, complaint: str) -> None:
+    async with serve() as daemon:
+        got, _, err = await run("capture", *arguments, "--url", daemon.url)
+    assert got == status
+    assert complaint in err
+
+
+async def test_devices_that_are_not_let_in_are_told(tmp_path: Path) -> None:
+    config = tmp_path / "hostlink.toml"
+    config.write_text('[tcp]\nallow = ["10.1.2.3"]\n')
+    async with serve("--config", str(config)) as daemon, simulated(daemon.tcp):
+        await daemon.read_log("connection.refused")
+        status, out, _ = await run("doctor", "--url", daemon.url)
+    assert status == 1
+    assert out.startswith("not_let_in: devices reach this computer, and are not let in (")

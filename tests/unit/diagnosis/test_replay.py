@@ -1,0 +1,51 @@
+"""The diagnosis of recordings: of healthy devices nothing, of a part of one nothing that the rest would refute."""
+
+from pathlib import Path
+
+import pytest
+
+from hostlink.diagnosis.finding import Finding
+from hostlink.diagnosis.replay import replay
+from hostlink.hub.device import check_type
+from hostlink.messages.catalog import Catalog
+from hostlink.recording import Read, load_reads
+
+CAPTURES = Path(__file__).parent.parent.parent / "captures"
+CATALOG = Catalog()
+
+
+def findings(reads: list[Read]) -> list[Finding]:
+    connections = replay(reads, lambda info: check_type(CATALOG, info))
+    return [each for connection in connections.values() for each in connection.findings()]
+
+
+def robot() -> list[Read]:
+    return list(load_reads(CAPTURES / "robot.jsonl"))
+
+
+@pytest.mark.parametrize("name", ["robot", "robot_serial", "services", "reconnect"])
+def test_real_devices_that_are_healthy(name: str) -> None:
+    assert findings(list(load_reads(CAPTURES / f"{name}.jsonl"))) == []
+
+
+def test_a_recording_that_lost_its_beginning_is_not_blamed_for_it() -> None:
+    assert findings(robot()[400:]) == []
+
+
+def test_text_between_the_frames() -> None:
+    text = [Read("device", b"speed 1\r\n".hex(), read.t) for read in robot() if read.dir == "device" and read.hex]
+    mixed = sorted([*robot(), *text], key=lambda read: read.t)
+    assert [each.code for each in findings(mixed)] == ["text_on_line"]
+
+
+def test_a_device_that_does_not_answer() -> None:
+    asks = [Read("host", "fffe0000ff0000ff", float(t)) for t in (0, 2, 4)]
+    quiet = [Read("device", t=0.0, event="open"), *asks, Read("device", t=11.0, event="close")]
+    assert [each.code for each in findings(quiet)] == ["no_bytes"]
+
+
+def test_only_time_requests_are_no_topics() -> None:
+    asks = [Read("host", "fffe0000ff0000ff", t) for t in (0.0, 2.0, 4.0)]
+    answers = [Read("device", "fffe0800f70a000000000000000000f5", t + 0.1) for t in (0.0, 2.0, 4.0)]
+    reads = sorted([*asks, *answers, Read("device", t=6.0, event="close")], key=lambda read: read.t)
+    assert [each.code for each in findings(reads)] == ["no_topics"]
