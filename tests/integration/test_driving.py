@@ -302,3 +302,44 @@ async def test_priorities_are_taken_from_rest_and_shown() -> None:
         assert (await host.get("/api/robots/robot_0"))["priority"] == 70
         with pytest.raises(RobotHeld):
             drive(host, "teleop", priority=60)
+
+
+@pytest.mark.parametrize(("way", "within_s"), [("close", 0.3), ("cut", 0.3), ("silence", 0.8)])
+async def test_a_program_on_the_websocket_that_vanishes_leaves_a_standing_robot(way: str, within_s: float) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await greeted(device)
+        twist = {"linear": {"x": 0.2}, "angular": {"z": 0.5}}
+        await program.say(op="publish", topic="/robot_0/velocity_commands", msg=twist)
+        assert await device.velocity() == CURVE
+        if way == "close":
+            await program.socket.close()
+        elif way == "cut":
+            connection = program.socket._response.connection
+            assert connection is not None
+            assert connection.transport is not None
+            connection.transport.abort()
+        async with asyncio.timeout(within_s):
+            assert await device.velocity_other_than(CURVE) == ZERO
+        assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
+
+
+async def test_a_script_that_asks_rest_no_more_leaves_a_standing_robot() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
+        assert await device.velocity() == CURVE
+        async with asyncio.timeout(0.8):
+            assert await device.velocity_other_than(CURVE) == ZERO
+
+
+async def test_when_who_was_more_important_vanishes_the_robot_stops_and_another_may_drive() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host, "person", priority=60, velocity=(0.1, 0.0))
+        with pytest.raises(RobotHeld):
+            drive(host, "script")
+        assert await device.velocity() == (0.1, 0.0)
+        host.hub.leave("person")
+        assert await device.velocity_other_than((0.1, 0.0)) == ZERO
+        drive(host, "script")
+        assert await device.velocity_other_than(ZERO) == CURVE

@@ -37,6 +37,10 @@ class VirtualLoop(asyncio.BaseEventLoop):
         """Seconds since the loop was made."""
         return self._now_s
 
+    def burn(self, seconds: float) -> None:
+        """A callback computes for so long: time passes, and nothing else runs."""
+        self._now_s += seconds
+
     def select(self, timeout: float | None) -> list[object]:
         """Called between two rounds of callbacks; `timeout` is the time to the next timer, None: there is none."""
         if timeout is None:

@@ -1,0 +1,239 @@
+"""A stop while the daemon, its queues or its socket are busy. All in virtual time: the figures are exact.
+
+The robot hears a velocity some 15 ms after it left the host, the time of its 56 bytes on a 38400 baud line, in the next
+of its 33 ms turns.
+"""
+
+import asyncio
+import struct
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, LinkConfig
+from hostlink.hub.hub import Hub
+from hostlink.hub.robots import Robot
+from hostlink.protocol.control import encode_topic_info
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+from hostlink.robot.velocity import Velocity
+from hostlink.sim.robot import LOOP_S, SimulatedRobot
+from tests.support.fake_device import robot_topics
+from tests.support.memory_transport import MemoryTransport, memory_pair
+from tests.support.virtual_device import NumberedRobot
+from tests.support.virtual_loop import VirtualLoop, run_virtual
+from tests.support.virtual_world import CATALOG, World, world
+from tests.support.waiting import expect
+from tools.faults import Script
+
+STOP = bytes(48)
+LINE_S = 0.020  # one velocity on the line, and what the passthrough adds
+FAST = Velocity(linear_x_m_s=0.3)
+
+
+def loop() -> VirtualLoop:
+    running = asyncio.get_running_loop()
+    assert isinstance(running, VirtualLoop)
+    return running
+
+
+async def ready(made: World) -> Robot:
+    await expect(made.is_working)
+    return made.hub.robots.find("robot_0")
+
+
+def drive(made: World, velocity: Velocity = FAST) -> None:
+    made.hub.robots.command(made.hub.robots.find("robot_0"), velocity, owner="test")
+
+
+async def driven(made: World, seconds: float = 1.0) -> None:
+    for _ in range(round(seconds / 0.1)):
+        drive(made)
+        await asyncio.sleep(0.1)
+
+
+def heard_at_s(robot: NumberedRobot, since_s: float) -> float:
+    """When the first stop after `since_s` reached the robot; nothing else may come after it."""
+    later = [(at_s, payload) for at_s, payload in robot.commands if at_s >= since_s]
+    first = next(number for number, (_, payload) in enumerate(later) if payload == STOP)
+    assert {payload for _, payload in later[first:]} == {STOP}
+    return later[first][0]
+
+
+def numbered(test: Callable[[World, NumberedRobot], Awaitable[None]]) -> None:
+    async def run() -> None:
+        robot = NumberedRobot(CATALOG)
+        with capture_logs():
+            async with world(Script(), robot) as made:
+                await ready(made)
+                await driven(made)
+                await test(made, robot)
+
+    run_virtual(run())
+
+
+def test_a_stop_reaches_an_idle_robot_within_a_turn_and_a_line() -> None:
+    async def check(made: World, robot: NumberedRobot) -> None:
+        since_s = loop().time()
+        made.hub.robots.stop(await ready(made))
+        await asyncio.sleep(1.0)
+        assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
+
+    numbered(check)
+
+
+def test_a_loop_that_is_busy_for_95_of_100_delays_a_stop_by_its_own_turns_only() -> None:
+    async def burn() -> None:
+        while True:
+            loop().burn(0.019)
+            await asyncio.sleep(0.001)
+
+    async def check(made: World, robot: NumberedRobot) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            load = tasks.create_task(burn())
+            await driven(made)
+            since_s = loop().time()
+            made.hub.robots.stop(await ready(made))
+            await asyncio.sleep(1.0)
+            load.cancel()
+        # the writer's turn, the relay's two and the device's are each up to 20 ms late here
+        assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S + 4 * 0.020
+
+    numbered(check)
+
+
+def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> None:
+    async def check(made: World, robot: NumberedRobot) -> None:
+        since_s = loop().time()
+        for number in range(1000):
+            drive(made, Velocity(linear_x_m_s=0.1 + number / 10_000))
+        made.hub.robots.stop(await ready(made))
+        await asyncio.sleep(1.0)
+        assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
+        assert len([at_s for at_s, payload in robot.commands if at_s >= since_s and payload != STOP]) <= 1
+
+    numbered(check)
+
+
+def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
+    async def run() -> None:
+        robot = SimulatedRobot("robot_0", CATALOG)
+        with capture_logs():
+            async with world(Script(), robot) as made:
+                await ready(made)
+                await driven(made)
+                assert robot.controllers[0].set_point.target > 0
+                for number in range(500):
+                    for wheel in "lr":
+                        made.hub.publish(f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
+                since_s = loop().time()
+                made.hub.robots.stop(await ready(made))
+                await expect(lambda: robot.controllers[0].set_point.target == 0)
+                # a turn for what was on the line already, and the 5 ms between two looks of `expect`
+                assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
+                await asyncio.sleep(1.0)
+                assert robot.controllers[0].gains.kp == pytest.approx(20.499)  # the newest came, after the stop
+
+    run_virtual(run())
+
+
+def test_a_daemon_that_stands_still_leaves_a_standing_robot_and_goes_on_with_zero() -> None:
+    """Nobody but the robot's own watchdog can stop it then; what was commanded before must not move it afterwards."""
+
+    async def run() -> None:
+        robot = SimulatedRobot("robot_0", CATALOG)
+        with capture_logs():
+            async with world(Script(), robot) as made:
+                await ready(made)
+                await driven(made)
+                sent = len(made.taps[-1].written)
+                loop().burn(3.0)
+                stopped = [robot.turn(loop().time() - 3.0 + turn * LOOP_S) for turn in range(90)]
+                assert None in stopped
+                assert robot.controllers[0].set_point.target == 0
+                await asyncio.sleep(1.0)
+                later = [frame for frame in made.taps[-1].written[sent:] if frame[5:7] == b"\x64\x00"]
+                assert {frame[7:-1] for frame in later} == {STOP}
+                assert robot.speed_m_s == pytest.approx(0.0, abs=0.01)
+
+    run_virtual(run())
+
+
+# -- a socket that takes nothing --------------------------------------------------------------------------------------
+
+
+class Deaf:
+    """A device that has told its topics and then does not read."""
+
+    def __init__(self, hub: Hub, end: MemoryTransport) -> None:
+        self.hub = hub
+        self._end = end
+        self._stream = FrameStream()
+
+    async def announce(self) -> None:
+        await self._end.receive()
+        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics())
+        await self._end.send(infos + encode(Id.TIME, bytes(8)))
+
+    async def velocities(self, count: int) -> list[bytes]:
+        """Read on until so many velocities came."""
+        found: list[bytes] = []
+        while len(found) < count:
+            data = await self._end.receive()
+            found += [
+                item.payload for item in self._stream.feed(data) if isinstance(item, Frame) and item.topic_id == 100
+            ]
+        return found
+
+
+@asynccontextmanager
+async def deaf(room_bytes: int, write_timeout_s: float = 5.0) -> AsyncIterator[Deaf]:
+    hub = Hub(Config(link=LinkConfig(write_timeout_s=write_timeout_s)), CATALOG, reraises=True)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(hub.run())
+        await hub.is_running.wait()
+        host_end, device_end = memory_pair(room_bytes=room_bytes)
+        device = Deaf(hub, device_end)
+        hub.spawn(hub.serve(hub.open(host_end)), name="link")
+        await device.announce()
+        assert await device.velocities(3) == [STOP] * 3
+        yield device
+        running.cancel()
+
+
+def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded_before_it() -> None:
+    """What the kernel has taken cannot be taken back: here two frames. Of all later ones only the newest is left."""
+
+    async def run() -> None:
+        async with deaf(room_bytes=2 * 56) as device:
+            robot = device.hub.robots.find("robot_0")
+            for number in range(20):
+                velocity = Velocity(linear_x_m_s=0.1 + number / 100)
+                device.hub.robots.command(robot, velocity, owner="test")
+                await asyncio.sleep(0.1)
+            assert robot.link is not None
+            assert robot.link.session.oldest_waiting_s(loop().time()) < 0.2  # the newest; those before it are gone
+            device.hub.robots.stop(robot)
+            heard = await device.velocities(5)
+        speeds = [struct.unpack_from("<d", payload)[0] for payload in heard]
+        assert speeds[:3] == pytest.approx([0.1, 0.11, 0.12])  # two in the room, one that was being written
+        assert speeds[3:] == [0.0, 0.0]
+
+    with capture_logs():
+        run_virtual(run())
+
+
+def test_a_socket_that_stays_full_ends_its_link() -> None:
+    async def run() -> None:
+        async with deaf(room_bytes=56, write_timeout_s=2.0) as device:
+            robot = device.hub.robots.find("robot_0")
+            device.hub.robots.command(robot, FAST, owner="test")
+            device.hub.robots.stop(robot)
+            await asyncio.sleep(2.5)
+            assert robot.link is None
+
+    with capture_logs() as lines:
+        run_virtual(run())
+    assert next(line["reason"] for line in lines if line["event"] == "link.closed") == "broken"
