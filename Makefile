@@ -69,6 +69,7 @@ format: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python tools/bench_link.py
 	$(BIN)/python tools/bench_api.py
+	$(BIN)/python tools/bench_crowd.py
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
@@ -100,6 +101,7 @@ soak: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)
 	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
 	$(BIN)/python tools/soak_link.py --seconds 600
+	$(BIN)/python tools/measure_damage.py --frames 10000000
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

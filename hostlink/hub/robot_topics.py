@@ -13,8 +13,10 @@ from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.message import Message
 from hostlink.hub.robots import Robot
 from hostlink.hub.subscriptions import DAEMON, Topic, TopicGraph, resolve
+from hostlink.link.link import Link
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
+from hostlink.robot.directory import RobotTopics as DeviceTopics
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry import Twist
 from hostlink.robot.ros_messages import Frames, odometry_of, transform_of, variances_of
@@ -25,6 +27,7 @@ log = structlog.get_logger()
 TF_TOPIC = "/tf"
 ODOMETRY_TYPE, TF_TYPE = "nav_msgs/Odometry", "tf2_msgs/TFMessage"
 TWIST_TYPE, TWIST_STAMPED_TYPE = "geometry_msgs/Twist", "geometry_msgs/TwistStamped"
+_COMMAND_TOPICS = 2  # cmd_vel, with and without a stamp
 _NS_PER_S = 1_000_000_000
 
 
@@ -33,6 +36,8 @@ class _Offer:
     """What one connected robot has by the names of ROS; None: not offered, or a device's own."""
 
     robot: Robot
+    link: Link
+    topics: DeviceTopics
     frames: Frames
     odom: Topic | None = None
     tf: Topic | None = None
@@ -56,11 +61,15 @@ class RobotTopics:
     def update(self, robots: Iterable[Robot]) -> None:
         """Devices came, left or have other topics: offer anew what is to be offered."""
         before, self._offers = self._offers, {}
-        self._close(before.values())
-        for robot in robots:
-            if robot.link is not None:
-                offer = _Offer(robot, self._frames_of(robot.name), seen=robot.odometry.count)
-                self._offers[resolve(robot.topics.odometry)] = offer
+        there = {resolve(robot.topics.odometry): robot for robot in robots if robot.link is not None}
+        kept = {topic: offer for topic, offer in before.items() if self._still_holds(offer, there.get(topic))}
+        self._close([offer for topic, offer in before.items() if topic not in kept], is_last=not kept)
+        for topic, robot in there.items():
+            if topic in kept:
+                self._offers[topic] = kept[topic]
+            elif robot.link is not None:
+                frames, seen = self._frames_of(robot.name), robot.odometry.count
+                offer = self._offers[topic] = _Offer(robot, robot.link, robot.topics, frames, seen=seen)
                 self._open(offer, self._configs.get(robot.name, RobotConfig()))
 
     def command(self, topic: str, payload: bytes) -> tuple[Robot, Velocity] | None:
@@ -118,14 +127,31 @@ class RobotTopics:
                 offer.commands[resolve(topic)] = type_name
                 self._commands[resolve(topic)] = offer
 
-    def _close(self, offers: Iterable[_Offer]) -> None:
+    def _still_holds(self, offer: _Offer, robot: Robot | None) -> bool:
+        """Whether all of it is offered, and would be again: with a thousand robots, one that comes touches no other."""
+        if robot is not offer.robot or robot.link is not offer.link or robot.topics != offer.topics:
+            return False
+        commanded = [self._graph.find_or_none(name) for name in offer.commands]
+        return (
+            offer.odom is not None
+            and offer.odom.publishers == {DAEMON}
+            and offer.tf is not None
+            and DAEMON in offer.tf.publishers
+            and offer.link not in offer.tf.publishers
+            and len(commanded) == _COMMAND_TOPICS
+            and all(topic is not None and topic.devices.keys() == {DAEMON} for topic in commanded)
+        )
+
+    def _close(self, offers: Iterable[_Offer], *, is_last: bool) -> None:
+        """`is_last`: nobody is left who tells the transforms."""
         for offer in offers:
-            for topic in (offer.odom, offer.tf):
-                if topic is not None:
-                    self._graph.unadvertise(topic.name, DAEMON)
+            if offer.odom is not None:
+                self._graph.unadvertise(offer.odom.name, DAEMON)
+            if offer.tf is not None and is_last:
+                self._graph.unadvertise(offer.tf.name, DAEMON)
             for name in offer.commands:
                 self._graph.untake(name, DAEMON)
-        self._commands.clear()
+                del self._commands[name]
 
     def _advertise(self, name: str, type_name: str, taken: set[str]) -> Topic | None:
         """None for a name that is switched off, that a device publishes itself, or that has another type."""

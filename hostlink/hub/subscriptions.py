@@ -155,7 +155,7 @@ class TopicGraph:
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone: it publishes and takes nothing any more."""
-        for topic in list(self._topics.values()):
+        for topic in [topic for topic in self._topics.values() if key in topic.publishers or key in topic.devices]:
             topic.forget_publisher(key)
             topic.devices.pop(key, None)
             self._settle(topic)

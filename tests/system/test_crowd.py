@@ -1,0 +1,25 @@
+"""A robot is driven while a crowd comes: tools/bench_crowd.py, small. Figures: docs/reliability.md."""
+
+import pytest
+
+from tools.bench_crowd import Load, measure
+
+LONGEST_MEDIAN_MS = 50.0  # on a machine that does other things too
+MOST_MIB = 200.0
+
+
+@pytest.mark.parametrize(
+    ("crowd", "count"), [("devices", 50), ("vanish", 50), ("silent", 500)], ids=["devices", "vanish", "silent"]
+)
+async def test_a_crowd_does_not_take_the_robot_from_who_drives_it(crowd: str, count: int) -> None:
+    seen = await measure(Load(crowd, crowd, count, 2.0))
+    assert seen["commands"] >= 90
+    assert seen["median_ms"] < LONGEST_MEDIAN_MS
+    assert seen["memory_mib"] < MOST_MIB
+    if crowd == "devices":
+        assert seen["crowd"]["sent"] >= 0.9 * count * 20
+        assert "lost" not in seen["crowd"]
+    elif crowd == "vanish":
+        assert seen["crowd"]["visits"] >= 90
+    else:
+        assert seen["crowd"]["sent_away"] >= count - 256

@@ -1,0 +1,235 @@
+"""`make bench`, third part: how one driven robot fares while a crowd comes. Daemon, crowd and robot are apart.
+
+A program on the WebSocket drives the robot 50 times a second; the latency is from its send to the robot's read. Writes
+build/bench_crowd.json and prints a table; ends with status 1 when the 99th percentile or the memory is over its bound.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import statistics
+import struct
+import sys
+import tempfile
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import aiohttp
+
+from hostlink.protocol.frame import Frame, Id
+from hostlink.protocol.stream import FrameStream
+from tests.support.process import Process, serve
+from tools.crowd import TIME, hello
+
+ROOT = Path(__file__).resolve().parents[1]
+P99_BOUND_S = 0.020
+MEMORY_BOUND_MIB = 400
+COMMAND_INTERVAL_S = 0.02
+VELOCITY = struct.Struct("<6d")
+SPEEDS = 9000  # a command is told by its speed, in steps of 0.1 mm/s
+STEP_M_S = 0.0001
+MANY = "[tcp]\nmax_connections = 4000\nmax_connections_per_address = 100\n"
+
+
+@dataclass(frozen=True)
+class Load:
+    """A crowd, and for how long it stays."""
+
+    what: str
+    crowd: str | None
+    count: int
+    seconds: float
+    config: str = ""
+
+
+def loads(share: float) -> list[Load]:
+    """What docs/reliability.md tells; `share` 0.1 is a tenth of it."""
+    return [
+        Load("nobody else", None, 0, 10 * share),
+        Load("devices at once, 10 Hz each", "devices", round(1000 * share), 30 * share, MANY),
+        Load("connect and vanish each second", "vanish", round(200 * share), 60 * share),
+        Load("connections that say nothing", "silent", round(10_000 * share), 30 * share),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "bench_crowd.json")
+    parser.add_argument("--only", help="one of: devices, vanish, silent")
+    parser.add_argument("--quick", action="store_true", help="a tenth of all: does it run at all?")
+    arguments = parser.parse_args()
+    wanted = loads(0.1 if arguments.quick else 1.0)
+    rows = [asyncio.run(measure(load)) for load in wanted if arguments.only in (None, load.crowd)]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps({"load": os.getloadavg(), "rows": rows}, indent=1) + "\n")
+    for row in rows:
+        print(
+            f"{row['count']:>6} {row['what']:<32} median {row['median_ms']:6.2f} ms  p99 {row['p99_ms']:6.2f} ms  "
+            f"longest {row['longest_ms']:6.1f} ms  {row['memory_mib']:5.1f} MiB  {row['core_percent']:5.1f} % of a core  "
+            f"{row['crowd']}"
+        )
+    missed = [row["what"] for row in rows if is_over(row)]
+    if missed:
+        print("over its bound: " + ", ".join(missed), file=sys.stderr)
+    return 1 if missed else 0
+
+
+def is_over(row: dict[str, Any]) -> bool:
+    return bool(row["p99_ms"] > P99_BOUND_S * 1000 or row["memory_mib"] > MEMORY_BOUND_MIB)
+
+
+async def measure(load: Load) -> dict[str, Any]:
+    """Drive a robot while the crowd is there."""
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder) / "hostlink.toml"
+        config.write_text(load.config)
+        async with serve("--config", str(config)) as daemon, asyncio.TaskGroup() as tasks:
+            reading = tasks.create_task(read_away(daemon))
+            async with driven(daemon) as robot, crowd(load, daemon) as visitors:
+                before_s = cpu_s(daemon)
+                latencies = await robot.drive(load.seconds)
+                busy_s = cpu_s(daemon) - before_s
+                counts = await visitors()
+            memory_mib = peak_memory_mib(daemon)
+            reading.cancel()
+    return {
+        "what": load.what,
+        "count": load.count,
+        "median_ms": statistics.median(latencies) * 1000,
+        "p99_ms": statistics.quantiles(latencies, n=100)[98] * 1000,
+        "longest_ms": max(latencies) * 1000,
+        "commands": len(latencies),
+        "memory_mib": memory_mib,
+        "core_percent": 100 * busy_s / load.seconds,
+        "crowd": counts,
+    }
+
+
+async def read_away(daemon: Process) -> None:
+    """Its log must not fill the pipe."""
+    stderr = daemon.child.stderr
+    while stderr is not None and await stderr.read(1 << 16):
+        pass
+
+
+class Robot:
+    """The robot and the program that drives it."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, program: Any) -> None:
+        self._reader, self._writer, self._program = reader, writer, program
+        self._sent_at_s: dict[int, float] = {}
+        self._latencies: list[float] = []
+        self._is_known = asyncio.Event()
+
+    async def listen(self) -> None:
+        """Be a device: tell topics, ask for the time, look at commands."""
+        stream = FrameStream()
+        loop = asyncio.get_running_loop()
+        while data := await self._reader.read(1 << 16):
+            now_s = loop.time()
+            for item in stream.feed(data):
+                if isinstance(item, Frame) and item.topic_id == Id.PUBLISHER:
+                    self._writer.write(hello("robot_0"))
+                elif isinstance(item, Frame) and item.topic_id == 100:
+                    self._is_known.set()
+                    number = round(VELOCITY.unpack(item.payload)[0] / STEP_M_S)
+                    if number in self._sent_at_s:
+                        self._latencies.append(now_s - self._sent_at_s.pop(number))
+
+    async def keep_time(self) -> None:
+        """A device that asks for no time is dead."""
+        while True:
+            self._writer.write(TIME)
+            await asyncio.sleep(2.0)
+
+    async def drive(self, seconds: float) -> list[float]:
+        """Latencies of the commands that came, newest wins; AssertionError when too few came."""
+        await self._is_known.wait()
+        loop = asyncio.get_running_loop()
+        self._latencies.clear()
+        count = round(seconds / COMMAND_INTERVAL_S)
+        began_s = loop.time()
+        for number in range(count):
+            speed = number % SPEEDS + 1
+            self._sent_at_s[speed] = loop.time()
+            message = {"linear": {"x": speed * STEP_M_S}}
+            await self._program.send_json({"op": "publish", "topic": "/robot_0/velocity_commands", "msg": message})
+            await asyncio.sleep(max(0.0, began_s + (number + 1) * COMMAND_INTERVAL_S - loop.time()))
+        await asyncio.sleep(0.5)
+        if len(self._latencies) < 0.9 * count:
+            raise AssertionError(f"{len(self._latencies)} commands of {count} came")
+        return self._latencies
+
+
+@contextlib.asynccontextmanager
+async def driven(daemon: Process) -> AsyncIterator[Robot]:
+    """The robot on its link, and a program on the WebSocket."""
+    reader, writer = await asyncio.open_connection(*daemon.tcp)
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(daemon.url) as program,
+        asyncio.TaskGroup() as tasks,
+    ):
+        robot = Robot(reader, writer, program)
+        running = [tasks.create_task(robot.listen()), tasks.create_task(robot.keep_time())]
+        await program.send_json(
+            {"op": "advertise", "topic": "/robot_0/velocity_commands", "type": "geometry_msgs/Twist"}
+        )
+        yield robot
+        for task in running:
+            task.cancel()
+    writer.close()
+
+
+@contextlib.asynccontextmanager
+async def crowd(load: Load, daemon: Process) -> AsyncIterator[Callable[[], Awaitable[dict[str, int]]]]:
+    """The crowd, once it is ready; the call waits for its end and gives its counts."""
+    if load.crowd is None:
+        yield nobody
+        return
+    command = [load.crowd, str(load.count), "{}:{}".format(*daemon.tcp), str(load.seconds)]
+    child = await asyncio.create_subprocess_exec(
+        sys.executable, ROOT / "tools" / "crowd.py", *command, stdout=asyncio.subprocess.PIPE
+    )
+    stdout = child.stdout
+    if stdout is None:
+        raise AssertionError("a pipe was asked for")
+
+    async def counts() -> dict[str, int]:
+        found: dict[str, int] = json.loads(await stdout.read())
+        return found
+
+    try:
+        async with asyncio.timeout(60):
+            await stdout.readline()
+        yield counts
+    finally:
+        if child.returncode is None:
+            child.kill()
+        await child.wait()
+
+
+async def nobody() -> dict[str, int]:
+    return {}
+
+
+def cpu_s(daemon: Process) -> float:
+    """What the daemon has used of the processor."""
+    fields = Path(f"/proc/{daemon.child.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def peak_memory_mib(daemon: Process) -> float:
+    """The most that it ever held."""
+    status = Path(f"/proc/{daemon.child.pid}/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1024
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,178 @@
+"""Crowds for a daemon on this machine, in a process of their own: many devices, visitors that vanish, connections that
+say nothing.
+
+    python tools/crowd.py devices 1000 HOST:PORT SECONDS     # each with 10 poses a second, and driven if anybody drives
+    python tools/crowd.py vanish 200 HOST:PORT SECONDS       # so many a second connect, and reset at once
+    python tools/crowd.py silent 10000 HOST:PORT SECONDS     # so many connections, kept open as long as the host does
+
+They come from addresses of their own (127.0.0.2 and up), so that the bounds for one address hold for each. Prints
+"ready" when all are there, and a JSON object at the end.
+"""
+
+import asyncio
+import contextlib
+import json
+import resource
+import socket
+import struct
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
+
+RATE_HZ = 10
+TURNS_A_PERIOD = 50  # the devices speak in so many groups, one after another
+TIME_INTERVAL_S = 2.5
+ARRIVAL_S = 0.002
+AT_ONCE = 50  # connections that are being opened
+TIME = encode(Id.TIME, bytes(8))
+POSE = encode(125, struct.pack("<3d", 1.0, 2.0, 0.5))
+CONNECT_TIMEOUT_S = 10.0
+
+
+class Device(asyncio.Protocol):
+    """Tells its topics when asked."""
+
+    def __init__(self, hello: bytes, counts: Counter[str]) -> None:
+        self._hello, self._counts = hello, counts
+        self.transport: asyncio.Transport | None = None
+        self.is_known = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101 - of a TCP connection
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        if TOPICS_REQUEST in data and self.transport is not None:
+            self.is_known = True
+            self.transport.write(self._hello)
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - asyncio's signature
+        self.is_known = False
+        self._counts["lost"] += 1
+
+    def say(self, data: bytes) -> None:
+        if self.is_known and self.transport is not None:
+            self.transport.write(data)
+            self._counts["sent"] += 1
+
+
+def hello(name: str) -> bytes:
+    """What a robot of this name answers to a request for topics."""
+    infos = []
+    for kind, topic_id, topic, type_name in (
+        (Id.PUBLISHER, 125, "odometry", "geometry_msgs/Pose2D"),
+        (Id.SUBSCRIBER, 100, "velocity_commands", "geometry_msgs/Twist"),
+    ):
+        found = CATALOG.message(type_name)
+        assert found is not None  # noqa: S101 - of the store that the project is built on
+        infos.append(
+            encode(kind, encode_topic_info(TopicInfo(kind, topic_id, f"/{name}/{topic}", type_name, found.md5, 512)))
+        )
+    return TIME + b"".join(infos) + TIME
+
+
+async def devices(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """A fleet, spread over the period so that the host has no bursts but its own."""
+    loop = asyncio.get_running_loop()
+    fleet: list[Device] = []
+    for number in range(count):
+        made = Device(hello(f"crowd_{number}"), counts)
+        await loop.create_connection(lambda made=made: made, host, port, local_addr=(source(number), 0))  # type: ignore[misc]
+        fleet.append(made)
+        await asyncio.sleep(ARRIVAL_S)
+    for made in fleet:
+        made.say(TIME + POSE)  # its first message ends the telling of topics
+        await asyncio.sleep(ARRIVAL_S)
+    ready()
+    turn, began_s = 0, loop.time()
+    turns_a_second = TURNS_A_PERIOD * RATE_HZ
+    time_turns = round(TIME_INTERVAL_S * turns_a_second)
+    while turn < seconds * turns_a_second:
+        for made in fleet[turn % TURNS_A_PERIOD :: TURNS_A_PERIOD]:
+            made.say(POSE)
+        for made in fleet[turn % time_turns :: time_turns]:
+            made.say(TIME)
+        turn += 1
+        await asyncio.sleep(max(0.0, began_s + turn / turns_a_second - loop.time()))
+    counts["behind_ms"] = round(1000 * (loop.time() - began_s - seconds))
+
+
+async def vanish(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """So many a second connect, send a byte and reset."""
+    loop = asyncio.get_running_loop()
+    ready()
+    began_s = loop.time()
+    for number in range(round(count * seconds)):
+        with contextlib.suppress(OSError), connected(number, host, port) as visitor:
+            visitor.send(b"\xff")
+            visitor.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            counts["visits"] += 1
+        await asyncio.sleep(max(0.0, began_s + (number + 1) / count - loop.time()))
+
+
+async def silent(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """As fast as they can; who is sent away stays away."""
+    loop = asyncio.get_running_loop()
+    turns = asyncio.Semaphore(AT_ONCE)
+    end_s = loop.time() + seconds
+
+    async def stay(number: int) -> None:
+        writer = None
+        with contextlib.suppress(OSError, TimeoutError):
+            async with turns, asyncio.timeout(CONNECT_TIMEOUT_S):
+                reader, writer = await asyncio.open_connection(host, port, local_addr=(source(number // 100), 0))
+            counts["opened"] += 1
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout_at(end_s):
+                    while await reader.read(4096):
+                        counts["questions"] += 1
+                    counts["sent_away"] += 1
+        if writer is not None:
+            writer.close()
+
+    ready()
+    async with asyncio.TaskGroup() as tasks:
+        for number in range(count):
+            tasks.create_task(stay(number))
+
+
+@contextlib.contextmanager
+def connected(number: int, host: str, port: int) -> Iterator[socket.socket]:
+    """A connection that does not block for long."""
+    with socket.create_connection((host, port), timeout=1.0, source_address=(source(number % 5), 0)) as visitor:
+        yield visitor
+
+
+def source(number: int) -> str:
+    """One of this machine's own addresses; fifty connections share one."""
+    at = number // 50 + 2
+    return f"127.0.{at // 250}.{at % 250 + 1}"
+
+
+def ready() -> None:
+    print("ready", flush=True)
+
+
+CATALOG = Catalog()
+CROWDS = {"devices": devices, "vanish": vanish, "silent": silent}
+
+
+def main() -> None:
+    name, count, address, seconds = sys.argv[1:]
+    host, _, port = address.rpartition(":")
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    counts: Counter[str] = Counter()
+    asyncio.run(CROWDS[name](int(count), host, int(port), float(seconds), counts))
+    print(json.dumps(dict(counts)))
+
+
+if __name__ == "__main__":
+    main()
