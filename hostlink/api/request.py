@@ -8,7 +8,6 @@ import msgspec
 
 from hostlink.errors import BadRequest
 
-MAX_MESSAGE_BYTES = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
 MAX_TEXT = 1024  # characters of a name or an id; the longest that roslib makes is a name and 50 more
 
 

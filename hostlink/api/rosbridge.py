@@ -13,8 +13,8 @@ from hostlink.api.client_services import ClientServices
 from hostlink.api.client_subscriptions import ClientSubscriptions
 from hostlink.api.client_topics import ClientTopics
 from hostlink.api.drive import Drive
-from hostlink.api.fragments import Fragments
-from hostlink.api.request import MAX_MESSAGE_BYTES, Request
+from hostlink.api.fragments import MAX_PIECES, Fragments
+from hostlink.api.request import Request
 from hostlink.api.rosapi import only_reads
 from hostlink.api.stamps import fill_stamps
 from hostlink.errors import BadRequest, HostlinkError
@@ -55,7 +55,7 @@ class RosbridgeClient:
         self._calls = 0
         self._status_from = _LEVELS.index("none")
         self._unknown_ops: set[str] = set()
-        self._fragments = Fragments(MAX_MESSAGE_BYTES)
+        self._fragments = Fragments(hub.config.api.max_message_bytes)
         self._drive = Drive(name, hub.robots, queue)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self.topics.advertise,
@@ -146,7 +146,7 @@ class RosbridgeClient:
         data = request.fields.get("data")
         if request.id is None or not isinstance(data, str):
             raise BadRequest("fragment: id and data must be there")
-        number, total = request.whole("num", -1, MAX_MESSAGE_BYTES), request.whole("total", -1, MAX_MESSAGE_BYTES)
+        number, total = request.whole("num", -1, MAX_PIECES), request.whole("total", -1, MAX_PIECES)
         now_s = asyncio.get_running_loop().time()
         whole = self._fragments.add(request.id, number=number, total=total, data=data, now_s=now_s)
         if whole is not None:
