@@ -84,7 +84,7 @@ web: $(VENV)/.dev
 screenshots: $(VENV)/.dev
 	@tools/require.sh chromium
 	HOSTLINK_PICTURE_RAD=2.6 $(BIN)/python -m pytest tests/system/test_page_states.py -k looks
-	@echo "see build/screenshots"
+	cp build/screenshots/page-desk-light.png docs/page.png
 
 firmware: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)

@@ -127,16 +127,16 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
         assert guest.complaints == []
 
 
-@pytest.mark.parametrize("end", ["touchEnd", "touchCancel"])
-async def test_a_finger_drives_until_it_is_gone(scene: Scene, end: str) -> None:
+async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
     async with connected(scene, viewport=PHONE, has_touch=True, is_mobile=True) as guest:
         x, y = await guest.stick()
         touch = await guest.page.context.new_cdp_session(guest.page)
-        for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
-            await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-        await expect(lambda: scene.wanted[0] > scene.wanted[1] > 0)  # a finger to the right turns clockwise
-        await touch.send("Input.dispatchTouchEvent", {"type": end, "touchPoints": []})
-        await scene.stands(within_s=1.0)
+        for end in ("touchEnd", "touchCancel"):
+            for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
+                await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+            await expect(lambda: scene.wanted[0] > scene.wanted[1] > 0)  # a finger to the right turns clockwise
+            await touch.send("Input.dispatchTouchEvent", {"type": end, "touchPoints": []})
+            await scene.stands(within_s=1.0)
 
 
 async def test_keys_drive_while_they_are_held(scene: Scene) -> None:
@@ -163,16 +163,16 @@ async def test_a_key_in_a_field_is_a_letter_and_a_slider_moves_nothing(scene: Sc
         await scene.stays_still(0.3)
 
 
-@pytest.mark.parametrize("event", ["blur", "pagehide"])
-async def test_what_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene, event: str) -> None:
+async def test_what_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
     async with connected(scene) as guest:
-        await guest.page.keyboard.down("KeyW")
-        await scene.drives()
-        await guest.page.evaluate("name => dispatchEvent(new Event(name))", event)
-        await scene.stands(within_s=1.0)
-        await guest.page.keyboard.down("KeyW")  # a repeat
-        await scene.stays_still(0.4)
-        await guest.page.keyboard.up("KeyW")
+        for event in ("blur", "pagehide"):
+            await guest.page.keyboard.down("KeyW")
+            await scene.drives()
+            await guest.page.evaluate("name => dispatchEvent(new Event(name))", event)
+            await scene.stands(within_s=1.0)
+            await guest.page.keyboard.down("KeyW")  # a repeat
+            await scene.stays_still(0.3)
+            await guest.page.keyboard.up("KeyW")
         await guest.page.keyboard.down("KeyW")
         await scene.drives()
 
@@ -221,24 +221,23 @@ async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scen
         await guest.shows("#tuning-state", "Sent")
 
 
-@pytest.mark.parametrize("way", ["click", "Space", "Escape"])
-async def test_stop_locks_until_unlocked(scene: Scene, way: str) -> None:
+async def test_stop_locks_until_unlocked(scene: Scene) -> None:
     async with connected(scene) as guest:
-        await guest.page.keyboard.down("KeyW")
-        await scene.drives()
-        if way == "click":
-            await guest.page.get_by_role("button", name="Stop").click()
-        else:
-            await guest.page.keyboard.press(way)
-        await scene.stands(within_s=1.0)
-        await guest.shows("#drive-state", "locked")
-        await guest.page.keyboard.up("KeyW")
-        await guest.page.keyboard.down("KeyW")
-        await scene.stays_still(0.3)
-        await guest.page.keyboard.up("KeyW")
-        await guest.page.get_by_role("button", name="Unlock").click()
-        await guest.shows("#drive-state", "nobody drives")
-        await guest.page.keyboard.down("KeyW")
+        stop = guest.page.get_by_role("button", name="Stop")
+        keys = guest.page.keyboard
+        for press in (stop.click, lambda: keys.press("Space"), lambda: keys.press("Escape")):
+            await keys.down("KeyW")
+            await scene.drives()
+            await press()
+            await scene.stands(within_s=1.0)
+            await guest.shows("#drive-state", "locked")
+            await keys.up("KeyW")
+            await keys.down("KeyW")
+            await scene.stays_still(0.2)
+            await keys.up("KeyW")
+            await guest.page.get_by_role("button", name="Unlock").click()
+            await guest.shows("#drive-state", "nobody drives")
+        await keys.down("KeyW")
         await scene.drives()
 
 
@@ -281,6 +280,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
         network.is_refusing = True
         network.break_off()
         await guest.shows("#connection", "no connection", timeout_s=SEEN_S)
+        await guest.shows("#drive-state", "No connection")
         network.is_refusing = False
         await guest.is_connected(timeout_s=3.0)
         await guest.shows("#drive-state", "nobody drives")

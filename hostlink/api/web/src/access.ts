@@ -18,9 +18,13 @@ export class Access {
     });
   }
 
+  get isAsking(): boolean {
+    return !this.panel.hidden;
+  }
+
   ask(title: string, reason: string): void {
     say(find("#access-title"), title);
-    say(find("#access-reason"), `hostlink says: ${reason}.`);
+    say(find("#access-reason"), reason.replace(/^[A-Z]+ \/\S*: /, "")); // what was asked for is no news here
     if (!this.panel.hidden) return;
     this.panel.hidden = false;
     find("#access-token").focus();

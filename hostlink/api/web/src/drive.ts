@@ -82,6 +82,7 @@ export class Drive {
   }
 
   private describe(robot: RobotView | undefined): [state: string, text: string] {
+    if (this.connection.state !== "open") return ["gone", "No connection"];
     if (robot === undefined) return ["idle", "No robot yet"];
     if (!robot.connected) return ["gone", `${robot.name} is not connected`];
     if (robot.locked) return ["locked", `${robot.name} is locked`];

@@ -31,6 +31,7 @@ const STATES: Record<State, string> = {
   closed: "no connection",
 };
 
+const LOST = "hostlink does not answer. Trying again … What this page drove stops by itself.";
 const FRESH_MS = 500;
 
 takeTokenFromAddress();
@@ -57,6 +58,7 @@ const log = new DeviceLog();
 const access = new Access(() => connection.retryNow());
 
 let watched = { odometry: "", plot: "" };
+let isLost = false;
 let unwatch: (() => void)[] = [];
 let posedAt = Number.NEGATIVE_INFINITY; // the topic told a pose; the daemon's view is up to a question behind
 
@@ -81,18 +83,27 @@ function address(): string {
 function changed(state: State): void {
   if (state === "late") drive.driving.letGo();
   else if (state !== "open") drive.forget();
-  const pill = find("#connection");
-  pill.dataset.state = state;
-  say(find("#connection .text"), STATES[state]);
-  if (state === "open") notice("connection", null);
-  else if (state !== "connecting") {
-    notice("connection", "hostlink does not answer. Trying again … What this page drove stops by itself.");
-  }
+  isLost = state === "open" ? false : state !== "connecting" || isLost;
+  showConnection();
+  drive.show();
+}
+
+/** Between two attempts it is still no connection. */
+function showConnection(): void {
+  const { state, roundTripMs } = connection;
+  const shown = isLost && state === "connecting" ? "closed" : state;
+  const isAsking = access.isAsking && state !== "open";
+  document.body.classList.toggle("lost", isLost);
+  find("#connection").dataset.state = shown;
+  say(find("#connection .text"), isAsking ? "token needed" : STATES[shown]);
+  say(find("#connection .detail"), roundTripMs === null ? "" : `${digits(roundTripMs, 0)} ms`);
+  notice("connection", isLost && !isAsking ? LOST : null);
 }
 
 function refuse(refused: Refused): void {
-  if (refused.status === 401) access.ask("A token is needed", refused.message);
-  else if (refused.status === 403) access.ask("This is not allowed", refused.message);
+  if (refused.status === 401) {
+    access.ask("A token is needed", token() === null ? "Whoever runs this hostlink has one." : refused.message);
+  } else if (refused.status === 403) access.ask("This is not allowed", refused.message);
   else notice("refused", refused.message, 3000);
 }
 
@@ -113,7 +124,7 @@ function show(): void {
   tuning.show();
   health.show(robot, link, connection.roundTripMs);
   find("#plots-note").hidden = !robot?.connected || !link || watched.plot !== "";
-  say(find("#connection .detail"), connection.roundTripMs === null ? "" : `${digits(connection.roundTripMs, 0)} ms`);
+  showConnection();
   notice("robot", robot && !robot.connected ? `${robot.name} is not connected: it stands, or will soon.` : null);
 }
 

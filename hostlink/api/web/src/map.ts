@@ -46,7 +46,7 @@ export class RobotMap {
   }
 
   show(robots: RobotView[], selected: string | null): void {
-    this.robots = robots;
+    this.robots = [...robots].sort((one, other) => Number(one.name === selected) - Number(other.name === selected));
     this.selected = selected;
     this.redraw();
   }
