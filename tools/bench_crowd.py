@@ -69,11 +69,9 @@ def main() -> int:
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps({"load": os.getloadavg(), "rows": rows}, indent=1) + "\n")
     for row in rows:
-        print(
-            f"{row['count']:>6} {row['what']:<32} median {row['median_ms']:6.2f} ms  p99 {row['p99_ms']:6.2f} ms  "
-            f"longest {row['longest_ms']:6.1f} ms  {row['memory_mib']:5.1f} MiB  {row['core_percent']:5.1f} % of a core  "
-            f"{row['crowd']}"
-        )
+        times = "  ".join(f"{name} {row[f'{name}_ms']:.2f} ms" for name in ("median", "p99", "longest"))
+        costs = f"{row['memory_mib']:.0f} MiB  {row['core_percent']:.0f} % of a core"
+        print(f"{row['count']:>6} {row['what']:<32} {times}  {costs}  {row['crowd']}")
     missed = [row["what"] for row in rows if is_over(row)]
     if missed:
         print("over its bound: " + ", ".join(missed), file=sys.stderr)
