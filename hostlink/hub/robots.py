@@ -201,7 +201,7 @@ class Robots:
         self._wake.set()
 
     def _step(self, robot: Robot, *, is_news: bool = False) -> None:
-        was_held_by = robot.gate.holder
+        was_held_by, is_first = robot.gate.holder, robot.gate.is_new_device
         velocity = robot.gate.step(_now_s())
         if was_held_by is not None and robot.gate.holder is None:
             log.info("robot.stopped", robot=robot.name, reason="no command came", owner=was_held_by)
@@ -213,7 +213,7 @@ class Robots:
             return
         payload = self.twist.encode(velocity.to_twist())
         try:
-            robot.link.session.publish(robot.topics.velocity, payload, is_urgent=True)
+            robot.link.session.publish(robot.topics.velocity, payload, is_urgent=True, is_kept=is_first)
             robot.link.session.keep_clear(robot_moves=robot.gate.may_move)
         except HostlinkError as error:
             log.warning("robot.unreachable", robot=robot.name, cause=str(error))

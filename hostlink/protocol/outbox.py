@@ -18,10 +18,10 @@ MAX_REPLIES = 32
 class _Waiting:
     """A frame, and since when it waits."""
 
-    __slots__ = ("frame", "is_awaited", "since_s")
+    __slots__ = ("frame", "is_awaited", "is_kept", "since_s")
 
-    def __init__(self, frame: bytes, *, is_awaited: bool = False) -> None:
-        self.frame, self.is_awaited = frame, is_awaited
+    def __init__(self, frame: bytes, *, is_awaited: bool = False, is_kept: bool = False) -> None:
+        self.frame, self.is_awaited, self.is_kept = frame, is_awaited, is_kept
         self.since_s: float | None = None
 
     def age_s(self, now_s: float) -> float:
@@ -71,10 +71,15 @@ class Outbox:
         """Tell the device to fall silent, after the urgent commands; nothing else is sent any more."""
         self._is_stop_due = self._is_stopped = True
 
-    def put_urgent(self, topic_id: int, frame: bytes) -> None:
-        """Queue a command that must not wait behind anything but the time: a velocity. After a stop it is too late."""
+    def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
+        """Queue a command that must not wait behind anything but the time: a velocity. After a stop it is too late.
+
+        One that is kept leaves also when a newer one comes before: the zero with which a session begins.
+        """
         if not self._is_stopped:
-            self._put(self._urgent, topic_id, _Waiting(frame), depth=1)
+            kept = self._urgent.get(topic_id)
+            depth = 2 if kept is not None and kept[0].is_kept else 1
+            self._put(self._urgent, topic_id, _Waiting(frame, is_kept=is_kept), depth=depth)
 
     def put_reply(self, name: str, frame: bytes) -> None:
         """Queue an answer to a question of the device's; DeviceBusy when too many wait."""
@@ -135,7 +140,7 @@ class Outbox:
     def _put(self, queues: _Queues, key: Hashable, new: _Waiting, *, depth: int) -> None:
         waiting = queues.pop(key, None) or deque()
         while len(waiting) >= depth:
-            waiting.popleft()
+            del waiting[int(waiting[0].is_kept)]
             self.replaced += 1
         waiting.append(new)
         queues[key] = waiting

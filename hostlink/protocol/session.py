@@ -191,12 +191,14 @@ class Session:
         """Starts of frames that were none, by cause."""
         return {cause.value: count for cause, count in self._stream.rejected.items()}
 
-    def publish(self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False) -> None:
+    def publish(
+        self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False, is_kept: bool = False
+    ) -> None:
         """Queue a message to the device; raises UnknownTopic, WrongType or FrameTooLarge before anything is queued."""
         info = self._endpoint("topic", topic, Id.SUBSCRIBER)
         frame = self._encode(info, payload)
         if is_urgent:
-            self._outbox.put_urgent(info.topic_id, frame)
+            self._outbox.put_urgent(info.topic_id, frame, is_kept=is_kept)
         else:
             self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 

@@ -122,13 +122,13 @@ class VelocityGate:
         self.lease_s = lease_s
         self.current = ZERO
         self.lock_reason: str | None = None
+        self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
         self._robot, self._limits = robot, limits
         self._lease: _Lease | None = None
         self._target = ZERO
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
-        self._is_new_device = False
 
     @property
     def holder(self) -> str | None:
@@ -170,7 +170,7 @@ class VelocityGate:
         deadline_s = lease.deadline_s if lease is not None and velocity.is_zero else now_s + self.lease_s
         self._lease = _Lease(owner, priority, deadline_s)
         self._target = self._limits.apply(velocity)
-        self._zeros = int(self._is_new_device)
+        self._zeros = int(self.is_new_device)
         self.counts.commands += 1
         self.counts.limited += self._target != velocity
         return self._target
@@ -205,7 +205,7 @@ class VelocityGate:
     def restart(self) -> None:
         """The device is new: nothing of before holds but a lock, and its first velocity is zero whatever comes."""
         self.halt()
-        self._is_new_device = True
+        self.is_new_device = True
 
     def lock(self, reason: str) -> None:
         """The emergency stop: halt, and refuse every command until `unlock`."""
@@ -234,7 +234,7 @@ class VelocityGate:
         """The zeros that are owed to a robot that stands."""
         if self._zeros > 0:
             self._zeros -= 1
-            self._is_new_device = False
+            self.is_new_device = False
         elif self.lock_reason is None or now_s < self._zero_at_s + LOCKED_ZERO_INTERVAL_S:
             return None
         self._zero_at_s = now_s

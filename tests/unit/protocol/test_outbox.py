@@ -40,6 +40,21 @@ def test_the_newest_command_of_a_topic_replaces_the_one_that_waits() -> None:
     assert outbox.replaced == 2
 
 
+def test_the_zero_of_a_new_session_leaves_also_when_newer_velocities_come_before() -> None:
+    outbox = Outbox()
+    outbox.put_urgent(101, b"zero", is_kept=True)
+    for number in range(3):
+        outbox.put_urgent(101, b"velocity %d" % number)
+    assert drain(outbox) == [b"zero", b"velocity 2"]
+    assert outbox.replaced == 2
+    outbox.put_urgent(101, b"first", is_kept=True)
+    outbox.put_urgent(101, b"again", is_kept=True)
+    assert drain(outbox) == [b"first", b"again"]
+    outbox.put_urgent(101, b"a")
+    outbox.put_urgent(101, b"b")
+    assert drain(outbox) == [b"b"]
+
+
 def test_a_topic_with_depth_keeps_its_newest_in_order_and_topics_take_turns() -> None:
     outbox = Outbox()
     for number in range(4):
