@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import os
-import shutil
 import signal
 from collections.abc import AsyncIterator, Callable
 from typing import Any
@@ -12,62 +11,9 @@ import aiohttp
 import pytest
 
 from tests.support.process import HOSTLINK, Process, serve, simulated
+from tests.support.screen import LOOK_S, PATIENCE_S, Screen, screen
 
-PATIENCE_S = 15.0
-LOOK_S = 0.1
 STOP_S = 1.5  # the lease, and a wheel that rolls out
-
-
-class Screen:
-    """A tmux session of its own with a shell in it."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    async def tmux(self, *arguments: str) -> str:
-        child = await asyncio.create_subprocess_exec(
-            "tmux", "-L", self._name, *arguments, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
-        )
-        out, _ = await child.communicate()
-        return out.decode()
-
-    async def keys(self, *names: str) -> None:
-        await self.tmux("send-keys", "-t", "main", *names)
-
-    async def text(self) -> str:
-        return await self.tmux("capture-pane", "-p", "-t", "main")
-
-    async def shows(self, text: str) -> str:
-        async with asyncio.timeout(PATIENCE_S):
-            while True:
-                seen = await self.text()
-                if text in seen:
-                    return seen
-                await asyncio.sleep(LOOK_S)
-
-    async def process(self, name: str) -> int:
-        """The process with this command line in the screen."""
-        shell = (await self.tmux("list-panes", "-t", "main", "-F", "#{pane_pid}")).strip()
-        async with asyncio.timeout(PATIENCE_S):
-            while True:
-                child = await asyncio.create_subprocess_exec(
-                    "pgrep", "-P", shell, "-f", name, stdout=asyncio.subprocess.PIPE
-                )
-                out, _ = await child.communicate()
-                if out.strip():
-                    return int(out.split()[0])
-                await asyncio.sleep(LOOK_S)
-
-
-@contextlib.asynccontextmanager
-async def screen() -> AsyncIterator[Screen]:
-    assert shutil.which("tmux"), "tmux is not installed: `make test` does it, or sudo apt-get install tmux"
-    made = Screen(f"hostlink-{os.getpid()}")
-    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", "-x", "100", "-y", "24", "bash", "--norc")
-    try:
-        yield made
-    finally:
-        await made.tmux("kill-server")
 
 
 @contextlib.asynccontextmanager

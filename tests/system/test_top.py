@@ -7,7 +7,8 @@ from textual.widgets import DataTable, Static
 from hostlink.cli.top_screen import TopScreen
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import run
+from tests.support.process import HOSTLINK, run
+from tests.support.screen import screen
 from tests.support.waiting import expect
 
 
@@ -48,3 +49,12 @@ async def test_without_a_terminal_it_says_what_to_do() -> None:
     status, out, err = await run("top")
     assert (status, out) == (2, "")
     assert err == "hostlink: top: needs a terminal; elsewhere use --once or --json\n"
+
+
+async def test_in_a_real_terminal() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), screen() as terminal:
+        await terminal.keys(f"{HOSTLINK} top --url {host.url}", "Enter")
+        shown = await terminal.shows("nothing is wrong")
+        assert "robot_0" in shown
+        await terminal.keys("q")
+        await terminal.shows("bash-")  # the prompt is back

@@ -1,0 +1,60 @@
+"""The faults spoil what a device says in the way that their name says, and nothing else."""
+
+import pytest
+
+from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
+from hostlink.protocol.foreign import ForeignBytes
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+from hostlink.sim.faults import FAULTS, HEALTHY, FaultyLine
+
+POSE = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m" * 32, 512)
+TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m" * 32, 512)
+TIME = encode(Id.TIME, bytes(8))
+MESSAGE = encode(125, bytes(24))
+SAID = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in (POSE, TWIST)) + MESSAGE
+
+
+def frames(fault: str) -> dict[int, bytes]:
+    """Id -> payload of what the host can read."""
+    heard = FaultyLine(FAULTS[fault]).pass_on(SAID)
+    return {item.topic_id: item.payload for item in FrameStream().feed(heard) if isinstance(item, Frame)}
+
+
+def test_a_healthy_line_changes_nothing() -> None:
+    assert FaultyLine(HEALTHY).pass_on(SAID[:30]) == SAID[:30]
+
+
+@pytest.mark.parametrize(
+    ("fault", "ids"),
+    [
+        ("silence", []),
+        ("wrong_baud", []),
+        ("protocol_1", []),
+        ("text", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("no_topics", [Id.TIME, 125]),
+        ("wrong_md5", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("time_stops", [Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("small_buffer", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("boot_noise", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("reboots", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+        ("clock", [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, 125]),
+    ],
+)
+def test_what_is_left_of_the_frames(fault: str, ids: list[int]) -> None:
+    assert list(frames(fault)) == ids
+
+
+def test_what_the_faults_change_in_a_topic() -> None:
+    assert decode_topic_info(Id.PUBLISHER, frames("wrong_md5")[Id.PUBLISHER]) == POSE._replace(md5="0" * 32)
+    assert decode_topic_info(Id.SUBSCRIBER, frames("small_buffer")[Id.SUBSCRIBER]) == TWIST._replace(buffer_bytes=48)
+
+
+def test_protocol_1_is_what_a_session_recognises() -> None:
+    assert ForeignBytes().take(FaultyLine(FAULTS["protocol_1"]).pass_on(SAID))
+
+
+def test_the_boot_message_comes_once_and_first() -> None:
+    line = FaultyLine(FAULTS["boot_noise"])
+    assert len(line.pass_on(b"")) > 100
+    assert line.pass_on(TIME) == TIME
