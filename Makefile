@@ -12,7 +12,7 @@ FIRMWARE_PACKAGES := cmake g++ clang clang-format clang-tidy cppcheck libclang-r
 
 WEB := hostlink/api/web
 
-.PHONY: help demo test check bench fuzz web screenshots firmware chain soak format clean
+.PHONY: help demo test check bench fuzz web screenshots firmware chain soak netns format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -24,6 +24,7 @@ help:
 	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make soak    ten minutes of driving on the chain, ten over a link that fails, every message counted"
+	@echo "make netns   host and robot in two network namespaces: a black-out, another address (as root)"
 	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris on each reader of bytes"
 
 $(BIN)/python:
@@ -102,6 +103,10 @@ soak: $(VENV)/.dev
 	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
 	$(BIN)/python tools/soak_link.py --seconds 600
 	$(BIN)/python tools/measure_damage.py --frames 10000000
+
+netns: $(VENV)/.hostlink
+	@tools/require.sh iproute2
+	$(BIN)/python tools/netns.py
 
 clean:
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
