@@ -90,6 +90,10 @@ class _Graph(Collector):
         yield CounterMetricFamily(
             "hostlink_link_crashes", "Connections that a fault of hostlink ended", value=self._hub.crashes
         )
+        refused = CounterMetricFamily("hostlink_connections_refused", "Devices turned away, by cause", labels=["cause"])
+        for cause, count in self._hub.refused.items():
+            refused.add_metric([cause], count)
+        yield refused
         yield from self._robots()
         yield from self._links()
         yield from self._to_clients()

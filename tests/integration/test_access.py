@@ -9,8 +9,9 @@ from pathlib import Path
 import aiohttp
 import pytest
 
+from hostlink.client import connect
 from hostlink.config import ApiConfig, Config, TokenConfig
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, HostlinkError
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.rosbridge import Client
@@ -71,7 +72,7 @@ async def test_roles_on_the_websocket() -> None:
         async with host.session.ws_connect(f"{host.url}/?token={READ}") as socket:
             watcher = Client(socket)
             await watcher.say(op="set_level", level="error")
-            for op in ("publish", "advertise", "advertise_service", "unadvertise", "service_response"):
+            for op in ("publish", "drive", "advertise", "advertise_service", "unadvertise", "service_response"):
                 await watcher.say(op=op, topic="/robot_0/velocity_commands", type="geometry_msgs/Twist", msg={})
                 assert (await watcher.hear())["msg"] == f"{op}: the token may only read"
             await watcher.say(op="call_service", service="/rosapi/set_param", args={"name": "a", "value": "1"})
@@ -172,5 +173,20 @@ async def test_tls(tmp_path: Path) -> None:
         assert host.url.startswith("https://")
         async with host.session.get(host.url + "/healthz", ssl=trust) as response:
             assert response.status == 200
-        async with host.session.ws_connect(host.url, ssl=trust) as socket:
-            assert "topics" in await Client(socket).call("/rosapi/topics")
+        async with connect(host.url, ssl=trust) as program:
+            assert await program.robots() == []
+        with pytest.raises(HostlinkError, match="certificate"):
+            async with connect(host.url):
+                pytest.fail("it trusted a certificate that nobody knows")
+
+
+async def test_the_client_brings_its_token() -> None:
+    async with daemon(GUARDED) as host, fake_device(host.tcp, robot_topics()):
+        async with connect(host.url, token=DRIVE) as program:
+            await program.robot("robot_0").drive(0.1, 0.0)
+        async with connect(host.url, token=READ) as program:
+            with pytest.raises(HostlinkError, match="may only read"):
+                await program.robot("robot_0").drive(0.1, 0.0)
+        with pytest.raises(HostlinkError, match="token"):
+            async with connect(host.url):
+                pytest.fail("it came in without a token")
