@@ -28,6 +28,18 @@ GAMEPAD = """
   window.pad = pad;
   navigator.getGamepads = () => (pad.connected ? [pad] : []);
 """
+INSECURE = """
+  delete Crypto.prototype.randomUUID;
+  delete Navigator.prototype.getGamepads;
+"""  # what browsers take away from a page that comes over http from another computer
+ACCENT = """canvas => {
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  let found = 0;
+  for (let at = 0; at < data.length; at += 4) if (data[at + 2] > 150 && data[at] < 80) found += 1;
+  return found;
+}"""  # how much of the canvas is blue: the robot and its path
 
 
 @dataclass
@@ -100,8 +112,9 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
         driving.cancel()
 
 
-async def test_it_shows_the_robot_and_asks_nobody_else(scene: Scene) -> None:
-    async with connected(scene) as guest:
+@pytest.mark.parametrize("script", ["", INSECURE], ids=["secure", "insecure"])
+async def test_it_shows_the_robot_and_asks_nobody_else(scene: Scene, script: str) -> None:
+    async with connected(scene, script=script) as guest:
         await guest.shows("#drive-state", "nobody drives")
         await guest.shows("#link", "Hz")
         await guest.shows("#clients", "client")
@@ -123,6 +136,10 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
         await guest.page.mouse.up()
         await scene.stands(within_s=1.0)
         await guest.map_tells("length", r"^0\.[1-9]")
+        drawn = await guest.page.locator("#map-canvas").evaluate(ACCENT)
+        await guest.page.get_by_role("button", name="Clear the path").click()
+        await guest.map_tells("length", r"^0\.0")
+        assert 100 < await guest.page.locator("#map-canvas").evaluate(ACCENT) < drawn
         assert int(await guest.page.locator("#plot-left .uplot").get_attribute("data-count") or 0) > 5
         assert guest.complaints == []
 
@@ -265,6 +282,7 @@ async def test_a_dead_network_is_seen_within_a_second_and_nothing_old_is_driven_
         await guest.shows("#connection", "no answer", timeout_s=SEEN_S)
         await guest.shows("#notice", "does not answer")
         await scene.stands(within_s=1.0)
+        await scene.stays_still(LEASE_S)  # what is on its way is older than a command holds
         network.set_line(Line.WORKS)
         await scene.stays_still(0.5)  # whatever was on its way
         await guest.is_connected()

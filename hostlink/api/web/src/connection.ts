@@ -7,9 +7,9 @@
 
 import { Ros, type RosbridgeMessage, Service, Topic, WebSocketTransportFactory } from "roslib";
 
-const LOOK_MS = 100;
-const ASK_MS = 400;
-const LATE_MS = 450; // with ASK_MS: a dead network is seen within 0.85 s
+const LOOK_MS = 50;
+const ASK_MS = 300;
+const LATE_MS = 400; // with ASK_MS, and LOOK_MS twice: a dead network is seen within 0.8 s
 const DEAD_MS = 2000;
 const OPEN_MS = 1500;
 const BACKOFF_MS = [250, 500, 1000];

@@ -9,6 +9,10 @@ const STOP_BUTTON = 1; // B, or the circle
 const DEAD_ZONE = 0.12;
 
 export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => void): void {
+  if (!("getGamepads" in navigator)) {
+    say(note, "Gamepad: this browser allows one only over https, or on the computer of hostlink itself.");
+    return;
+  }
   let isStopping = false;
   const look = () => {
     const pad = navigator.getGamepads().find((each) => each?.connected && each.axes.length >= 2) ?? null;

@@ -8,14 +8,25 @@ const ORDER = Object.keys(THEMES) as Theme[];
 
 const probe = document.createElement("span"); // a canvas knows no variables: an element's computed colour does
 
-/** The colour of a variable of style.css, as it is now. */
+const colours = new Map<string, string>();
+
+/** The colour of a variable of the style sheet, as it is now. */
 export function colour(variable: string): string {
-  probe.style.color = `var(--${variable})`;
-  return getComputedStyle(probe).color;
+  let found = colours.get(variable);
+  if (found === undefined) {
+    probe.style.color = `var(--${variable})`;
+    found = getComputedStyle(probe).color;
+    colours.set(variable, found);
+  }
+  return found;
 }
 
 /** `onChange` is called whenever colours are other than before. */
 export function connectTheme(onChange: () => void): void {
+  const change = () => {
+    colours.clear();
+    onChange();
+  };
   probe.hidden = true;
   document.body.append(probe);
   const button = find<HTMLButtonElement>("#theme");
@@ -23,7 +34,7 @@ export function connectTheme(onChange: () => void): void {
     document.documentElement.dataset.theme = theme;
     say(find("#theme .label"), THEMES[theme]);
     button.setAttribute("aria-label", `Colours: ${THEMES[theme]}`);
-    onChange();
+    change();
   };
   let theme = ORDER.find((each) => each === remembered("theme", "system")) ?? "system";
   apply(theme);
@@ -32,5 +43,5 @@ export function connectTheme(onChange: () => void): void {
     remember("theme", theme);
     apply(theme);
   });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", onChange);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", change);
 }
