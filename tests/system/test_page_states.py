@@ -1,5 +1,6 @@
 """The page where something is missing: a robot, a token, a right. And how it looks, for eyes and for screen readers."""
 
+import asyncio
 import os
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -49,6 +50,14 @@ async def test_without_a_robot_it_says_how_to_get_one_and_when_it_is_gone_that(b
         await guest.shows("#robots", "not connected")
         await guest.shows("#notice", "robot_0 is not connected")
         assert guest.complaints == []
+
+
+async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
+    async with daemon() as host, visit(browser, host.url) as guest:
+        _, writer = await asyncio.open_connection(*host.tcp)
+        writer.write(b"hello, this is no rosserial\r\n" * 20)
+        await guest.shows("#link .diagnosis", "127.0.0.1")
+        writer.close()
 
 
 async def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser) -> None:

@@ -27,7 +27,9 @@ export class Health {
     }
   }
 
-  show(robot: RobotView | undefined, link: LinkView | undefined, roundTripMs: number | null): void {
+  /** Without a robot all `links` are looked at for why there is none. */
+  show(robot: RobotView | undefined, links: LinkView[], roundTripMs: number | null): void {
+    const link = links.find((each) => each.number === robot?.link);
     const age_s = robot?.connected ? (robot.odometry?.age_s ?? link?.silent_s) : undefined;
     const device_s = link?.clock?.round_trip_s;
     this.set("rate", robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
@@ -40,7 +42,7 @@ export class Health {
       (roundTripMs ?? 0) > SLOW_MS,
     );
     this.set("device", device_s === undefined ? "–" : `${digits(device_s * 1000, 0)} ms`);
-    this.diagnose(link);
+    this.diagnose(robot === undefined ? links : link ? [link] : []);
   }
 
   private set(tile: Tile, text: string, isBad = false): void {
@@ -50,9 +52,11 @@ export class Health {
     value.classList.toggle("bad", isBad);
   }
 
-  private diagnose(link: LinkView | undefined): void {
+  private diagnose(links: LinkView[]): void {
     const list = find("#link .diagnosis");
-    const lines = (link?.diagnosis ?? []).map(({ cause, next_step }) => `${cause} ${next_step}`);
+    const lines = links.flatMap((link) =>
+      (link.diagnosis ?? []).map(({ cause, next_step }) => `${link.peer}: ${cause} ${next_step}`),
+    );
     if (lines.join("\n") === list.dataset.shown) return;
     list.dataset.shown = lines.join("\n");
     list.replaceChildren(...lines.map((line) => make("li", {}, line)));

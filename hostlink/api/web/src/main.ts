@@ -122,7 +122,7 @@ function show(): void {
   stop.show();
   odometry.show();
   tuning.show();
-  health.show(robot, link, connection.roundTripMs);
+  health.show(robot, fleet.links, connection.roundTripMs);
   find("#plots-note").hidden = !robot?.connected || !link || watched.plot !== "";
   showConnection();
   notice("robot", robot && !robot.connected ? `${robot.name} is not connected: it stands, or will soon.` : null);
