@@ -43,12 +43,14 @@ class Device:
     def __init__(self, link: Link, topics: TopicGraph, services: Services, catalog: Catalog) -> None:
         self.link = link
         self.routes: dict[int, Topic] = {}  # where the messages of an id go
+        self.names: frozenset[str] = frozenset()  # of its topics, resolved
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
         self._topics, self._services, self._catalog = topics, services, catalog
 
     def announce(self, infos: tuple[TopicInfo, ...]) -> None:
         """Put the device's endpoints into the graph in place of those that it had."""
         self.leave()
+        self.names = frozenset(resolve(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
         for info in infos:
             try:
                 self._add(info)
@@ -66,6 +68,7 @@ class Device:
         """Take everything of this device out of the graph."""
         self.routes.clear()
         self._stamped.clear()
+        self.names = frozenset()
         self._topics.leave(self.link)
         self._services.leave(self.link)
 

@@ -101,6 +101,7 @@ class Diagnoses:
             for case in list(self._live.values()):
                 case.witness.look(now_s)
                 await self._judge(case, self._evidence(case, now_s))
+                await asyncio.sleep(0)  # a thousand links are looked at one by one, between what they say
             for case in list(self.ended):
                 if case.last_evidence is not None:
                     evidence, case.last_evidence = case.last_evidence, None

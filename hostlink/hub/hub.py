@@ -154,9 +154,11 @@ class Hub:
     def _forget(self, link: Link) -> None:
         device = self._devices.pop(link.number, None)
         if device is not None:
+            touched = device.names
             device.leave()
             self.robots.vanish(link)
-            self.robot_topics.update(self.robots.all())
+            if touched:
+                self.robot_topics.update(self.robots.all(), touched)
             self.robots.leave(str(link))  # a device may drive another
             self._directory.leave(link.number)
 
@@ -191,13 +193,15 @@ class Hub:
             return
         if claim.replaces is not None:
             self._replace(claim.replaces)
-        self._devices[link.number].announce(event.topics)
+        device = self._devices[link.number]
+        before = device.names
+        device.announce(event.topics)
         if claim.robot is not None:
             self.robots.appear(claim.robot.name, claim.robot, link)
             self._offer_lock(claim.robot.name)
         else:
             self.robots.vanish(link)
-        self.robot_topics.update(self.robots.all())
+        self.robot_topics.update(self.robots.all(), before | device.names)
 
     def _offer_lock(self, name: str) -> None:
         """The emergency stop as services, so that programs and devices can call it."""

@@ -27,7 +27,6 @@ log = structlog.get_logger()
 TF_TOPIC = "/tf"
 ODOMETRY_TYPE, TF_TYPE = "nav_msgs/Odometry", "tf2_msgs/TFMessage"
 TWIST_TYPE, TWIST_STAMPED_TYPE = "geometry_msgs/Twist", "geometry_msgs/TwistStamped"
-_COMMAND_TOPICS = 2  # cmd_vel, with and without a stamp
 _NS_PER_S = 1_000_000_000
 
 
@@ -42,6 +41,7 @@ class _Offer:
     odom: Topic | None = None
     tf: Topic | None = None
     commands: dict[str, str] = field(default_factory=dict)  # topic -> type
+    wanted: frozenset[str] = frozenset()  # every name that it has, or would have if it were nobody else's
     seen: int = 0  # poses
 
 
@@ -58,11 +58,20 @@ class RobotTopics:
         self._offers: dict[str, _Offer] = {}  # by the topic of the device's odometry
         self._commands: dict[str, _Offer] = {}  # by topic
 
-    def update(self, robots: Iterable[Robot]) -> None:
-        """Devices came, left or have other topics: offer anew what is to be offered."""
+    def update(self, robots: Iterable[Robot], touched: frozenset[str]) -> None:
+        """A device came, left or has other topics, `touched` by their full names: offer anew what that changes.
+
+        With a thousand robots, one that comes touches no other.
+        """
         before, self._offers = self._offers, {}
         there = {resolve(robot.topics.odometry): robot for robot in robots if robot.link is not None}
-        kept = {topic: offer for topic, offer in before.items() if self._still_holds(offer, there.get(topic))}
+        lost = [offer for topic, offer in before.items() if not _is_there(offer, there.get(topic))]
+        freed = touched.union(*(offer.wanted - {TF_TOPIC} for offer in lost))
+        kept = {
+            topic: offer
+            for topic, offer in before.items()
+            if _is_there(offer, there.get(topic)) and offer.wanted.isdisjoint(freed)
+        }
         self._close([offer for topic, offer in before.items() if topic not in kept], is_last=not kept)
         for topic, robot in there.items():
             if topic in kept:
@@ -116,31 +125,18 @@ class RobotTopics:
     def _open(self, offer: _Offer, config: RobotConfig) -> None:
         name = offer.robot.name
         odom = _chosen(config.odom_topic, f"{name}/odom")
+        commands = {
+            _chosen(config.cmd_vel_topic, f"{name}/cmd_vel"): TWIST_TYPE,
+            _chosen(config.cmd_vel_stamped_topic, f"{name}/cmd_vel_stamped"): TWIST_STAMPED_TYPE,
+        }
+        offer.wanted = frozenset(resolve(wanted) for wanted in (odom, TF_TOPIC, *commands) if wanted)
         offer.odom = self._advertise(odom, ODOMETRY_TYPE, {resolve(offer.robot.topics.odometry)})
         if config.publish_tf and not self._publishes(offer.robot, TF_TOPIC):
             offer.tf = self._advertise(TF_TOPIC, TF_TYPE, set())
-        for topic, type_name in (
-            (_chosen(config.cmd_vel_topic, f"{name}/cmd_vel"), TWIST_TYPE),
-            (_chosen(config.cmd_vel_stamped_topic, f"{name}/cmd_vel_stamped"), TWIST_STAMPED_TYPE),
-        ):
+        for topic, type_name in commands.items():
             if self._take(topic, type_name):
                 offer.commands[resolve(topic)] = type_name
                 self._commands[resolve(topic)] = offer
-
-    def _still_holds(self, offer: _Offer, robot: Robot | None) -> bool:
-        """Whether all of it is offered, and would be again: with a thousand robots, one that comes touches no other."""
-        if robot is not offer.robot or robot.link is not offer.link or robot.topics != offer.topics:
-            return False
-        commanded = [self._graph.find_or_none(name) for name in offer.commands]
-        return (
-            offer.odom is not None
-            and offer.odom.publishers == {DAEMON}
-            and offer.tf is not None
-            and DAEMON in offer.tf.publishers
-            and offer.link not in offer.tf.publishers
-            and len(commanded) == _COMMAND_TOPICS
-            and all(topic is not None and topic.devices.keys() == {DAEMON} for topic in commanded)
-        )
 
     def _close(self, offers: Iterable[_Offer], *, is_last: bool) -> None:
         """`is_last`: nobody is left who tells the transforms."""
@@ -195,6 +191,11 @@ class RobotTopics:
         age_s = (time.time_ns() - stamp_ns) / _NS_PER_S
         if limit_s is not None and stamp_ns and age_s > limit_s:
             raise BadRequest(f"{name}: the command is {age_s:.3f} s old, cmd_vel_max_age_s allows {limit_s:g}")
+
+
+def _is_there(offer: _Offer, robot: Robot | None) -> bool:
+    """Whether it is still the same robot by the same device."""
+    return robot is offer.robot and robot.link is offer.link and robot.topics == offer.topics
 
 
 def _through_the_gate(payload: bytes) -> None:

@@ -182,7 +182,8 @@ class Robots:
         while True:
             if any(robot.gate.is_active for robot in self._robots.values()):
                 for robot in self._robots.values():
-                    self._step(robot)
+                    if robot.gate.is_active:
+                        self._step(robot)
                 await asyncio.sleep(TICK_S)
             else:
                 self._wake.clear()

@@ -94,6 +94,7 @@ class TopicGraph:
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         self._topics: dict[str, Topic] = {}
+        self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes or takes, by name
 
     def all(self) -> list[Topic]:
         """Every topic, by name."""
@@ -129,6 +130,7 @@ class TopicGraph:
         """Note that `key` publishes the topic; WrongType if it is in use with another type."""
         topic = self._open(name, type_name, _rank(key))
         topic.publishers.add(key)
+        self._note(key, topic)
         if is_latched:
             topic.latched.setdefault(key)
         return topic
@@ -137,6 +139,7 @@ class TopicGraph:
         """Note that the device `key` takes the topic. It gets nothing of before: an old command is no command."""
         topic = self._open(name, type_name, _rank(key))
         topic.devices[key] = send
+        self._note(key, topic)
         return topic
 
     def unadvertise(self, name: str, key: Hashable) -> None:
@@ -144,6 +147,7 @@ class TopicGraph:
         topic = self.find_or_none(name)
         if topic is not None:
             topic.forget_publisher(key)
+            self._unnote(key, topic)
             self._settle(topic)
 
     def untake(self, name: str, key: Hashable) -> None:
@@ -151,14 +155,25 @@ class TopicGraph:
         topic = self.find_or_none(name)
         if topic is not None:
             topic.devices.pop(key, None)
+            self._unnote(key, topic)
             self._settle(topic)
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone: it publishes and takes nothing any more."""
-        for topic in [topic for topic in self._topics.values() if key in topic.publishers or key in topic.devices]:
+        for topic in self._of_key.pop(key, {}).values():
             topic.forget_publisher(key)
             topic.devices.pop(key, None)
             self._settle(topic)
+
+    def _note(self, key: Hashable, topic: Topic) -> None:
+        self._of_key.setdefault(key, {})[topic.name] = topic
+
+    def _unnote(self, key: Hashable, topic: Topic) -> None:
+        held = self._of_key.get(key, {})
+        if key not in topic.publishers and key not in topic.devices:
+            held.pop(topic.name, None)
+        if not held:
+            self._of_key.pop(key, None)
 
     def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
@@ -170,6 +185,7 @@ class TopicGraph:
                 raise WrongType(resolved, topic.type_name, plain_name)
             for key in [key for key in topic.publishers if _rank(key) < rank]:  # they meant another topic
                 topic.forget_publisher(key)
+                self._unnote(key, topic)
             topic.type_name, topic.type, topic.rank = plain_name, type_, rank
         elif plain_name:
             topic.rank = max(topic.rank, rank)
