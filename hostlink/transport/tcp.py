@@ -3,19 +3,24 @@
 import asyncio
 import contextlib
 import errno
+import fcntl
 import os
 import socket
 import struct
+import sys
+import termios
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
 from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.base import Transport
+from hostlink.transport.stall import Stall
 from hostlink.transport.stream import StreamTransport
 
 _RTT_AT = 68  # tcpi_rtt, microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where nothing can replace them
+STALL_LOOK_S = 0.01
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged for so long: the peer is gone
 KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # seconds, seconds, probes: found within 11 s
 
@@ -28,7 +33,31 @@ class Listener:
 
 
 class TcpTransport(StreamTransport):
-    """A connection whose system measures the way."""
+    """A connection whose system measures the way, and is given nothing more while the network stands still."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, peer: str, address: str) -> None:
+        super().__init__(reader, writer, peer=peer, address=address)
+        self._sent_bytes = 0
+        self._stall = Stall()
+
+    async def send(self, data: bytes) -> None:
+        """Returns when the peer keeps up with what was sent, so that what is next is chosen as late as can be."""
+        await super().send(data)
+        self._sent_bytes += len(data)
+        while self._is_stalled():  # noqa: ASYNC110 - the kernel tells nobody of an acknowledgement
+            await asyncio.sleep(STALL_LOOK_S)
+
+    def _is_stalled(self) -> bool:
+        now_s = asyncio.get_running_loop().time()
+        waiting = self._unacknowledged_bytes()
+        return self._stall.is_stalled(sent_bytes=self._sent_bytes, unacknowledged_bytes=waiting, now_s=now_s)
+
+    def _unacknowledged_bytes(self) -> int:
+        """0 where the system does not say, or the connection is gone."""
+        connection = self._writer.get_extra_info("socket")
+        if connection is None or connection.fileno() < 0 or sys.platform != "linux":
+            return 0
+        return int(struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0])
 
     def round_trip_s(self) -> float | None:
         """What the kernel makes of its acknowledgements; None where it has no TCP_INFO, or the connection is gone."""
