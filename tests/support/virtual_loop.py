@@ -8,7 +8,7 @@ For coroutines whose world is in memory (`memory_transport.py`): asking the loop
 """
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 Result = TypeVar("Result")
@@ -40,6 +40,15 @@ class VirtualLoop(asyncio.BaseEventLoop):
     def burn(self, seconds: float) -> None:
         """A callback computes for so long: time passes, and nothing else runs."""
         self._now_s += seconds
+
+    def run_in_executor(self, executor: object, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # noqa: ARG002 - of asyncio
+        """What others do in a thread is done here and now: it takes no virtual time, and always as long."""
+        future = self.create_future()
+        try:
+            future.set_result(func(*args))
+        except Exception as error:  # noqa: BLE001 - it is the caller's, as of a thread
+            future.set_exception(error)
+        return future
 
     def select(self, timeout: float | None) -> list[object]:
         """Called between two rounds of callbacks; `timeout` is the time to the next timer, None: there is none."""

@@ -302,7 +302,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
         network.is_refusing = False
         await guest.is_connected(timeout_s=3.0)
         await guest.shows("#drive-state", "nobody drives")
-        assert await guest.page.locator("#notice").is_hidden()
+        await guest.page.locator("#notice").wait_for(state="hidden")
 
 
 async def test_who_drives_is_said_and_who_goes_first(scene: Scene) -> None:

@@ -68,7 +68,7 @@ async def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser
             await guest.page.get_by_role("textbox", name="Token").fill(DRIVE)
             await guest.page.get_by_role("button", name="Use it").click()
             await guest.is_connected()
-            assert await guest.page.locator("#access").is_hidden()
+            await guest.page.locator("#access").wait_for(state="hidden")
         async with visit(browser, f"{host.url}/?token={READ}") as guest:
             await guest.is_connected()
             assert guest.page.url == f"{host.url}/"

@@ -109,3 +109,12 @@ def test_sockets_have_no_place_here() -> None:
 
     with pytest.raises(NotImplementedError):
         run_virtual(main())
+
+
+def test_work_for_a_thread_is_done_at_once() -> None:
+    async def main() -> tuple[int, float]:
+        with pytest.raises(ZeroDivisionError):
+            await asyncio.to_thread(divmod, 1, 0)
+        return await asyncio.to_thread(sum, [1, 2]), asyncio.get_running_loop().time()
+
+    assert run_virtual(main()) == (3, 0.0)
