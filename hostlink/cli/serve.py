@@ -31,7 +31,7 @@ from hostlink.transport.tcp import serve_tcp
 
 log = structlog.get_logger()
 
-GC_THRESHOLDS = (5000, 50, 50)  # a young collection takes 1 ms, an old one comes after 12 million objects
+GC_THRESHOLDS = (1000, 10, 1000)  # a collection takes 1 ms but for the oldest, which come after ten million objects
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

@@ -108,9 +108,9 @@ class RobotTopics:
         if offer is None or offer.robot.odometry.count == offer.seen:  # what was seen was no pose
             return
         offer.seen = offer.robot.odometry.count
-        view = offer.robot.odometry.snapshot(asyncio.get_running_loop().time())
         heard = [topic for topic in (offer.odom, offer.tf) if topic is not None and topic.is_heard]
-        if view is None or not heard:
+        view = offer.robot.odometry.snapshot(asyncio.get_running_loop().time()) if heard else None
+        if view is None:
             return
         stamp = dict(zip(("secs", "nsecs"), divmod(view["stamp_ns"], _NS_PER_S), strict=True))
         pose, twist = Pose(**view["pose"]), Twist(**view["twist"])

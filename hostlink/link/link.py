@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import dataclasses
+import math
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -64,6 +65,9 @@ class Link:
         self._deadline: asyncio.Timeout | None = None
         self._end: LinkEnd | None = None
         self._trouble = _Trouble(self.opened_at_s)
+        self._idle_limit_s = math.inf if config.idle_timeout_s is None else config.idle_timeout_s
+        silence_s = math.inf if config.silence_timeout_s is None else config.silence_timeout_s
+        self._asking_limit_s = min(self._idle_limit_s, silence_s)
 
     def __repr__(self) -> str:
         return f"link {self.number} ({self.peer})"
@@ -121,7 +125,7 @@ class Link:
     async def _read(self) -> LinkEnd:
         loop = asyncio.get_running_loop()
         try:
-            async with asyncio.timeout(self._silence_limit_s()) as self._deadline:
+            async with asyncio.timeout(None) as self._deadline:  # `end` sets it
                 if self._end is not None:
                     return self._end
                 self._tell(self.session.open(now_s=loop.time()))
@@ -132,26 +136,23 @@ class Link:
                     self._trouble.look(self.session, now_s)
                     if self._end is not None:
                         return self._end
-                    limit_s = self._silence_limit_s()
-                    self._deadline.reschedule(None if limit_s is None else now_s + limit_s)
         except TimeoutError:
-            return LinkEnd.IDLE
+            return LinkEnd.STOPPED  # never seen: `end` has set the reason
         finally:
             self._deadline = None
         return LinkEnd.PEER_CLOSED
 
-    def _silence_limit_s(self) -> float | None:
-        """How long not a byte may come; shorter for a device that has shown that it asks for the time regularly."""
-        limits = [self._config.idle_timeout_s]
-        if self.session.is_asking_time:
-            limits.append(self._config.silence_timeout_s)
-        return min((limit_s for limit_s in limits if limit_s is not None), default=None)
+    def _silent_at_s(self) -> float:
+        """When the link ends if not a byte comes; sooner for a device that has shown that it asks for the time."""
+        limit_s = self._asking_limit_s if self.session.is_asking_time else self._idle_limit_s
+        return self.heard_at_s + limit_s
 
     def _tell(self, found: list[Event]) -> None:
         for event in found:
             self._on_event(self, event)
         now_s = asyncio.get_running_loop().time()
-        if self.session.wait_s(now_s) is not None or self.session.deadline_s() < self._sleeps_until_s:
+        next_s = min(self.session.deadline_s(), self._silent_at_s())
+        if self.session.wait_s(now_s) is not None or next_s < self._sleeps_until_s:
             self._wake.set()
 
     async def _write(self) -> None:
@@ -166,6 +167,9 @@ class Link:
                     self.command_latency.add(loop.time() - commanded_at_s)
                 self.tape_to_device.add(frame, loop.time())
             now_s = loop.time()
+            if self._silent_at_s() <= now_s + SOON_S:
+                self.end(LinkEnd.IDLE)
+                return
             deadline_s = self.session.deadline_s()
             if deadline_s <= now_s + SOON_S:
                 self._tell(self.session.tick(now_s=now_s + SOON_S))
@@ -173,7 +177,8 @@ class Link:
             wait_s = self.session.wait_s(now_s)
             if wait_s is None:
                 self._is_drained.set()
-            self._sleeps_until_s = deadline_s if wait_s is None else min(deadline_s, now_s + wait_s)
+            next_s = min(deadline_s, self._silent_at_s())
+            self._sleeps_until_s = next_s if wait_s is None else min(next_s, now_s + wait_s)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout_at(self._sleeps_until_s):
                     await self._wake.wait()
