@@ -24,7 +24,7 @@ help:
 	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
 	@echo "make soak    ten minutes of driving on the chain, ten over a link that fails, every message counted"
-	@echo "make netns   host and robot in two network namespaces: a black-out, another address (as root)"
+	@echo "make netns   host and robot in two network namespaces: loss, delay, a black-out, another address (as root)"
 	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris on each reader of bytes"
 
 $(BIN)/python:
