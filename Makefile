@@ -53,7 +53,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@touch $@
 
 test: $(VENV)/.dev $(CLIENTS)
-	@tools/require.sh tmux procps systemd chromium $(FIRMWARE_PACKAGES)
+	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
 	$(BIN)/python -m pytest
 
 check: $(VENV)/.dev

@@ -97,7 +97,7 @@ class ApiConfig:
     key: Path | None = None
     max_clients: int = 256  # WebSockets and event streams at once
     max_message_bytes: int = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
-    max_requests_s: float = 500.0  # of one address; five robots driven at 100 Hz
+    max_requests_s: float = 1000.0  # of one address, and of one WebSocket; ten robots driven at 100 Hz
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

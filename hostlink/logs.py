@@ -7,7 +7,8 @@ What it said     topics.asked, topics.negotiated, topic.refused, message.refused
 Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.unlocked, robot.unreachable,
                  odometry.unreadable
 Services         service.late, service.failed
-Clients          client.connected, client.closed, client.too_slow, client.refused, client.unknown_op
+Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
+                 client.unknown_op
 The daemon       daemon.started, daemon.stopping, daemon.stopped, systemd.deaf
 """
 

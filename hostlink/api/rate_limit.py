@@ -28,8 +28,8 @@ class RateLimit:
         self.refused += not is_right
         return is_right
 
-    def delay_s(self, key: Hashable, now_s: float) -> float:
-        """Count what `key` has said already; returns for how long not to listen to it."""
+    def debt_s(self, key: Hashable, now_s: float) -> float:
+        """Count what `key` has said already; returns how long it would have to be silent to be within the rate."""
         left = self._left(key, now_s) - 1
         self._keep(key, _Bucket(left, now_s))
         return max(0.0, -left / self._per_s)

@@ -36,6 +36,7 @@ log = structlog.get_logger()
 
 PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
+DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
 SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
@@ -176,12 +177,19 @@ class ApiServer:
                         continue
                     client.messages_from_client += 1
                     rosbridge.receive(message.data)
-                    # who says too much is heard later, and holds up only himself
-                    await asyncio.sleep(self._limit.delay_s(client.name, loop.time()))
+                    if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
+                        await self._refuse_flood(socket)
+                        break
                     await rosbridge.settle()
             finally:
                 rosbridge.close()
                 sender.cancel()
+
+    async def _refuse_flood(self, socket: web.WebSocketResponse) -> None:
+        """To listen more slowly would be worse: commands would be obeyed late, the stop behind them too."""
+        log.warning("client.too_fast", limit_s=self._config.max_requests_s)
+        reason = f"more than {self._config.max_requests_s:g} messages a second"
+        await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
 
     async def _send(
         self, socket: web.WebSocketResponse, client: Client, rosbridge: RosbridgeClient, queue: ClientQueue

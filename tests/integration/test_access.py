@@ -141,6 +141,23 @@ async def test_too_many_clients() -> None:
             pass
 
 
+async def test_a_client_that_says_too_much_is_closed_and_what_it_drove_stops() -> None:
+    command = {"op": "publish", "topic": "/robot_0/velocity_commands", "msg": {"linear": {"x": 0.2}}}
+    async with (
+        daemon(Config(api=ApiConfig(max_requests_s=50))) as host,
+        fake_device(host.tcp, robot_topics()) as device,
+    ):
+        async with host.session.ws_connect(host.url) as eager:
+            for _ in range(90):
+                await eager.send_json(command)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)  # so many at once are all right
+            for _ in range(90):
+                await eager.send_json(command)
+            closed = await eager.receive(timeout=5)
+        assert (closed.data, closed.extra) == (aiohttp.WSCloseCode.POLICY_VIOLATION, "more than 50 messages a second")
+        assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+
+
 async def test_a_message_too_large_closes_its_client_only() -> None:
     config = Config(api=ApiConfig(max_message_bytes=4096))
     async with daemon(config) as host, host.session.ws_connect(host.url) as good:

@@ -15,11 +15,12 @@ def test_a_second_s_worth_at_once_then_one_by_one() -> None:
     assert limit.refused == 2
 
 
-def test_who_says_too_much_is_heard_later() -> None:
+def test_who_says_too_much_is_in_debt() -> None:
     limit = RateLimit(10)
-    assert [limit.delay_s("a", 5.0) for _ in range(10)] == [0.0] * 10
-    assert limit.delay_s("a", 5.0) == pytest.approx(0.1)
-    assert limit.delay_s("a", 5.1) == pytest.approx(0.1)
+    assert [limit.debt_s("a", 5.0) for _ in range(10)] == [0.0] * 10
+    assert limit.debt_s("a", 5.0) == pytest.approx(0.1)
+    assert limit.debt_s("a", 5.0) == pytest.approx(0.2)
+    assert limit.debt_s("a", 5.2) == pytest.approx(0.1)
 
 
 def test_nobody_pays_for_another() -> None:
@@ -37,11 +38,11 @@ def test_it_remembers_a_bounded_number() -> None:
 @given(st.floats(1, 1000), st.lists(st.floats(0, 0.5), max_size=200))
 def test_never_more_than_the_rate_and_a_burst(per_s: float, pauses_s: list[float]) -> None:
     limit = RateLimit(per_s)
-    now_s, passed, said, heard_at_s = 0.0, 0, 0, 0.0
+    now_s, passed, said, silent_until_s = 0.0, 0, 0, 0.0
     for pause_s in pauses_s:
         now_s += pause_s
         passed += limit.allows("a", now_s)
-        heard_at_s += limit.delay_s("b", heard_at_s)
+        silent_until_s += limit.debt_s("b", silent_until_s)
         said += 1
     assert passed <= per_s * now_s + per_s + 1e-6
-    assert said <= per_s * heard_at_s + per_s + 1e-6
+    assert said <= per_s * silent_until_s + per_s + 1e-6
