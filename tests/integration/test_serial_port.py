@@ -189,3 +189,29 @@ def test_a_usb_device_is_known_by_its_serial_number() -> None:
 def test_a_usb_device_that_is_not_there_says_so() -> None:
     with pytest.raises(OSError, match="no-such-number: no USB device with this serial number; there are: "):
         find_port(SerialConfig(usb_serial="no-such-number"))
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("/dev/ttyNONE", r"/dev/ttyNONE: no such port; there are: "),
+        ("/dev/null", r"/dev/null: not a serial port"),
+        ("/dev", r"/dev: not a serial port"),
+    ],
+)
+async def test_a_port_that_cannot_be_opened_says_why(path: str, text: str) -> None:
+    with pytest.raises(OSError, match=text):
+        await open_serial(SerialConfig(path=path))
+
+
+async def test_an_impossible_baud_rate_says_so() -> None:
+    with pty_pair() as (_, path), pytest.raises(OSError, match=f"{path}: -1 baud: Not a valid baudrate"):
+        await open_serial(SerialConfig(path=path, baud=-1))
+
+
+async def test_a_port_that_another_program_has_says_so() -> None:
+    with pty_pair() as (_, path):
+        first = await open_serial(SerialConfig(path=path))
+        with pytest.raises(OSError, match="another program has it open"):
+            await open_serial(SerialConfig(path=path))
+        await first.aclose()

@@ -366,32 +366,6 @@ async def test_the_listener_outlives_a_lack_of_descriptors() -> None:
             await transport.aclose()
 
 
-@pytest.mark.parametrize(
-    ("path", "text"),
-    [
-        ("/dev/ttyNONE", r"/dev/ttyNONE: no such port; there are: "),
-        ("/dev/null", r"/dev/null: not a serial port"),
-        ("/dev", r"/dev: not a serial port"),
-    ],
-)
-async def test_a_port_that_cannot_be_opened_says_why(path: str, text: str) -> None:
-    with pytest.raises(OSError, match=text):
-        await open_serial(SerialConfig(path=path))
-
-
-async def test_an_impossible_baud_rate_says_so() -> None:
-    with pty_pair() as (_, path), pytest.raises(OSError, match=f"{path}: -1 baud: Not a valid baudrate"):
-        await open_serial(SerialConfig(path=path, baud=-1))
-
-
-async def test_a_port_that_another_program_has_says_so() -> None:
-    with pty_pair() as (_, path):
-        first = await open_serial(SerialConfig(path=path))
-        with pytest.raises(OSError, match="another program has it open"):
-            await open_serial(SerialConfig(path=path))
-        await first.aclose()
-
-
 async def test_a_port_that_vanishes_while_writing_leaves_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
     async with serial() as (transport, peer):
         await peer.close()

@@ -64,3 +64,17 @@ async def world() -> AsyncIterator[World]:
         finally:
             for task in asyncio.all_tasks() - {asyncio.current_task()}:
                 task.cancel()
+
+
+async def call(peer: Peer, service: str, args: object = None, **more: Any) -> Any:
+    """The values of a call."""
+    peer.say(op="call_service", id="call", service=service, args=args, **more)
+    (answer,) = [frame for frame in await peer.answers() if frame["op"] == "service_response"]
+    assert (answer["id"], answer["service"]) == ("call", service)
+    return answer["values"]
+
+
+async def offered(here: World, type_name: str = "std_srvs/SetBool") -> Peer:
+    server = here.client()
+    server.say(op="advertise_service", service="switch", type=type_name)
+    return server
