@@ -31,7 +31,7 @@ from hostlink.transport.tcp import serve_tcp
 
 log = structlog.get_logger()
 
-GC_THRESHOLDS = (1000, 10, 1000)  # a collection takes 1 ms but for the oldest, which come after ten million objects
+GC_THRESHOLDS = (100, 5, 1000)  # often, so that each takes a millisecond or two; the oldest rarely
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
