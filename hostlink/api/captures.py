@@ -51,20 +51,18 @@ class Captures:
         path = "/api/links/{number}/capture"
         return [
             Route(
-                method="GET",
-                path=path,
-                handler=self._whole,
-                summary="The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
+                path,
+                self._whole,
+                "The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
                 says=None,
                 media_type="application/x-ndjson",
                 fails=(HTTPStatus.NOT_FOUND,),
             ),
             Route(
-                method="GET",
-                path=path + "/{position}",
-                handler=self._after,
-                summary="What passed on a link after a position; the first one is 0-0",
-                says=CaptureView,
+                path + "/{position}",
+                self._after,
+                "What passed on a link after a position; the first one is 0-0",
+                CaptureView,
                 fails=(HTTPStatus.NOT_FOUND,),
             ),
         ]

@@ -7,6 +7,7 @@ import msgspec
 
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.freshness import Freshness
+from hostlink.api.views import velocity_answer
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.robots import MAX_PRIORITY, PROGRAM_PRIORITY, Robots
 from hostlink.robot.velocity import Velocity
@@ -59,9 +60,5 @@ class Drive:
             raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
         limited = self._robots.command(robot, velocity, owner=self._client, priority=wanted.priority)
-        return {
-            "link": None if robot.link is None else robot.link.number,
-            "velocity": {"linear_m_s": limited.linear_x_m_s, "angular_rad_s": limited.angular_z_rad_s},
-            "is_limited": limited != velocity,
-            "lease_s": robot.gate.lease_s,
-        }
+        link = None if robot.link is None else robot.link.number
+        return {"link": link, **velocity_answer(robot, velocity, limited)}

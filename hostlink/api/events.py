@@ -38,19 +38,17 @@ class Events:
         """Both streams."""
         return [
             Route(
-                method="GET",
-                path="/api/events",
-                handler=self._state,
-                summary="Events `robots`, five a second, and `links`, one a second: the JSON of their GETs",
+                "/api/events",
+                self._state,
+                "Events `robots`, five a second, and `links`, one a second: the JSON of their GETs",
                 says=None,
                 media_type="text/event-stream",
                 fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
             ),
             Route(
-                method="GET",
-                path="/api/robots/{name}/odometry/events",
-                handler=self._odometry,
-                summary="An event `odometry` for each new pose: the JSON of its GET",
+                "/api/robots/{name}/odometry/events",
+                self._odometry,
+                "An event `odometry` for each new pose: the JSON of its GET",
                 says=None,
                 media_type="text/event-stream",
                 fails=(HTTPStatus.NOT_FOUND, HTTPStatus.SERVICE_UNAVAILABLE),

@@ -20,8 +20,8 @@ from hostlink.api.clients import Clients
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.routes import Route
 from hostlink.hub.hub import Hub
+from hostlink.latency import BOUNDS_S
 
-LATENCY_BUCKETS_S = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 _LINK_COUNTERS = {
     "frames_from_device": "Frames that came",
     "frames_to_device": "Frames that left",
@@ -54,17 +54,16 @@ class Metrics:
         self.to_client = Histogram(
             "hostlink_device_to_client_seconds",
             "From the arrival of a message to the client's socket",
-            buckets=LATENCY_BUCKETS_S,
+            buckets=BOUNDS_S,
             registry=self._registry,
         )
 
     def route(self) -> Route:
         """GET /metrics."""
         return Route(
-            method="GET",
-            path="/metrics",
-            handler=self._show,
-            summary="Metrics for Prometheus",
+            "/metrics",
+            self._show,
+            "Metrics for Prometheus",
             says=None,
             media_type="text/plain",
         )

@@ -10,22 +10,22 @@ from aiohttp import web
 from hostlink.api.access import Role, present_grant
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.replies import refusal, reply
-from hostlink.api.routes import Handler, Route
+from hostlink.api.routes import Route
 from hostlink.api.views import (
     LinksView,
     OdometryView,
     RobotView,
     TopicView,
-    VelocityView,
+    VelocityAnswer,
     links_view,
     odometry_view,
     robot_view,
     topic_views,
-    velocity_view,
+    velocity_answer,
 )
 from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import LOCK_REASON, MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.robots import LOCK_REASON, MAX_PRIORITY, PROGRAM_PRIORITY, Robot
 from hostlink.robot.velocity import Velocity
 
 Wanted = TypeVar("Wanted")
@@ -52,14 +52,6 @@ class RobotsView(TypedDict):
     """Every robot that was seen since the daemon started."""
 
     robots: list[RobotView]
-
-
-class VelocityAnswer(TypedDict):
-    """What the limits made of a command, and how long it holds."""
-
-    velocity: VelocityView
-    is_limited: bool
-    lease_s: float
 
 
 class ResetAnswer(TypedDict):
@@ -105,55 +97,63 @@ class Rest:
         """Every path of the door."""
         robot = "/api/robots/{name}"
         return [
-            _get("/api/robots", self._robots, "Every robot", RobotsView),
-            _get(robot, self._robot, "One robot", RobotView, fails=(NOT_FOUND,)),
-            _get(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(NOT_FOUND, UNAVAILABLE)),
+            Route("/api/robots", self._robots, "Every robot", RobotsView),
+            Route(robot, self._robot, "One robot", RobotView, fails=(NOT_FOUND,)),
+            Route(f"{robot}/odometry", self._odometry, "Pose and twist", OdometryView, fails=(NOT_FOUND, UNAVAILABLE)),
             Route(
+                f"{robot}/velocity",
+                self._velocity,
+                "Drive for the length of a lease; repeat it to drive on",
+                VelocityAnswer,
                 method="PUT",
-                path=f"{robot}/velocity",
-                handler=self._velocity,
-                summary="Drive for the length of a lease; repeat it to drive on",
                 takes=VelocityRequest,
-                says=VelocityAnswer,
                 role=Role.DRIVE,
                 fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
             ),
-            _stopping(f"{robot}/stop", self._stop, "Stop, whoever drives; whoever may look may stop", RobotView),
-            _stopping("/api/stop", self._stop_all, "Stop every robot", RobotsView),
             Route(
+                f"{robot}/stop",
+                self._stop,
+                "Stop, whoever drives; whoever may look may stop",
+                RobotView,
                 method="POST",
-                path=f"{robot}/lock",
-                handler=self._lock,
-                summary="Emergency stop: zero at once, and no command until it is unlocked",
+                is_limited=False,
+                fails=(NOT_FOUND,),
+            ),
+            Route("/api/stop", self._stop_all, "Stop every robot", RobotsView, method="POST", is_limited=False),
+            Route(
+                f"{robot}/lock",
+                self._lock,
+                "Emergency stop: zero at once, and no command until it is unlocked",
+                RobotView,
+                method="POST",
                 takes=LockRequest,
                 is_body_optional=True,
-                says=RobotView,
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
             ),
             Route(
+                f"{robot}/unlock",
+                self._unlock,
+                "Let it be driven again",
+                RobotView,
                 method="POST",
-                path=f"{robot}/unlock",
-                handler=self._unlock,
-                summary="Let it be driven again",
-                says=RobotView,
                 role=Role.DRIVE,
                 fails=(NOT_FOUND,),
             ),
             Route(
+                f"{robot}/odometry/reset",
+                self._reset_odometry,
+                "Make the present place the origin",
+                ResetAnswer,
                 method="POST",
-                path=f"{robot}/odometry/reset",
-                handler=self._reset_odometry,
-                summary="Make the present place the origin",
-                says=ResetAnswer,
                 role=Role.DRIVE,
                 fails=(NOT_FOUND, UNAVAILABLE),
             ),
-            _get("/api/links", self._links, "Every live connection of a device", LinksView),
-            _get("/api/topics", self._topics, "Every topic", TopicsView),
-            _get("/api/clients", self._all_clients, "Every client and how well it keeps up", ClientsView),
-            _get("/healthz", self._health, "Whether the daemon lives", HealthView, role=None),
-            _get(
+            Route("/api/links", self._links, "Every live connection of a device", LinksView),
+            Route("/api/topics", self._topics, "Every topic", TopicsView),
+            Route("/api/clients", self._all_clients, "Every client and how well it keeps up", ClientsView),
+            Route("/healthz", self._health, "Whether the daemon lives", HealthView, role=None),
+            Route(
                 "/readyz",
                 self._readiness,
                 "Whether every robot is there",
@@ -163,33 +163,32 @@ class Rest:
             ),
         ]
 
+    def _find(self, request: web.Request) -> Robot:
+        """The robot that the path names; UnknownTopic."""
+        return self._hub.robots.find(request.match_info["name"])
+
     async def _robots(self, _: web.Request) -> web.Response:
         return reply({"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
 
     async def _robot(self, request: web.Request) -> web.Response:
-        return reply(robot_view(self._hub.robots.find(request.match_info["name"])))
+        return reply(robot_view(self._find(request)))
 
     async def _odometry(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._find(request)
         odometry = odometry_view(robot)
         if odometry is None:
             raise DeviceGone(f"{robot.name}: no odometry came yet")
         return reply(odometry)
 
     async def _velocity(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._find(request)
         wanted = _read(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
         limited = self._hub.robots.command(robot, velocity, owner=_owner(request), priority=wanted.priority)
-        answer: VelocityAnswer = {
-            "velocity": velocity_view(limited),
-            "is_limited": limited != velocity,
-            "lease_s": robot.gate.lease_s,
-        }
-        return reply(answer)
+        return reply(velocity_answer(robot, velocity, limited))
 
     async def _stop(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._find(request)
         self._hub.robots.stop(robot)
         return reply(robot_view(robot))
 
@@ -199,18 +198,18 @@ class Rest:
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._find(request)
         wanted = _read(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty')
         self._hub.robots.lock(robot, wanted.reason)
         return reply(robot_view(robot))
 
     async def _unlock(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._find(request)
         self._hub.robots.unlock(robot)
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
+        robot = self._find(request)
         if robot.topics.reset is None:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
@@ -238,30 +237,6 @@ class Rest:
         if not is_ready:
             return refusal("NotReady", f"not connected: {', '.join(missing) or 'no robot yet'}", UNAVAILABLE)
         return reply({"status": "ready"})
-
-
-def _get(
-    path: str,
-    handler: Handler,
-    summary: str,
-    says: type,
-    *,
-    role: Role | None = Role.READ,
-    fails: tuple[HTTPStatus, ...] = (),
-) -> Route:
-    return Route(method="GET", path=path, handler=handler, summary=summary, says=says, role=role, fails=fails)
-
-
-def _stopping(path: str, handler: Handler, summary: str, says: type) -> Route:
-    return Route(
-        method="POST",
-        path=path,
-        handler=handler,
-        summary=summary,
-        says=says,
-        is_limited=False,
-        fails=(NOT_FOUND,) if "{" in path else (),
-    )
 
 
 def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:

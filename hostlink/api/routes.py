@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Awaitable, Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from http import HTTPStatus
 from importlib.metadata import version
 from typing import Any, TypedDict
@@ -31,15 +31,16 @@ class ErrorView(TypedDict):
     error: ErrorReason
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Route:
     """One path and method."""
 
-    method: str
     path: str
     handler: Handler
     summary: str
     says: type | None  # the type of its JSON; None: it is no JSON
+    _: KW_ONLY
+    method: str = "GET"
     media_type: str = "application/json"
     takes: type | None = None  # the type of its body
     is_body_optional: bool = False

@@ -81,11 +81,10 @@ class ApiServer:
             *Captures(self._hub).routes(),
             self._metrics.route(),
             Route(
-                method="GET",
-                path="/api/openapi.json",
-                handler=self._openapi,
-                summary="This document",
-                says=OpenApiView,
+                "/api/openapi.json",
+                self._openapi,
+                "This document",
+                OpenApiView,
                 role=None,
             ),
         ]

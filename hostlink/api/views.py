@@ -16,6 +16,14 @@ class VelocityView(TypedDict):
     angular_rad_s: float
 
 
+class VelocityAnswer(TypedDict):
+    """What the limits made of a command, and how long it holds."""
+
+    velocity: VelocityView
+    is_limited: bool
+    lease_s: float
+
+
 class PoseView(TypedDict):
     """Where a robot says that it is: metres, radians, counter-clockwise from its x axis."""
 
@@ -172,6 +180,15 @@ def robot_view(robot: Robot) -> RobotView:
 def velocity_view(velocity: Velocity) -> VelocityView:
     """The two numbers of a robot on a floor."""
     return {"linear_m_s": velocity.linear_x_m_s, "angular_rad_s": velocity.angular_z_rad_s}
+
+
+def velocity_answer(robot: Robot, asked: Velocity, limited: Velocity) -> VelocityAnswer:
+    """What became of a command."""
+    return {
+        "velocity": velocity_view(limited),
+        "is_limited": limited != asked,
+        "lease_s": robot.gate.lease_s,
+    }
 
 
 def odometry_view(robot: Robot) -> OdometryView | None:

@@ -11,7 +11,7 @@ from enum import Enum
 import structlog
 
 from hostlink.config import LinkConfig
-from hostlink.link.latency import Latency
+from hostlink.latency import Latency
 from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session

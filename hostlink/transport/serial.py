@@ -36,13 +36,13 @@ async def open_serial(config: SerialConfig) -> "SerialTransport":
     except asyncio.CancelledError:
         opening.add_done_callback(_close_opened)
         raise
-    try:
+    with contextlib.ExitStack() as undo:
+        undo.callback(port.close)
         if config.on_open == "reset":
             await pulse(port)
-        return await _streams(port, path, config.name)
-    except BaseException:
-        port.close()
-        raise
+        transport = await _streams(port, path, config.name)
+        undo.pop_all()
+    return transport
 
 
 async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
