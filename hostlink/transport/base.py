@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-READ_BYTES = 65536
+READ_BYTES = 8192  # what one turn of the loop takes from one connection: a flood is shared out by that
 CLOSE_TIMEOUT_S = 1.0
 
 
@@ -13,7 +13,7 @@ class Transport(Protocol):
     address: str  # what stays when the peer comes back: "192.168.4.2" or "/dev/ttyACM0"
 
     async def receive(self) -> bytes:
-        """What has come, READ_BYTES at most; b"" when the peer has closed."""
+        """What has come, twice READ_BYTES at most; b"" when the peer has closed."""
         ...
 
     async def send(self, data: bytes) -> None:

@@ -12,6 +12,7 @@ import serial_asyncio
 
 from hostlink.config import SerialConfig
 from hostlink.transport.base import READ_BYTES
+from hostlink.transport.connection import Connection
 from hostlink.transport.ports import find_port
 from hostlink.transport.stream import StreamTransport
 
@@ -47,11 +48,9 @@ async def open_serial(config: SerialConfig) -> "SerialTransport":
 
 async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
     loop = asyncio.get_running_loop()
-    reader = asyncio.StreamReader(limit=READ_BYTES, loop=loop)
-    protocol = asyncio.StreamReaderProtocol(reader, loop=loop)
-    transport, _ = await serial_asyncio.connection_for_serial(loop, lambda: protocol, port)
-    writer = asyncio.StreamWriter(transport, protocol, reader, loop)
-    return SerialTransport(port, reader, writer, peer=path, address=address)
+    transport, connection = await serial_asyncio.connection_for_serial(loop, Connection, port)
+    connection.transport = transport  # it is told to the connection only in the loop's next turn
+    return SerialTransport(port, connection, peer=path, address=address)
 
 
 def _open(config: SerialConfig) -> tuple["_Port", str]:
@@ -97,16 +96,8 @@ async def pulse(port: DtrLine) -> None:
 class SerialTransport(StreamTransport):
     """A stream over a `_Port`, which knows what the stream does not: why a write failed, what has not left yet."""
 
-    def __init__(
-        self,
-        port: "_Port",
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        *,
-        peer: str,
-        address: str,
-    ) -> None:
-        super().__init__(reader, writer, peer=peer, address=address)
+    def __init__(self, port: "_Port", connection: Connection, *, peer: str, address: str) -> None:
+        super().__init__(connection, peer=peer, address=address)
         self._port = port
 
     def set_baud(self, baud: int) -> None:
@@ -120,7 +111,7 @@ class SerialTransport(StreamTransport):
             raise self._port.write_error
 
     async def _leave(self) -> None:
-        await self._writer.drain()
+        await self._connection.drain()
         while self._port.is_open and self._port.waiting_bytes():  # noqa: ASYNC110 - the kernel tells nobody
             await asyncio.sleep(LEAVE_CHECK_S)
 

@@ -1,28 +1,30 @@
-"""StreamTransport: a pair of asyncio streams as a Transport; TCP and serial ports differ only in how they open."""
+"""StreamTransport: a Connection as a Transport; TCP and serial ports differ only in how they open."""
 
 import asyncio
 import contextlib
 
-from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES
+from hostlink.transport.base import CLOSE_TIMEOUT_S
+from hostlink.transport.connection import Connection
 
 
 class StreamTransport:
-    """Owns the pair. Nothing waits in the process behind `send`: the write buffer's high-water mark is 0."""
+    """Owns the connection. Nothing waits in the process behind `send`: the write buffer's high-water mark is 0."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, peer: str, address: str) -> None:
+    def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
         self.peer, self.address = peer, address
-        self._reader, self._writer = reader, writer
+        self._connection = connection
         self._is_closed = False
-        writer.transport.set_write_buffer_limits(high=0)
+        connection.transport.set_write_buffer_limits(high=0)
 
     async def receive(self) -> bytes:
         """What has come; b"" at the end."""
-        return await self._reader.read(READ_BYTES)
+        return await self._connection.receive()
 
     async def send(self, data: bytes) -> None:
         """One write, so one segment where it fits."""
-        self._writer.write(data)
-        await self._writer.drain()
+        if not self._connection.transport.is_closing():
+            self._connection.transport.write(data)
+        await self._connection.drain()
 
     def round_trip_s(self) -> float | None:
         """Nobody measures it."""
@@ -37,9 +39,8 @@ class StreamTransport:
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 with contextlib.suppress(OSError):  # a broken connection has nothing to leave
                     await self._leave()
-                self._writer.close()
-                with contextlib.suppress(OSError):  # a broken connection is closed
-                    await self._writer.wait_closed()
+                self._connection.transport.close()
+                await self._connection.wait_closed()
         except TimeoutError:
             self._abort()
         except asyncio.CancelledError:
@@ -50,4 +51,4 @@ class StreamTransport:
         """What must be waited for before the connection is closed: nothing, closing sends what was written."""
 
     def _abort(self) -> None:
-        self._writer.transport.abort()
+        self._connection.transport.abort()

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.base import Transport
+from hostlink.transport.connection import Connection
 from hostlink.transport.stall import Stall
 from hostlink.transport.stream import StreamTransport
 
@@ -37,8 +38,8 @@ class Listener:
 class TcpTransport(StreamTransport):
     """A connection whose system measures the way, and is given nothing more while the network stands still."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, peer: str, address: str) -> None:
-        super().__init__(reader, writer, peer=peer, address=address)
+    def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
+        super().__init__(connection, peer=peer, address=address)
         self._sent_bytes = 0
         self._stall = Stall()
 
@@ -56,14 +57,14 @@ class TcpTransport(StreamTransport):
 
     def _unacknowledged_bytes(self) -> int:
         """0 where the system does not say, or the connection is gone."""
-        connection = self._writer.get_extra_info("socket")
-        if connection is None or connection.fileno() < 0 or sys.platform != "linux":
+        connection = self._open_socket()
+        if connection is None or sys.platform != "linux":
             return 0
         return int(struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0])
 
     def round_trip_s(self) -> float | None:
         """What the kernel makes of its acknowledgements; None where it has no TCP_INFO, or the connection is gone."""
-        connection = self._writer.get_extra_info("socket")
+        connection = self._open_socket()
         if connection is None or not hasattr(socket, "TCP_INFO"):
             return None
         try:
@@ -73,25 +74,33 @@ class TcpTransport(StreamTransport):
         rtt_us: int = struct.unpack_from("=I", info, _RTT_AT)[0]
         return rtt_us / 1e6
 
+    def _open_socket(self) -> socket.socket | None:
+        """None when it is closed: asyncio's own has no descriptor then, and uvloop's fails at any question."""
+        found: socket.socket | None = self._connection.transport.get_extra_info("socket")
+        return None if found is None or self._connection.is_lost or found.fileno() < 0 else found
+
 
 @contextlib.asynccontextmanager
 async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None]) -> AsyncIterator[Listener]:
     """Accept devices until the block is left. ConfigError when the port is taken."""
 
-    def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        peername = writer.get_extra_info("peername")
+    def accept(connection: Connection) -> None:
+        peername = connection.transport.get_extra_info("peername")
         try:
-            set_options(writer.get_extra_info("socket"))
+            set_options(connection.transport.get_extra_info("socket"))
         except OSError:
             peername = None
         if peername is None:  # it has reset the connection already
-            writer.transport.abort()
+            connection.transport.abort()
             return
         host, port = peername[:2]
-        on_connection(TcpTransport(reader, writer, peer=spelled(host, port), address=host))
+        on_connection(TcpTransport(connection, peer=spelled(host, port), address=host))
 
+    loop = asyncio.get_running_loop()
     try:
-        server = await asyncio.start_server(accept, config.host, config.port, backlog=ACCEPTED_AT_ONCE)
+        server = await loop.create_server(
+            lambda: Connection(accept), config.host, config.port, backlog=ACCEPTED_AT_ONCE
+        )
         for listening in server.sockets:
             with socket.socket(fileno=os.dup(listening.fileno())) as same:
                 same.listen(BACKLOG)  # in the kernel, where asyncio means both by one number

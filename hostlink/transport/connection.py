@@ -1,0 +1,116 @@
+"""Connection: one asyncio connection as its owner wants it: small reads, and writes that wait for the system."""
+
+import asyncio
+from collections.abc import Callable
+
+from hostlink.transport.base import READ_BYTES
+
+_INTO = bytearray(READ_BYTES)  # of all connections: what came is copied out of it before the next one reads
+_VIEW = memoryview(_INTO)
+
+
+class Connection(asyncio.BufferedProtocol):
+    """The protocol of one connection.
+
+    A turn of the loop reads READ_BYTES at most, and nothing more before somebody took that: so the system holds back
+    whoever sends more.
+    """
+
+    def __init__(self, on_made: Callable[["Connection"], None] | None = None) -> None:
+        loop = asyncio.get_running_loop()
+        self.transport: asyncio.Transport
+        self._on_made = on_made
+        self._received = bytearray()
+        self._is_paused = self._is_ended = self._is_writing_paused = False
+        self._error: Exception | None = None
+        self._readable: asyncio.Future[None] | None = None
+        self._writable: asyncio.Future[None] | None = None
+        self._lost: asyncio.Future[None] = loop.create_future()
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the connection is gone."""
+        return self._lost.done()
+
+    async def receive(self) -> bytes:
+        """What has come; b"" at the end, an OSError when the connection broke."""
+        while not self._received:
+            if self._error is not None:
+                raise self._error
+            if self._is_ended:
+                return b""
+            self._readable = asyncio.get_running_loop().create_future()
+            try:
+                await self._readable
+            finally:
+                self._readable = None
+        data = bytes(self._received)
+        self._received.clear()
+        if self._is_paused:
+            self._is_paused = False
+            if not self.transport.is_closing():
+                self.transport.resume_reading()
+        return data
+
+    async def drain(self) -> None:
+        """Wait until the system has taken what was written; an OSError when it never will."""
+        if self._lost.done() or self.transport.is_closing():
+            raise self._error or ConnectionResetError("connection lost")
+        if self._is_writing_paused:
+            self._writable = asyncio.get_running_loop().create_future()
+            try:
+                await self._writable
+            finally:
+                self._writable = None
+
+    async def wait_closed(self) -> None:
+        """Wait until the connection is gone."""
+        await asyncio.shield(self._lost)
+
+    # -- what asyncio calls -------------------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport  # type: ignore[assignment]  # pyserial-asyncio's derives from no class of asyncio's
+        if self._on_made is not None:
+            self._on_made(self)
+
+    def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - asyncio's signature
+        return _INTO
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(_VIEW[:nbytes])
+
+    def data_received(self, data: bytes | memoryview) -> None:
+        """Of pyserial-asyncio, which knows no buffered protocols."""
+        self._received += data
+        if len(self._received) >= READ_BYTES and not self._is_paused:
+            self._is_paused = True
+            self.transport.pause_reading()
+        _wake(self._readable)
+
+    def eof_received(self) -> bool:
+        """The peer sends no more; what was sent to it may still leave."""
+        self._is_ended = True
+        _wake(self._readable)
+        return True
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._is_ended = True
+        self._error = exc
+        _wake(self._readable)
+        if self._writable is not None and not self._writable.done():
+            self._writable.set_exception(exc or ConnectionResetError("connection lost"))
+        if not self._lost.done():
+            self._lost.set_result(None)
+
+    def pause_writing(self) -> None:
+        self._is_writing_paused = True
+
+    def resume_writing(self) -> None:
+        self._is_writing_paused = False
+        _wake(self._writable)
+
+
+def _wake(waiter: "asyncio.Future[None] | None") -> None:
+    if waiter is not None and not waiter.done():
+        waiter.set_result(None)
