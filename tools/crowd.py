@@ -4,6 +4,8 @@ say nothing.
     python tools/crowd.py devices 1000 HOST:PORT SECONDS     # each with 10 poses a second, and driven if anybody drives
     python tools/crowd.py vanish 200 HOST:PORT SECONDS       # so many a second connect, and reset at once
     python tools/crowd.py silent 10000 HOST:PORT SECONDS     # so many connections, kept open as long as the host does
+    python tools/crowd.py flood 1 HOST:PORT SECONDS          # so many devices that publish poses as fast as they can
+    python tools/crowd.py mixed 16 HOST:PORT SECONDS         # the same, each with frames of another kind
 
 They come from addresses of their own (127.0.0.2 and up), so that the bounds for one address hold for each. Prints
 "ready" when all are there, and a JSON object at the end.
@@ -34,6 +36,7 @@ AT_ONCE = 50  # connections that are being opened
 TIME = encode(Id.TIME, bytes(8))
 POSE = encode(125, struct.pack("<3d", 1.0, 2.0, 0.5))
 CONNECT_TIMEOUT_S = 10.0
+FLOOD_BYTES = 65536  # of one write
 
 
 class Device(asyncio.Protocol):
@@ -143,6 +146,71 @@ async def silent(count: int, host: str, port: int, seconds: float, counts: Count
             tasks.create_task(stay(number))
 
 
+async def flood(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """Poses, without a pause."""
+    await _flood([POSE] * count, host, port, seconds, counts)
+
+
+async def mixed(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """Each connection has one kind of frame, in turn: whatever costs the host something."""
+    await _flood([KINDS[number % len(KINDS)] for number in range(count)], host, port, seconds, counts)
+
+
+async def _flood(kinds: list[bytes], host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + seconds
+
+    async def send(number: int, kind: bytes) -> None:
+        block = kind * (FLOOD_BYTES // len(kind) + 1)
+        while loop.time() < end_s:  # whoever is sent away comes again
+            with contextlib.suppress(OSError, TimeoutError):
+                reader, writer = await asyncio.open_connection(host, port, local_addr=(source(number * 50), 0))
+                writer.write(hello(f"flood_{number}"))
+                async with asyncio.timeout_at(end_s), asyncio.TaskGroup() as tasks:
+                    hearing = tasks.create_task(_hear(reader))
+                    try:
+                        while not hearing.done():
+                            writer.write(block)
+                            await writer.drain()
+                            counts["bytes"] += len(block)
+                    finally:
+                        hearing.cancel()
+                        writer.close()
+            counts["connections"] += 1
+            await asyncio.sleep(ARRIVAL_S)
+
+    ready()
+    async with asyncio.TaskGroup() as tasks:
+        for number, kind in enumerate(kinds):
+            tasks.create_task(send(number, kind))
+
+
+async def _hear(reader: asyncio.StreamReader) -> None:
+    while await reader.read(1 << 16):
+        pass
+
+
+def topic_infos(count: int) -> bytes:
+    """Of so many topics, with the sums of no type."""
+    infos = (
+        TopicInfo(Id.PUBLISHER, 125 + number, f"/flood/{number}", "geometry_msgs/Pose2D", "0" * 32, 512)
+        for number in range(count)
+    )
+    return b"".join(encode(Id.PUBLISHER, encode_topic_info(info)) for info in infos)
+
+
+def parameters(count: int) -> bytes:
+    """Questions for so many parameters that nobody has."""
+    names = (f"/flood/{number}".encode() for number in range(count))
+    return b"".join(encode(Id.PARAMETER, struct.pack("<I", len(name)) + name) for name in names)
+
+
+def logs(count: int) -> bytes:
+    """So many lines of a device's log."""
+    text = b"the battery is low"
+    return encode(Id.LOG, struct.pack("<BI", 2, len(text)) + text) * count
+
+
 @contextlib.contextmanager
 def connected(number: int, host: str, port: int) -> Iterator[socket.socket]:
     """A connection that does not block for long."""
@@ -161,7 +229,17 @@ def ready() -> None:
 
 
 CATALOG = Catalog()
-CROWDS = {"devices": devices, "vanish": vanish, "silent": silent}
+CROWDS = {"devices": devices, "vanish": vanish, "silent": silent, "flood": flood, "mixed": mixed}
+KINDS = (
+    POSE,
+    logs(1),
+    parameters(500),
+    topic_infos(200),
+    encode(999, bytes(24)),  # an id of nobody
+    TIME,
+    encode(125, bytes(1000)),  # of a topic whose messages have 24 bytes
+    bytes(range(256)),  # no frame at all
+)
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ from hostlink.hub.robot_topics import RobotTopics
 from hostlink.hub.robots import LOCK_REASON, PROGRAM_PRIORITY, Robots
 from hostlink.hub.services import Provider, Services
 from hostlink.hub.subscriptions import Deliver, Topic, TopicGraph, Unsubscribe, resolve
+from hostlink.link.fair_share import FairShare
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -64,6 +65,7 @@ class Hub:
         self._directory = Directory({name: robot.address for name, robot in config.robots.items()})
         self._devices: dict[int, Device] = {}
         self._numbers = itertools.count(1)
+        self._share = FairShare()
         self._asked_in_vain: set[str] = set()
         self._tasks: asyncio.TaskGroup | None = None
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
@@ -102,7 +104,7 @@ class Hub:
             check=lambda info: check_type(self.catalog, info),
             uart_bytes_s=self._uart_bytes_s(transport.address, config),
         )
-        link = Link(transport, session, config, number=next(self._numbers), on_event=self._react)
+        link = Link(transport, session, config, number=next(self._numbers), on_event=self._react, share=self._share)
         self._devices[link.number] = Device(link, self.topics, self.services, self.catalog)
         self.diagnoses.begin(link)
         return link

@@ -12,6 +12,7 @@ import structlog
 
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
+from hostlink.link.fair_share import FairShare
 from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
@@ -20,6 +21,7 @@ from hostlink.transport.base import Transport
 log = structlog.get_logger()
 
 TROUBLE_INTERVAL_S = 10.0  # dirt on the wire is counted, and told this often
+PIECE_BYTES = 512  # between two pieces others may have their turn; a turn of the paper's robot is less
 SOON_S = 0.001  # a timer's grain: what is due within it is due
 
 
@@ -48,7 +50,9 @@ class Link:
         *,
         number: int,
         on_event: Callable[["Link", Event], None],
+        share: FairShare | None = None,
     ) -> None:
+        """`share`: of the event loop, with all other links."""
         self.number = number
         self.peer = transport.peer
         self.address = transport.address
@@ -59,6 +63,8 @@ class Link:
         self._transport = transport
         self._config = config
         self._on_event = on_event
+        self._share = FairShare() if share is None else share
+        self._piece_s = 0.0  # what the last piece cost
         self._wake = asyncio.Event()
         self._is_drained = asyncio.Event()
         self._sleeps_until_s = 0.0
@@ -132,15 +138,27 @@ class Link:
                 while data := await self._transport.receive():
                     now_s = self.heard_at_s = loop.time()
                     self.tape_from_device.add(data, now_s)
-                    self._tell(self.session.receive(data, now_s=now_s))
+                    for at in range(0, len(data), PIECE_BYTES):
+                        await self._read_piece(data[at : at + PIECE_BYTES])
+                        if self._end is not None:
+                            return self._end
                     self._trouble.look(self.session, now_s)
-                    if self._end is not None:
-                        return self._end
         except TimeoutError:
             return LinkEnd.STOPPED  # never seen: `end` has set the reason
         finally:
             self._deadline = None
         return LinkEnd.PEER_CLOSED
+
+    async def _read_piece(self, piece: bytes) -> None:
+        """Take a piece of what came, when it is this link's turn."""
+        loop = asyncio.get_running_loop()
+        await self._share.wait(self._piece_s)
+        began_s = loop.time()
+        try:
+            self._tell(self.session.receive(piece, now_s=began_s))
+        finally:
+            self._piece_s = loop.time() - began_s
+            self._share.spend(self._piece_s)
 
     def _silent_at_s(self) -> float:
         """When the link ends if not a byte comes; sooner for a device that has shown that it asks for the time."""
