@@ -49,9 +49,9 @@ class FrameTooLarge(HostlinkError):
 class DeviceGone(HostlinkError):
     """The device left before it answered, or is not connected."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(f"{name}: its device is not connected")
-        self.name = name
+    def __init__(self, name: str, why: str = "its device is not connected") -> None:
+        super().__init__(f"{name}: {why}")
+        self.name, self.why = name, why
 
 
 class DeviceBusy(HostlinkError):

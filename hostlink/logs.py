@@ -3,45 +3,104 @@
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
                  connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
 What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
-                 parameter.refused, protocol.version_1
+                 parameter.refused, protocol.version_1, subscriber.crashed
 Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.unlocked, robot.unreachable,
-                 odometry.unreadable
+                 robot.crashed, odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op
-The daemon       daemon.started, daemon.stopping, daemon.stopped, systemd.deaf
+The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
+                 task.crashed, diagnosis.crashed, systemd.deaf, python.logged
+The log itself   log.lines_left_out, log.lines_lost
 """
 
 import logging
 import sys
+import time
 from typing import TextIO
 
 import structlog
 
+from hostlink.log_budget import LogBudget
+from hostlink.log_output import LogOutput
+
 _MAX_PRINTED = 64
+_BUDGET_KEY = "log_budget"  # bound around what a peer causes; never printed
+_PYTHON = "python's own loggers"
+
+budget = LogBudget()
+output = LogOutput(None)
 
 
 def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
-    """Send events at or above `level` to `stream` (stderr): readable on a terminal, else one JSON object a line."""
-    out = sys.stderr if stream is None else stream
+    """Send events at or above `level` to `stream` (stderr): readable on a terminal, else one JSON object a line.
+
+    Writing never blocks or fails: what cannot be written is counted. What a peer causes has a budget (`of_peer`).
+    """
+    global output  # noqa: PLW0603 - as structlog's own configuration
+    output = LogOutput(sys.stderr if stream is None else stream)
+    is_terminal = output.isatty()
     renderer: structlog.typing.Processor = (
-        structlog.dev.ConsoleRenderer() if out.isatty() else structlog.processors.JSONRenderer()
+        structlog.dev.ConsoleRenderer() if is_terminal else structlog.processors.JSONRenderer()
     )
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
+            _keep_budget,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.StackInfoRenderer(),
-            *([] if out.isatty() else [structlog.processors.format_exc_info]),
+            *([] if is_terminal else [structlog.processors.format_exc_info]),
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.getLevelNamesMapping()[level.upper()]),
-        logger_factory=structlog.PrintLoggerFactory(out),
+        logger_factory=structlog.WriteLoggerFactory(file=output),  # type: ignore[arg-type]  # write and flush are all
         cache_logger_on_first_use=False,
     )
+    logging.basicConfig(handlers=[_IntoStructlog(level=logging.WARNING)], force=True)
+    logging.captureWarnings(capture=True)
+
+
+def of_peer(address: str) -> dict[str, str]:
+    """What to bind around all that a peer causes, so that its lines have a budget."""
+    return {_BUDGET_KEY: address}
+
+
+def log_what_is_missing() -> None:
+    """One line for each peer whose lines were left out, and one for lines that could not be written."""
+    log = structlog.get_logger()
+    for peer, lines in budget.take_left_out().items():
+        log.warning("log.lines_left_out", about=printable(peer) or "others", lines=lines)
+    lost = output.take_lost()
+    if lost:
+        log.warning("log.lines_lost", lines=lost)
 
 
 def printable(text: str) -> str:
     """What a peer said, safe for a terminal: printable characters only, and not too many of them."""
     return "".join(char if char.isprintable() else "?" for char in text[:_MAX_PRINTED])
+
+
+def _keep_budget(
+    _logger: structlog.typing.WrappedLogger, _method: str, event: structlog.typing.EventDict
+) -> structlog.typing.EventDict:
+    peer = event.pop(_BUDGET_KEY, None)
+    if peer is not None and not budget.allows(peer, time.monotonic()):
+        raise structlog.DropEvent
+    return event
+
+
+class _IntoStructlog(logging.Handler):
+    """What asyncio, aiohttp and Python's warnings have to say takes the same way, with a budget of its own."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            structlog.get_logger().warning(
+                "python.logged",
+                logger=record.name,
+                text=record.getMessage(),
+                exc_info=record.exc_info,
+                **of_peer(_PYTHON),
+            )
+        except Exception:  # noqa: BLE001 - as logging itself: a line that cannot be made is lost, not its cause
+            output.lost_lines += 1

@@ -87,7 +87,9 @@ class _Graph(Collector):
         yield InfoMetricFamily("hostlink", "This daemon", value={"version": version("hostlink")})
         yield GaugeMetricFamily("hostlink_links", "Live connections of devices", value=len(self._hub.links()))
         yield CounterMetricFamily(
-            "hostlink_link_crashes", "Connections that a fault of hostlink ended", value=self._hub.crashes
+            "hostlink_link_crashes",
+            "Connections that a fault of hostlink ended",
+            value=self._hub.isolation.crashes["link"],
         )
         refused = CounterMetricFamily("hostlink_connections_refused", "Devices turned away, by cause", labels=["cause"])
         for cause, count in self._hub.refused.items():

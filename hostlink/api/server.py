@@ -27,6 +27,7 @@ from hostlink.api.rest import Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import Handler, Route, openapi
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import ApiConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
@@ -157,6 +158,7 @@ class ApiServer:
                 if request.transport is not None and request.transport.get_write_buffer_size():
                     request.transport.abort()  # it takes nothing: closing would wait for it without end
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
+        raise_if_cancelled()
         return socket
 
     async def _talk(self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue) -> None:

@@ -225,7 +225,7 @@ def links_view(hub: Hub) -> LinksView:
         "links": link_views(hub),
         "ended": ended_views(hub),
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
-        "crashes": hub.crashes,
+        "crashes": hub.isolation.crashes.total(),
         "refused": dict(hub.refused),
     }
 

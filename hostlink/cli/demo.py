@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from hostlink import logs
-from hostlink.cli.serve import merge, running, stop_signals
+from hostlink.cli.ending import stop_signals
+from hostlink.cli.serve import merge, running
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
@@ -38,14 +39,14 @@ def command(
 
 
 async def _demo(config: Config, robots: int) -> None:
-    with stop_signals() as stopped:
+    with stop_signals() as ending:
         async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
             host, port = addresses.tcp
             fleet = tasks.create_task(run_fleet(host, port, robots=robots), name="simulated robots")
             driver = tasks.create_task(_drive(hub), name="demo driver")
             line = tasks.create_task(_show(hub), name="live line")
             _print_welcome(addresses.api)
-            await stopped.wait()
+            await ending.wait()
             line.cancel()
             driver.cancel()
             sys.stdout.write("\nstopping the robots ...\n")

@@ -44,6 +44,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 def main() -> None:
     """Run; an error of hostlink's own is one line, and 2 means that the arguments or the configuration are wrong."""
+    _open_standard_descriptors()
     arguments = sys.argv[1:]
     try:
         build_app(next((word for word in arguments if word in COMMANDS), None))()
@@ -57,6 +58,16 @@ def main() -> None:
         sys.exit(FAILED)
     except KeyboardInterrupt:
         sys.exit(128 + 2)
+
+
+def _open_standard_descriptors() -> None:
+    """Of a process that was started without some (`2>&-`): else a robot's connection gets the number of stderr."""
+    for name, descriptor in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free: this one
+            setattr(sys, name, open(descriptor, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
 
 
 def _options(

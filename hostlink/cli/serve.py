@@ -5,9 +5,8 @@ import contextlib
 import dataclasses
 import gc
 import os
-import signal
 import sys
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +17,7 @@ from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.check import describe
+from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
@@ -31,8 +31,8 @@ from hostlink.transport.tcp import serve_tcp
 
 log = structlog.get_logger()
 
+SWITCH_INTERVAL_S = 0.0005  # a tenth of the usual
 GC_THRESHOLDS = (100, 5, 1000)  # often, so that each takes a millisecond or two; the oldest rarely
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -45,59 +45,58 @@ class Addresses:
 
 @contextlib.asynccontextmanager
 async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
-    """The whole daemon for the length of a block; leaving it stops every robot, then says goodbye to every device."""
+    """The whole daemon for the length of a block.
+
+    However the block is left, first every robot is stopped and every device told; then the rest may take its time.
+    """
     hub = Hub(config, Catalog(config.message_folders))
     try:
-        async with (
-            asyncio.TaskGroup() as tasks,
-            _hub_running(hub, tasks),
-            serve_api(config.api, hub) as api,
-            contextlib.AsyncExitStack() as last,  # what may take its time once the robots stand
-        ):
-            door = Door(hub, config.tcp)
-            async with serve_tcp(config.tcp, door.enter) as listener, _serial_ports(hub, config, tasks):
-                await last.enter_async_context(advertised(config.tcp, listener.address))
-                log.info("daemon.started", tcp="{}:{}".format(*listener.address), api=api)
-                yield hub, Addresses(listener.address, api)
+        async with _hub_running(hub), _ways_in(hub, config) as addresses:
+            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
+            try:
+                yield hub, addresses
+            except Exception as error:
+                log.exception("daemon.failed", cause=repr(error))
+                raise
+            finally:
                 log.info("daemon.stopping")
-            await hub.farewell()
+                await hub.farewell()
     except BaseExceptionGroup as group:  # one error has one line; the others are its consequences
         raise group.exceptions[0] from None
     log.info("daemon.stopped")
 
 
 @contextlib.asynccontextmanager
-async def _hub_running(hub: Hub, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
-    heart = tasks.create_task(hub.run(), name="hub")
-    await hub.is_running.wait()
-    try:
-        yield
-    finally:
-        heart.cancel()
+async def _hub_running(hub: Hub) -> AsyncIterator[None]:
+    """In a task group of its own: whatever else fails, links live until they were said goodbye."""
+    async with asyncio.TaskGroup() as tasks:
+        heart = tasks.create_task(hub.run(), name="hub")
+        await hub.is_running.wait()
+        try:
+            yield
+        finally:
+            heart.cancel()
 
 
 @contextlib.asynccontextmanager
-async def _serial_ports(hub: Hub, config: Config, tasks: asyncio.TaskGroup) -> AsyncIterator[None]:
-    ports = [tasks.create_task(serve_serial(hub, port), name=port.name) for port in config.serial]
-    try:
-        yield
-    finally:
-        for port in ports:
-            port.cancel()
+async def _ways_in(hub: Hub, config: Config) -> AsyncIterator[Addresses]:
+    """Listeners and ports, for devices and for programs."""
+    async with serve_api(config.api, hub) as api, contextlib.AsyncExitStack() as last:  # mDNS may take its time
+        door = Door(hub, config.tcp)
+        async with serve_tcp(config.tcp, door.enter) as listener, _serial_ports(hub, config):
+            await last.enter_async_context(advertised(config.tcp, listener.address))
+            yield Addresses(listener.address, api)
 
 
-@contextlib.contextmanager
-def stop_signals() -> Iterator[asyncio.Event]:
-    """An event that is set by a signal which asks the daemon to stop."""
-    stopped = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in STOP_SIGNALS:
-        loop.add_signal_handler(number, stopped.set)
-    try:
-        yield stopped
-    finally:
-        for number in STOP_SIGNALS:
-            loop.remove_signal_handler(number)
+@contextlib.asynccontextmanager
+async def _serial_ports(hub: Hub, config: Config) -> AsyncIterator[None]:
+    async with asyncio.TaskGroup() as tasks:
+        ports = [tasks.create_task(serve_serial(hub, port), name=port.name) for port in config.serial]
+        try:
+            yield
+        finally:
+            for port in ports:
+                port.cancel()
 
 
 def command(  # noqa: PLR0913 - each is an option of the command line
@@ -142,24 +141,26 @@ def command(  # noqa: PLR0913 - each is an option of the command line
 
 
 def shorten_pauses() -> None:
-    """Keep the garbage collector from stopping the loop: nothing here makes cycles, and what the start made stays.
+    """Keep the garbage collector and other threads from stopping the loop.
 
-    With a thousand robots a full collection took 0.23 s, ten times as long as a stop may wait.
+    Nothing here makes cycles, and what the start made stays: with a thousand robots a full collection took 0.23 s, ten
+    times as long as a stop may wait. A thread that looks at bytes keeps the loop waiting for an interval each time.
     """
     gc.collect()
     gc.freeze()
     gc.set_threshold(*GC_THRESHOLDS)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
 
 
 async def _serve(config: Config, notifier: Notifier) -> None:
-    with stop_signals() as stopped:
-        async with running(config) as (hub, _), asyncio.TaskGroup() as tasks:
-            beating = tasks.create_task(notifier.beat(lambda: _status(hub)), name="heartbeat")
+    with stop_signals() as ending:
+        async with running(config) as (hub, _):
+            hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             notifier.tell("READY=1")
-            await stopped.wait()
+            await ending.wait()
             notifier.tell("STOPPING=1")
-            beating.cancel()
+            log.info("daemon.asked_to_stop", cause=ending.cause)
 
 
 def _status(hub: Hub) -> str:

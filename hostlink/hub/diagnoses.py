@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import structlog
 
 from hostlink.diagnosis.evidence import EarlierLink, Evidence
-from hostlink.diagnosis.finding import Finding
+from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.host_clock import HostClock
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
 from hostlink.diagnosis.witness import LOOK_INTERVAL_S, Witness
+from hostlink.hub.isolation import Isolation
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol import events
@@ -40,7 +41,9 @@ class Case:
 class Diagnoses:
     """Owns the cases. `run` looks at each of them once a second; the rest of the hub only tells what happens."""
 
-    def __init__(self) -> None:
+    def __init__(self, isolation: Isolation | None = None) -> None:
+        words()  # read now: later there may be no descriptor for it
+        self._isolation = Isolation(reraises=True) if isolation is None else isolation
         self.ended: deque[Case] = deque(maxlen=ENDED_LINKS)
         self._live: dict[int, Case] = {}
         self._clock = HostClock()
@@ -99,13 +102,15 @@ class Diagnoses:
             now_s = _now_s()
             self._host_clock = self._clock.look(now_s, time.time_ns())
             for case in list(self._live.values()):
-                case.witness.look(now_s)
-                await self._judge(case, self._evidence(case, now_s))
+                with self._isolation.around("diagnosis", link=case.link.number):
+                    case.witness.look(now_s)
+                    await self._judge(case, self._evidence(case, now_s))
                 await asyncio.sleep(0)  # a thousand links are looked at one by one, between what they say
             for case in list(self.ended):
                 if case.last_evidence is not None:
                     evidence, case.last_evidence = case.last_evidence, None
-                    await self._judge(case, evidence)
+                    with self._isolation.around("diagnosis", link=case.link.number):
+                        await self._judge(case, evidence)
             await asyncio.sleep(LOOK_INTERVAL_S)
 
     async def _judge(self, case: Case, evidence: Evidence) -> None:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import itertools
 import time
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
@@ -12,18 +12,19 @@ import structlog
 from structlog.contextvars import bound_contextvars
 
 from hostlink.config import Config, LinkConfig
-from hostlink.errors import HostlinkError, UnknownTopic, WrongType
+from hostlink.errors import DeviceGone, HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.diagnoses import Diagnoses
+from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.parameters import find_parameter
 from hostlink.hub.robot_topics import RobotTopics
-from hostlink.hub.robots import LOCK_REASON, PROGRAM_PRIORITY, Robots
+from hostlink.hub.robots import ENDING, LOCK_REASON, PROGRAM_PRIORITY, Robots
 from hostlink.hub.services import Provider, Services
 from hostlink.hub.subscriptions import Deliver, Topic, TopicGraph, Unsubscribe, resolve
 from hostlink.link.fair_share import FairShare
 from hostlink.link.link import Link, LinkEnd
-from hostlink.logs import printable
+from hostlink.logs import log_what_is_missing, of_peer, printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol import events
@@ -38,6 +39,8 @@ log = structlog.get_logger()
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
 FAREWELL_TIMEOUT_S = 0.5
+MAX_UNKNOWN_PARAMETERS = 256  # names that are remembered; a name can be as long as a frame
+LOG_INTERVAL_S = 10.0  # between two lines about lines that are missing
 _NS_PER_S = 1_000_000_000
 _DEVICE_LOG = ("debug", "info", "warning", "error", "error")  # the daemon's method for each of rosserial's levels
 
@@ -50,23 +53,23 @@ class Hub:
 
     def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False) -> None:
         self.catalog = catalog
-        self.topics = TopicGraph(catalog)
+        self.isolation = Isolation(reraises=reraises)
+        self.topics = TopicGraph(catalog, self.isolation)
         self.services = Services(catalog)
-        self.diagnoses = Diagnoses()
-        self.robots = Robots(config.robots, catalog, subscribe=self._watch_odometry, show=self._show)
+        self.diagnoses = Diagnoses(self.isolation)
+        self.robots = Robots(config.robots, catalog, self.isolation, subscribe=self._watch_odometry, show=self._show)
         self.robot_topics = RobotTopics(config.robots, self.topics, catalog)
         self.is_running = asyncio.Event()  # once set, it can `spawn`
-        self.crashes = 0
         self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause
         self.parameters = dict(config.parameters)  # what devices ask for; clients may change it
         self._rosout = self.topics.advertise("/rosout", "hostlink", type_name="rosgraph_msgs/Log")
         self.config = config
-        self._reraises = reraises
+        self._is_ending = False
         self._directory = Directory({name: robot.address for name, robot in config.robots.items()})
         self._devices: dict[int, Device] = {}
         self._numbers = itertools.count(1)
         self._share = FairShare()
-        self._asked_in_vain: set[str] = set()
+        self._unknown_parameters: OrderedDict[str, None] = OrderedDict()  # that were told of, the latest last
         self._tasks: asyncio.TaskGroup | None = None
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
             events.MessageReceived: self._deliver,
@@ -87,15 +90,20 @@ class Hub:
     async def run(self) -> None:
         """Serve until cancelled; the parent of whatever is spawned."""
         async with asyncio.TaskGroup() as self._tasks:
-            self._tasks.create_task(self.diagnoses.run(), name="diagnoses")
+            self.spawn(self.diagnoses.run(), name="diagnoses")
+            self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.robots.run()
 
     def spawn(self, work: Coroutine[Any, Any, object], *, name: str) -> None:
-        """Run something for a device as long as it takes, at most as long as the hub."""
+        """Run something as long as it takes, at most as long as the hub. Its crash ends nothing else."""
         if self._tasks is None:
             raise RuntimeError("the hub does not run yet")
-        self._tasks.create_task(work, name=name)
+        self._tasks.create_task(self._isolated(work, name), name=name)
+
+    async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
+        with self.isolation.around("task", task=name):
+            await work
 
     def open(self, transport: Transport, link_config: LinkConfig | None = None) -> Link:
         """A link for one connection, to be served from now on."""
@@ -111,20 +119,19 @@ class Hub:
 
     async def serve(self, link: Link) -> LinkEnd:
         """Serve an opened link to its end."""
-        end = LinkEnd.STOPPED
-        with bound_contextvars(link=link.number, peer=printable(link.peer)):
+        end = LinkEnd.CRASHED
+        with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
             log.info("link.opened")
             try:
-                end = await link.run()
-            except Exception:  # a bug in one link must not stop another robot
-                end = LinkEnd.CRASHED
-                self.crashes += 1
-                log.exception("link.crashed")
-                if self._reraises:
-                    raise
+                with self.isolation.around("link"):  # a bug in one link must not stop another robot
+                    end = await link.run()
+            except asyncio.CancelledError:
+                end = LinkEnd.STOPPED
+                raise
             finally:
-                self._forget(link)
-                self.diagnoses.finish(link, end)
+                with self.isolation.around("link"):
+                    self._forget(link)
+                    self.diagnoses.finish(link, end)
                 log.info("link.closed", reason=end.value, **link.facts())
         return end
 
@@ -133,7 +140,12 @@ class Hub:
         return [device.link for device in self._devices.values()]
 
     async def farewell(self) -> None:
-        """Stop every robot, tell every device to fall silent, end every link; bounded by FAREWELL_TIMEOUT_S."""
+        """Stop every robot, tell every device to fall silent, end every link; bounded by FAREWELL_TIMEOUT_S.
+
+        From its first moment on nobody moves a robot any more: the last velocity that leaves is zero.
+        """
+        self._is_ending = True
+        self.robots.close()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL_TIMEOUT_S):
                 connected = [robot for robot in self.robots.all() if robot.link is not None]
@@ -239,9 +251,17 @@ class Hub:
             log.warning("parameter.refused", name=printable(event.name), reason=str(error))
             with contextlib.suppress(HostlinkError):  # the queue is full of answers: the device hears one of those
                 link.session.answer_parameter(event.name, Parameter())
-        if parameter is None and event.name not in self._asked_in_vain:
-            self._asked_in_vain.add(event.name)
-            log.warning("parameter.unknown", name=printable(event.name))
+        if parameter is None:
+            self._note_unknown_parameter(event.name)
+
+    def _note_unknown_parameter(self, name: str) -> None:
+        """Log it once, as long as it is remembered."""
+        if name not in self._unknown_parameters:
+            log.warning("parameter.unknown", name=printable(name))
+        self._unknown_parameters[name] = None
+        self._unknown_parameters.move_to_end(name)
+        if len(self._unknown_parameters) > MAX_UNKNOWN_PARAMETERS:
+            self._unknown_parameters.popitem(last=False)
 
     def _log_for_device(self, link: Link, event: events.DeviceLogged) -> None:
         """Into the daemon's log, and as rosgraph_msgs/Log on /rosout."""
@@ -316,6 +336,8 @@ class Hub:
         self.services.leave(source)
 
     def _spread(self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY) -> None:
+        if self._is_ending:
+            raise DeviceGone(topic.name, ENDING)
         robot = self.robots.of_velocity_topic(topic.name)
         command = self.robot_topics.command(topic.name, payload)
         if robot is not None:
@@ -342,6 +364,12 @@ class Hub:
             self.robot_topics.relay(message)
 
         return self.topics.subscribe(name, see_and_relay)
+
+
+async def _log_what_is_missing() -> None:
+    while True:
+        await asyncio.sleep(LOG_INTERVAL_S)
+        log_what_is_missing()
 
 
 def _ignore(link: Link, event: events.Event) -> None:

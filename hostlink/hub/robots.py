@@ -9,9 +9,10 @@ import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
+from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.subscriptions import Deliver, Unsubscribe, resolve
-from hostlink.link.link import Link
+from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.directory import RobotTopics
@@ -23,6 +24,7 @@ log = structlog.get_logger()
 
 _NS_PER_S = 1_000_000_000
 TICK_S = 0.05  # how late the end of a lease may be noticed
+ENDING = "hostlink is stopping, and drives no robot any more"
 LOCK_REASON = "emergency stop"  # of whoever does not say
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
 DEMO_PRIORITY = 0  # whoever comes is more important
@@ -69,6 +71,7 @@ class Robots:
         self,
         configs: Mapping[str, RobotConfig],
         catalog: Catalog,
+        isolation: Isolation | None = None,
         *,
         subscribe: Callable[[str, Deliver], Unsubscribe],
         show: Callable[[str, bytes], None],
@@ -77,6 +80,8 @@ class Robots:
         twist = catalog.message("geometry_msgs/Twist")
         assert twist is not None  # noqa: S101 - of the store that the project is built on
         self.twist = twist
+        self._isolation = Isolation(reraises=True) if isolation is None else isolation
+        self._is_closed = False
         self._configs = configs
         for name in configs:
             self._limits(name)  # a ConfigError belongs to the start, not to the robot's first connection
@@ -123,6 +128,7 @@ class Robots:
             robot.unsubscribe()
         robot.unsubscribe = self._subscribe(topics.odometry, robot.see)
         robot.gate.restart()
+        link.last_frame = link.session.frame_to(topics.velocity, self.twist.encode(ZERO.to_twist()))
         log.info("robot.appeared", robot=name, velocity=topics.velocity, odometry=topics.odometry)
         self._wake.set()
 
@@ -140,12 +146,18 @@ class Robots:
 
     def command(self, robot: Robot, velocity: Velocity, *, owner: str, priority: int = PROGRAM_PRIORITY) -> Velocity:
         """Drive for the length of a lease; returns the velocity after the limits. DeviceGone, RobotHeld, BadRequest."""
+        if self._is_closed:
+            raise DeviceGone(robot.name, ENDING)
         if robot.link is None:
             raise DeviceGone(robot.name)
         limited = robot.gate.command(owner, velocity, priority=priority, now_s=_now_s())
         if robot.gate.holder in (owner, None):  # another's idle zero changes nothing, so it is no news for the device
             self._tell(robot)
         return limited
+
+    def close(self) -> None:
+        """The daemon ends: no command is taken any more, for good."""
+        self._is_closed = True
 
     def stop(self, robot: Robot) -> None:
         """Stop, whoever drives, as fast as the robot's decelerations allow."""
@@ -202,6 +214,15 @@ class Robots:
         self._wake.set()
 
     def _step(self, robot: Robot, *, is_news: bool = False) -> None:
+        """A crash here is the robot's own: its link ends, with a zero as its last frame."""
+        try:
+            self._send(robot, is_news=is_news)
+        except Exception as error:  # noqa: BLE001 - counted; no other robot's gate may miss its turn
+            if robot.link is not None:
+                robot.link.end(LinkEnd.CRASHED)
+            self._isolation.crashed("robot", error, robot=robot.name)
+
+    def _send(self, robot: Robot, *, is_news: bool) -> None:
         was_held_by, is_first = robot.gate.holder, robot.gate.is_new_device
         velocity = robot.gate.step(_now_s())
         if was_held_by is not None and robot.gate.holder is None:

@@ -6,7 +6,7 @@ import itertools
 
 import structlog
 
-from hostlink.config import SerialConfig
+from hostlink.config import LinkConfig, SerialConfig
 from hostlink.hub.hub import Hub
 from hostlink.link.link import Link
 from hostlink.transport.serial import SerialTransport, open_serial
@@ -20,29 +20,36 @@ RETRY_S = 1.0  # a port that vanished is looked for this often
 async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
     """Serve until cancelled."""
     said = ""
-    uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
-    link_config = dataclasses.replace(
-        hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s
-    )
-    while True:  # silence ends no link here: a port says by itself when it is gone, and opening one may reset a board
-        try:
-            transport = await open_serial(config)
-        except OSError as error:
-            hub.diagnoses.see_port(config.name, error)
-            reason = error.strerror or str(error)
-            if reason != said:
-                said = reason
+    while True:
+        with hub.isolation.around("task", task=f"serial port {config.name}"):
+            reason = await _serve_once(hub, config)
+            if reason and reason != said:
                 log.warning("serial.waiting", port=config.name, reason=reason)
-        else:
-            said = ""
-            hub.diagnoses.see_port(config.name, None)
-            link = hub.open(transport, link_config)
-            hub.diagnoses.see_baud(link, config.bauds[0])
-            async with asyncio.TaskGroup() as tasks:
-                trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
-                await hub.serve(link)
-                trying.cancel()
+            said = reason
         await asyncio.sleep(retry_s)
+
+
+async def _serve_once(hub: Hub, config: SerialConfig) -> str:
+    """Serve the port to the end of its link; the reason when it cannot be opened."""
+    try:
+        transport = await open_serial(config)
+    except OSError as error:
+        hub.diagnoses.see_port(config.name, error)
+        return error.strerror or str(error)
+    hub.diagnoses.see_port(config.name, None)
+    link = hub.open(transport, _link_config(hub, config))
+    hub.diagnoses.see_baud(link, config.bauds[0])
+    async with asyncio.TaskGroup() as tasks:
+        trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
+        await hub.serve(link)
+        trying.cancel()
+    return ""
+
+
+def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
+    """Silence ends no link here: a port says by itself when it is gone, and opening one may reset a board."""
+    uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
+    return dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s)
 
 
 async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:

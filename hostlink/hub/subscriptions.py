@@ -5,6 +5,7 @@ from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
+from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
@@ -33,8 +34,9 @@ class Subscriber(NamedTuple):
 class Topic:
     """One name in the graph. Whoever publishes or takes it is known by a key: a link, or the name of a client."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, isolation: Isolation) -> None:
         self.name = name
+        self._isolation = isolation
         self.type_name = ""  # until somebody says
         self.type: MessageType | None = None
         self.rank = _CLIENT_RANK  # of who said the type
@@ -85,14 +87,19 @@ class Topic:
         if self.subscribers:
             message = Message(self.name, self.type_name, self.type, payload, stamp_ns)
             for subscriber in self.subscribers:
-                subscriber.deliver(message)
+                try:
+                    subscriber.deliver(message)
+                except Exception as error:  # noqa: BLE001 - a subscriber's crash is neither the device's nor another's
+                    self.subscribers = tuple(other for other in self.subscribers if other is not subscriber)
+                    self._isolation.crashed("subscriber", error, topic=self.name, subscriber=str(subscriber.key))
 
 
 class TopicGraph:
     """All topics of all devices and clients. A topic lives as long as somebody uses it."""
 
-    def __init__(self, catalog: Catalog) -> None:
+    def __init__(self, catalog: Catalog, isolation: Isolation | None = None) -> None:
         self._catalog = catalog
+        self._isolation = Isolation(reraises=True) if isolation is None else isolation
         self._topics: dict[str, Topic] = {}
         self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes or takes, by name
 
@@ -177,7 +184,7 @@ class TopicGraph:
 
     def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
-        topic = self._topics.get(resolved) or Topic(resolved)
+        topic = self._topics.get(resolved) or Topic(resolved, self._isolation)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
         if plain_name and plain_name != topic.type_name:

@@ -21,13 +21,15 @@ class FairShare:
 
     async def wait(self, expected_s: float) -> None:
         """Returns when the caller may compute for about `expected_s`: at once while something of the turn is left."""
-        if not self._waiting and self._spent_s < self._turn_s:
-            return
-        self.waits += 1
-        turn = asyncio.get_running_loop().create_future()
-        self._waiting.append((turn, expected_s))
-        self._expect_turn()
-        await turn
+        is_let_in = not self._waiting
+        while not is_let_in or self._spent_s >= self._turn_s:  # those before may cost more than was expected
+            turn = asyncio.get_running_loop().create_future()
+            queue = self._waiting.appendleft if is_let_in else self._waiting.append
+            queue((turn, expected_s))
+            self.waits += 1
+            self._expect_turn()
+            await turn
+            is_let_in = True
 
     def spend(self, seconds: float) -> None:
         """The caller has computed for so long."""

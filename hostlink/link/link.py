@@ -10,9 +10,10 @@ from enum import Enum
 
 import structlog
 
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
-from hostlink.link.fair_share import FairShare
+from hostlink.link.fair_share import TURN_S, FairShare
 from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
@@ -22,6 +23,7 @@ log = structlog.get_logger()
 
 TROUBLE_INTERVAL_S = 10.0  # dirt on the wire is counted, and told this often
 PIECE_BYTES = 512  # between two pieces others may have their turn; a turn of the paper's robot is less
+LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due
 
 
@@ -57,6 +59,7 @@ class Link:
         self.peer = transport.peer
         self.address = transport.address
         self.session = session
+        self.last_frame = b""  # of a robot: its zero
         self.command_latency = Latency()  # from a velocity's command to the transport
         self.tape_from_device, self.tape_to_device = Tape(), Tape()
         self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
@@ -64,7 +67,7 @@ class Link:
         self._config = config
         self._on_event = on_event
         self._share = FairShare() if share is None else share
-        self._piece_s = 0.0  # what the last piece cost
+        self._piece_s = TURN_S  # what the last piece cost; of the first nobody knows
         self._wake = asyncio.Event()
         self._is_drained = asyncio.Event()
         self._sleeps_until_s = 0.0
@@ -93,9 +96,19 @@ class Link:
         except* OSError as broken:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
-            self._is_drained.set()  # nothing will leave any more
+            self._is_drained.set()  # nothing more will leave
+            if end is not LinkEnd.PEER_CLOSED:
+                await self._send_last()
             await self._transport.aclose()
+        raise_if_cancelled()
         return self._end or end
+
+    async def _send_last(self) -> None:
+        """A link that ends from here leaves a standing robot; a connection that takes nothing is not waited for."""
+        if self.last_frame:
+            with contextlib.suppress(OSError):  # a TimeoutError is one
+                async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
+                    await self._transport.send(self.last_frame)
 
     def end(self, reason: LinkEnd) -> None:
         """Ask the link to end; `run` returns the reason."""

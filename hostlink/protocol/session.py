@@ -202,6 +202,10 @@ class Session:
         else:
             self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
+    def frame_to(self, topic: str, payload: bytes) -> bytes:
+        """The frame of a message to the device, as `publish` would queue it; the same errors."""
+        return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)
+
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device's."""
         info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)

@@ -5,6 +5,7 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator, Callable
 
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.messages.catalog import Catalog
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
@@ -107,6 +108,7 @@ async def _talk(
                 finally:
                     passing.cancel()
         except* OSError as broken:
+            raise_if_cancelled()
             raise broken.exceptions[0] from None
         finally:
             robot.device.from_host.cut()

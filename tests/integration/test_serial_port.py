@@ -110,7 +110,7 @@ async def test_a_port_that_vanishes_while_its_rate_is_looked_for_is_waited_for()
             await expect(lambda: board.speeds_asked)
             board.unplug()
             await expect(lambda: any(line["event"] == "serial.waiting" for line in lines))
-            assert host.hub.crashes == 0
+            assert not host.hub.isolation.crashes
 
 
 async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_path: Path) -> None:

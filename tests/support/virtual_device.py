@@ -6,6 +6,7 @@ import struct
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.messages.catalog import Catalog
 from hostlink.sim.device import DeviceCrashed, SimulatedDevice
 from hostlink.sim.robot import LOOP_S
@@ -121,6 +122,7 @@ class VirtualDevice:
                 finally:
                     passing.cancel()
         except* OSError as broken:
+            raise_if_cancelled()
             raise broken.exceptions[0] from None
 
     async def _pass_on(self, transport: Transport) -> None:

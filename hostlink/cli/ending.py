@@ -1,0 +1,66 @@
+"""How a daemon is asked to end: signals, and what happens when the end itself takes too long."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Iterator
+
+import structlog
+
+log = structlog.get_logger()
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+LONGEST_END_S = 8.0  # half a second for the robots, one for each connection, two for mDNS, and as much again
+FAREWELL_S = 1.0  # after that the robots stand, and a second signal ends the process at once
+FORCED = 1  # exit status
+
+
+class Ending:
+    """Whether the daemon is to end, and why."""
+
+    def __init__(self) -> None:
+        self.cause = ""
+        self._asked_at_s = 0.0
+        self._is_asked = asyncio.Event()
+
+    async def wait(self) -> None:
+        """Returns when the daemon is to end."""
+        await self._is_asked.wait()
+
+    def ask(self, number: signal.Signals) -> None:
+        """A signal came. The first begins the end; one that comes while the robots are stopped changes nothing."""
+        now_s = asyncio.get_running_loop().time()
+        if not self._is_asked.is_set():
+            self.cause, self._asked_at_s = number.name, now_s
+            self._is_asked.set()
+            _force_after(LONGEST_END_S)
+        elif now_s > self._asked_at_s + FAREWELL_S:
+            _force(f"a second signal, {number.name}")
+
+
+@contextlib.contextmanager
+def stop_signals() -> Iterator[Ending]:
+    """Signals that ask the daemon to end, instead of what they do else, for the length of the block."""
+    ending = Ending()
+    loop = asyncio.get_running_loop()
+    for number in STOP_SIGNALS:
+        loop.add_signal_handler(number, ending.ask, number)
+    try:
+        yield ending
+    finally:
+        for number in STOP_SIGNALS:
+            loop.remove_signal_handler(number)
+
+
+def _force_after(seconds: float) -> None:
+    """In a thread: the loop may be what hangs, or a driver in another thread that the interpreter waits for."""
+    timer = threading.Timer(seconds, _force, [f"the end took longer than {seconds:g} s"])
+    timer.daemon = True
+    timer.start()
+
+
+def _force(cause: str) -> None:
+    log.error("daemon.forced", cause=cause)
+    os._exit(FORCED)

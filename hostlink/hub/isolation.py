@@ -1,0 +1,35 @@
+"""Isolation: a crash ends what it belongs to, and nothing else. It is logged and counted."""
+
+import contextlib
+from collections import Counter
+from collections.abc import Iterator
+
+import structlog
+
+log = structlog.get_logger()
+
+
+class Isolation:
+    """The boundaries between links, robots, subscribers and the daemon's own work."""
+
+    def __init__(self, *, reraises: bool = False) -> None:
+        """`reraises`: a crash goes on after it was counted, as tests want it."""
+        self.crashes: Counter[str] = Counter()
+        self._reraises = reraises
+
+    @contextlib.contextmanager
+    def around(self, what: str, **facts: object) -> Iterator[None]:
+        """Keep an exception of the block from whoever entered it; logged as `what`.crashed."""
+        try:
+            yield
+        except Exception as error:  # noqa: BLE001 - this is the boundary
+            self.crashed(what, error, **facts)
+
+    def crashed(self, what: str, error: Exception, **facts: object) -> None:
+        """Count it and log it; without memory for the log, count it."""
+        self.crashes[what] += 1
+        with contextlib.suppress(Exception):
+            event = f"{what}.crashed"
+            log.error(event, exc_info=error, **facts)
+        if self._reraises:
+            raise error

@@ -1,0 +1,54 @@
+"""LogBudget: how many lines each peer may cause, so that no device fills a disk. Pure."""
+
+from collections import OrderedDict
+
+BURST_LINES = 500  # fifty robots behind one address connect and are told of
+RATE_HZ = 10.0
+MAX_PEERS = 1024  # that are told apart; a new one takes the place of the one that was quiet for longest
+
+
+class _Bucket:
+    __slots__ = ("at_s", "left", "left_out")
+
+    def __init__(self, left: float, at_s: float) -> None:
+        self.left, self.at_s, self.left_out = left, at_s, 0
+
+
+class LogBudget:
+    """A token bucket a peer; what is over it is counted."""
+
+    def __init__(self, *, burst_lines: int = BURST_LINES, rate_hz: float = RATE_HZ) -> None:
+        self.left_out = 0  # of all peers, since the start
+        self._burst_lines, self._rate_hz = burst_lines, rate_hz
+        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
+        self._left_out_of_forgotten = 0
+
+    def allows(self, peer: str, now_s: float) -> bool:
+        """Whether one more line may be written for this peer; False: it is counted."""
+        bucket = self._buckets.get(peer) or self._open(peer, now_s)
+        self._buckets.move_to_end(peer)
+        bucket.left = min(bucket.left + (now_s - bucket.at_s) * self._rate_hz, self._burst_lines)
+        bucket.at_s = now_s
+        if bucket.left >= 1:
+            bucket.left -= 1
+            return True
+        bucket.left_out += 1
+        self.left_out += 1
+        return False
+
+    def take_left_out(self) -> dict[str, int]:
+        """Peer -> lines that were left out since the last call; "" is the sum of those that were forgotten."""
+        found = {peer: bucket.left_out for peer, bucket in self._buckets.items() if bucket.left_out}
+        if self._left_out_of_forgotten:
+            found[""] = self._left_out_of_forgotten
+        for peer in found.keys() & self._buckets.keys():
+            self._buckets[peer].left_out = 0
+        self._left_out_of_forgotten = 0
+        return found
+
+    def _open(self, peer: str, now_s: float) -> _Bucket:
+        if len(self._buckets) >= MAX_PEERS:
+            _, forgotten = self._buckets.popitem(last=False)
+            self._left_out_of_forgotten += forgotten.left_out
+        bucket = self._buckets[peer] = _Bucket(self._burst_lines, now_s)
+        return bucket

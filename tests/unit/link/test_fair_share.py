@@ -1,0 +1,141 @@
+"""Reading in turns: what one link computes another waits for, but no longer than a turn."""
+
+import asyncio
+
+from hostlink.config import LinkConfig
+from hostlink.link.fair_share import TURN_S, FairShare
+from hostlink.link.link import Link
+from hostlink.protocol.events import Event
+from hostlink.protocol.frame import encode
+from hostlink.protocol.session import Session
+from tests.support.memory_transport import memory_pair
+from tests.support.virtual_loop import VirtualLoop, run_virtual
+
+FRAME = encode(999, b"")  # of no topic, so each is an event
+FRAME_COST_S = 0.0001
+
+
+def loop() -> VirtualLoop:
+    running = asyncio.get_running_loop()
+    assert isinstance(running, VirtualLoop)
+    return running
+
+
+def burn(_link: Link, _event: Event) -> None:
+    loop().burn(FRAME_COST_S)
+
+
+async def longest_pause_s(until: asyncio.Event) -> float:
+    """The longest that somebody waits who wants one turn of the loop after the other."""
+    longest_s, before_s = 0.0, loop().time()
+    while not until.is_set():
+        await asyncio.sleep(0)
+        now_s = loop().time()
+        longest_s, before_s = max(longest_s, now_s - before_s), now_s
+    return longest_s
+
+
+def flooded(links: int, frames: int) -> tuple[float, list[int]]:
+    """(longest pause of somebody else, frames that each link has read)"""
+
+    async def run() -> tuple[float, list[int]]:
+        share, done = FairShare(), asyncio.Event()
+        ends, running, made = [], [], []
+        for number in range(links):
+            host, device = memory_pair(room_bytes=1 << 20)
+            link = Link(host, Session(check=lambda _: None), LinkConfig(), number=number, on_event=burn, share=share)
+            made.append(link)
+            running.append(loop().create_task(link.run()))
+            await device.send(FRAME * frames)
+            ends.append(device)
+        watching = loop().create_task(longest_pause_s(done))
+        while min(link.session.counts.frames_from_device for link in made) < frames:
+            await asyncio.sleep(0)
+        done.set()
+        pause_s = await watching
+        for device in ends:
+            await device.aclose()
+        for task in running:
+            await task
+        return pause_s, [link.session.counts.frames_from_device for link in made]
+
+    return run_virtual(run())
+
+
+def test_floods_of_any_number_of_links_leave_the_loop_to_others_every_few_milliseconds() -> None:
+    piece_s = 512 // len(FRAME) * FRAME_COST_S
+    for links in (1, 2, 16):
+        pause_s, read = flooded(links, 2000)
+        assert read == [2000] * links
+        assert pause_s <= TURN_S + 2 * piece_s
+
+
+def test_links_that_wait_take_turns() -> None:
+    async def run() -> list[int]:
+        share, served = FairShare(), []
+
+        async def work(number: int) -> None:
+            for _ in range(20):
+                await share.wait(TURN_S)
+                served.append(number)
+                share.spend(TURN_S)
+
+        async with asyncio.TaskGroup() as tasks:
+            for number in range(5):
+                tasks.create_task(work(number))
+        return served
+
+    served = run_virtual(run())
+    for end in range(len(served) - 20):  # in the end they leave one by one
+        counts = [served[:end].count(number) for number in range(5)]
+        assert max(counts) - min(counts) <= 2
+
+
+def test_small_work_of_many_fits_into_one_turn() -> None:
+    async def run() -> int:
+        share = FairShare()
+        for _ in range(100):
+            await share.wait(TURN_S / 1000)
+            share.spend(TURN_S / 1000)
+        return share.waits
+
+    assert run_virtual(run()) == 0
+
+
+def test_one_that_leaves_while_it_waits_keeps_nobody_waiting() -> None:
+    async def run() -> list[str]:
+        share, served = FairShare(), []
+
+        async def work(name: str) -> None:
+            await share.wait(TURN_S)
+            served.append(name)
+            share.spend(TURN_S)
+
+        async with asyncio.TaskGroup() as tasks:
+            for name in ("first", "second", "third"):
+                task = tasks.create_task(work(name))
+                if name == "second":
+                    loop().call_soon(task.cancel)  # after its first step, in which it began to wait
+        return served
+
+    assert run_virtual(run()) == ["first", "third"]
+
+
+def test_one_that_costs_more_than_was_expected_makes_the_others_wait() -> None:
+    async def run() -> list[int]:
+        share, turns, turn = FairShare(), [], 0
+
+        async def work() -> None:
+            await share.wait(0.0)  # so nothing speaks against all of them at once
+            turns.append(turn)
+            share.spend(TURN_S)
+
+        async with asyncio.TaskGroup() as tasks:
+            for _ in range(6):
+                tasks.create_task(work())
+            for turn in range(30):
+                await asyncio.sleep(0)
+        return turns
+
+    turns = run_virtual(run())
+    assert len(turns) == len(set(turns)) == 6

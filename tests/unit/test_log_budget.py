@@ -1,0 +1,52 @@
+"""How many lines a peer may cause."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.log_budget import MAX_PEERS, LogBudget
+
+
+def test_a_burst_then_the_rate() -> None:
+    budget = LogBudget(burst_lines=5, rate_hz=2.0)
+    assert [budget.allows("a", 0.0) for _ in range(7)] == [True] * 5 + [False] * 2
+    assert [budget.allows("a", 0.5), budget.allows("a", 0.5)] == [True, False]
+    assert budget.left_out == 3
+
+
+def test_peers_do_not_share() -> None:
+    budget = LogBudget(burst_lines=1, rate_hz=0.0)
+    assert budget.allows("a", 0.0)
+    assert budget.allows("b", 0.0)
+    assert not budget.allows("a", 9.0)
+
+
+def test_what_was_left_out_is_told_once() -> None:
+    budget = LogBudget(burst_lines=1, rate_hz=0.0)
+    for _ in range(4):
+        budget.allows("a", 0.0)
+    budget.allows("b", 0.0)
+    assert budget.take_left_out() == {"a": 3}
+    assert budget.take_left_out() == {}
+    assert budget.left_out == 3
+
+
+def test_a_crowd_of_names_is_bounded_and_loses_no_count() -> None:
+    budget = LogBudget(burst_lines=1, rate_hz=0.0)
+    for number in range(MAX_PEERS + 10):
+        for _ in range(3):
+            budget.allows(f"peer {number}", 0.0)
+    assert len(budget._buckets) == MAX_PEERS
+    told = budget.take_left_out()
+    assert told[""] == 10 * 2
+    assert sum(told.values()) == budget.left_out == (MAX_PEERS + 10) * 2
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 5)), max_size=300))
+def test_no_peer_has_more_than_its_burst_and_its_rate(calls: list[tuple[str, float]]) -> None:
+    budget = LogBudget(burst_lines=10, rate_hz=3.0)
+    now_s, allowed = 0.0, dict.fromkeys("abc", 0)
+    for peer, pause_s in calls:
+        now_s += pause_s
+        allowed[peer] += budget.allows(peer, now_s)
+    assert all(count <= 10 + 3.0 * now_s + 1e-6 for count in allowed.values())
+    assert sum(allowed.values()) + budget.left_out == len(calls)
