@@ -105,7 +105,7 @@ class Link:
 
     async def _send_last(self) -> None:
         """A link that ends from here leaves a standing robot; a connection that takes nothing is not waited for."""
-        if self.last_frame:
+        if self.last_frame and not self.session.is_stopped:
             with contextlib.suppress(OSError):  # a TimeoutError is one
                 async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):
                     await self._transport.send(self.last_frame)

@@ -55,6 +55,11 @@ class Outbox:
         self._new: list[_Waiting] = []  # whose age has not begun
 
     @property
+    def is_stopped(self) -> bool:
+        """Whether nothing but what waits already, and the stop, leaves any more."""
+        return self._is_stopped
+
+    @property
     def prompt_bytes(self) -> float:
         """The longest frame that may leave while the robot moves."""
         return self._uart.prompt_bytes

@@ -202,6 +202,11 @@ class Session:
         else:
             self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
+    @property
+    def is_stopped(self) -> bool:
+        """Whether `stop` was called."""
+        return self._outbox.is_stopped
+
     def frame_to(self, topic: str, payload: bytes) -> bytes:
         """The frame of a message to the device, as `publish` would queue it; the same errors."""
         return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)

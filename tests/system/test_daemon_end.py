@@ -1,0 +1,239 @@
+"""How the daemon ends: whatever the cause, the last velocity at the robot is zero."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import struct
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from hostlink.protocol.control import encode_topic_info
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics
+from tests.support.process import HOSTLINK, Process, serve
+from tests.support.pty_pair import pty_pair
+
+ZERO = (0.0, 0.0)
+END_S = 1.5
+
+
+@contextlib.asynccontextmanager
+async def driven(daemon: Process, rate_hz: float) -> AsyncIterator[None]:
+    """A program that publishes velocities for as long as the daemon takes them."""
+
+    async def publish(program: aiohttp.ClientWebSocketResponse) -> None:
+        with contextlib.suppress(ConnectionError):
+            while not program.closed:
+                message = {"linear": {"x": 0.2}}
+                await program.send_json({"op": "publish", "topic": "/robot_0/velocity_commands", "msg": message})
+                await asyncio.sleep(1 / rate_hz)
+
+    async with (
+        aiohttp.ClientSession() as session,
+        session.ws_connect(daemon.url) as program,
+        asyncio.TaskGroup() as tasks,
+    ):
+        publishing = tasks.create_task(publish(program))
+        try:
+            yield
+        finally:
+            publishing.cancel()
+
+
+async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]:
+    """Every velocity up to the request to fall silent, which must come last."""
+    found = []
+    while (frame := await device.next()).topic_id != Id.STOP:
+        if frame.topic_id == 100:
+            twist = struct.unpack("<6d", frame.payload)
+            found.append((twist[0], twist[5]))
+    with pytest.raises((EOFError, ConnectionError)):
+        await device.next()
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("rate_hz", [10, 50, 200])
+async def test_a_robot_that_is_driven_while_the_daemon_ends_hears_zero_last(
+    number: signal.Signals, rate_hz: float
+) -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, driven(daemon, rate_hz):
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
+        daemon.child.send_signal(number)
+        sent = await velocities_to_the_end(device)
+        assert sent[-3:] == [ZERO, ZERO, ZERO]
+        first = sent.index(ZERO)
+        assert set(sent[first:]) == {ZERO}  # from the first zero on nothing moves it any more
+        assert await daemon.child.wait() == 0
+        asked = await daemon.read_log("daemon.asked_to_stop")
+        assert asked["cause"] == number.name
+
+
+async def test_a_second_signal_during_the_farewell_does_not_shorten_it() -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, driven(daemon, 50):
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
+        for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGINT, signal.SIGQUIT):
+            daemon.child.send_signal(number)
+            await asyncio.sleep(0.02)
+        assert (await velocities_to_the_end(device))[-3:] == [ZERO, ZERO, ZERO]
+        assert await daemon.child.wait() == 0
+
+
+# -- a device on a serial port ----------------------------------------------------------------------------------------
+
+
+class SerialRobot:
+    """The device's end of a pseudo terminal."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._stream = FrameStream()
+        self._frames: list[Frame] = []
+        os.set_blocking(descriptor, False)
+
+    async def frame(self) -> Frame | None:
+        """The next frame; None after a tenth of a second without one."""
+        end_s = time.monotonic() + 0.1
+        while time.monotonic() < end_s:
+            with contextlib.suppress(BlockingIOError):
+                items = self._stream.feed(os.read(self._descriptor, 4096))
+                self._frames += [item for item in items if isinstance(item, Frame)]
+            if self._frames:
+                return self._frames.pop(0)
+            await asyncio.sleep(0.002)
+        return None
+
+    async def announce(self) -> None:
+        while (frame := await self.frame()) is None or frame.topic_id != Id.PUBLISHER:
+            pass  # it is asked again and again
+        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics())
+        os.write(self._descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
+
+    async def velocities_to_the_end(self) -> list[float]:
+        found = []
+        while (frame := await self.frame()) is None or frame.topic_id != Id.STOP:
+            if frame is not None and frame.topic_id == 100:
+                found.append(struct.unpack("<6d", frame.payload)[0])
+        return found
+
+
+async def test_a_serial_robot_hears_zero_last_too() -> None:
+    with pty_pair() as (descriptor, path):
+        async with serve("--serial", f"{path}@115200") as daemon, asyncio.timeout(20):
+            robot = SerialRobot(descriptor)
+            await robot.announce()
+            await daemon.read_log("robot.appeared")
+            async with driven(daemon, 50):
+                await asyncio.sleep(0.5)
+                daemon.child.send_signal(signal.SIGTERM)
+                sent = await robot.velocities_to_the_end()
+            assert 0.2 in sent
+            assert sent[-3:] == [0.0] * 3
+            assert await daemon.child.wait() == 0
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.0005, 0.002, 0.01])
+async def test_a_signal_in_the_moment_in_which_a_serial_port_vanishes_ends_the_daemon(delay_s: float) -> None:
+    with contextlib.ExitStack() as ports:
+        pairs = [ports.enter_context(pty_pair()) for _ in range(4)]
+        arguments = [word for _, path in pairs for word in ("--serial", f"{path}@115200")]
+        async with serve(*arguments) as daemon:
+            await daemon.read_log("link.opened")
+            await asyncio.sleep(0.3)
+            for number, (descriptor, _) in enumerate(pairs):
+                if number == 2:
+                    daemon.child.send_signal(signal.SIGTERM)
+                os.close(descriptor)
+                await asyncio.sleep(delay_s)
+            began_s = time.monotonic()
+            async with asyncio.timeout(5):
+                assert await daemon.child.wait() == 0
+            assert time.monotonic() - began_s < END_S + 1.0
+
+
+# -- a log that cannot be written -------------------------------------------------------------------------------------
+
+
+@contextlib.asynccontextmanager
+async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = "") -> AsyncIterator[Process]:
+    """A daemon whose log goes to this descriptor, or wherever the shell's words send it; the ports are known before."""
+    ports = free_ports(2)
+    config = folder / "hostlink.toml"
+    config.write_text(f'[tcp]\nhost = "127.0.0.1"\nport = {ports[0]}\n[api]\nport = {ports[1]}\n')
+    words = [HOSTLINK, "serve", "--config", str(config)]
+    command = ["sh", "-c", f'exec "$@" {shell}', "sh", *words] if shell else words
+    child = await asyncio.create_subprocess_exec(*command, stderr=stderr)
+    process = Process(child, ("127.0.0.1", ports[0]), f"http://127.0.0.1:{ports[1]}")
+    try:
+        async with asyncio.timeout(20):
+            await answers(process)
+        yield process
+    finally:
+        if child.returncode is None:
+            child.kill()
+        await child.wait()
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports that nobody has now."""
+    with contextlib.ExitStack() as stack:
+        found = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [each.getsockname()[1] for each in found]
+
+
+async def answers(process: Process) -> None:
+    async with aiohttp.ClientSession() as session:
+        while True:
+            with contextlib.suppress(aiohttp.ClientError):
+                async with session.get(f"{process.url}/healthz") as response:
+                    if response.status == 200:
+                        return
+            assert process.child.returncode is None
+            await asyncio.sleep(0.05)
+
+
+async def drives_and_ends_well(daemon: Process) -> None:
+    """Eleven devices come and go, which is told in the log, a robot is driven; a signal ends all in order."""
+    async with fake_device(daemon.tcp, robot_topics()) as device, driven(daemon, 50):
+        for _ in range(10):
+            async with fake_device(daemon.tcp, robot_topics("other"), local_host="127.0.0.9"):
+                assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
+        assert daemon.child.returncode is None
+        daemon.child.send_signal(signal.SIGTERM)
+        assert (await velocities_to_the_end(device))[-3:] == [ZERO, ZERO, ZERO]
+        async with asyncio.timeout(10):
+            assert await daemon.child.wait() == 0
+
+
+@pytest.mark.parametrize("shell", ["2>/dev/full", "2>&-", "0<&- 1>&- 2>&-"])
+async def test_a_log_that_cannot_be_written_harms_nothing(shell: str, tmp_path: Path) -> None:
+    async with serve_with_stderr(None, tmp_path, shell=shell) as daemon:
+        await drives_and_ends_well(daemon)
+
+
+async def test_a_reader_of_the_log_that_is_gone_harms_nothing(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    async with serve_with_stderr(writing, tmp_path) as daemon:
+        os.close(writing)
+        os.close(reading)
+        await drives_and_ends_well(daemon)
+
+
+async def test_a_reader_of_the_log_that_sleeps_stops_nothing(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(4096))
+    os.set_blocking(writing, True)  # it is full: whoever writes now waits
+    async with serve_with_stderr(writing, tmp_path) as daemon:
+        await drives_and_ends_well(daemon)
+    os.close(writing)
+    os.close(reading)
