@@ -63,6 +63,7 @@ async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
                 await hub.farewell()
     except BaseExceptionGroup as group:  # one error has one line; the others are its consequences
         raise group.exceptions[0] from None
+    logs.log_what_is_missing()
     log.info("daemon.stopped")
 
 

@@ -1,6 +1,7 @@
 """Diagnoses: what is wrong with each link, live ones and the last that ended; kept for the API, told in the log."""
 
 import asyncio
+import concurrent.futures.thread  # noqa: F401 - asyncio imports it for its first thread; then no descriptor may be free
 import time
 from collections import deque
 from dataclasses import dataclass, field

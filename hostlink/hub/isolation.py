@@ -26,10 +26,13 @@ class Isolation:
             self.crashed(what, error, **facts)
 
     def crashed(self, what: str, error: Exception, **facts: object) -> None:
-        """Count it and log it; without memory for the log, count it."""
+        """Count it and log it: without the traceback where that fails, which reads source files and needs memory."""
         self.crashes[what] += 1
-        with contextlib.suppress(Exception):
-            event = f"{what}.crashed"
+        event = f"{what}.crashed"
+        try:
             log.error(event, exc_info=error, **facts)
+        except Exception:  # noqa: BLE001 - whatever it was, the crash itself matters more
+            with contextlib.suppress(Exception):
+                log.error(event, cause=repr(error), **facts)
         if self._reraises:
             raise error

@@ -42,10 +42,12 @@ class Process:
 
 
 @contextlib.asynccontextmanager
-async def serve(*arguments: str, environment: Mapping[str, str] | None = None) -> AsyncIterator[Process]:
+async def serve(
+    *arguments: str, environment: Mapping[str, str] | None = None, program: tuple[str, ...] = (HOSTLINK,)
+) -> AsyncIterator[Process]:
     """`hostlink serve` on free ports, killed at the end of the block if it still runs."""
     child = await asyncio.create_subprocess_exec(
-        HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments,
+        *program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments,
         stderr=asyncio.subprocess.PIPE, env={**os.environ, **(environment or {})},
     )  # fmt: skip
     process = Process(child)

@@ -1,0 +1,175 @@
+"""A crash ends what it belongs to: a link, a robot, a subscriber, a task. Everything else goes on."""
+
+import asyncio
+import resource
+from collections.abc import Iterator
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.hub.message import Message
+from hostlink.protocol import events
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.waiting import expect
+
+ZERO = (0.0, 0.0)
+CURVE = (0.2, 0.5)
+OTHER = "127.0.0.3"
+
+
+def drive(host: Daemon, name: str) -> None:
+    host.hub.robots.command(
+        host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
+    )
+
+
+async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:
+    drive(host, name)
+    assert await device.velocity_other_than(ZERO) == CURVE
+
+
+async def hears_zero_and_is_cut(device: FakeDevice) -> None:
+    assert await device.velocity_other_than(CURVE) == ZERO
+    await device.closed()
+
+
+@pytest.fixture
+def logged() -> Iterator[list[dict[str, object]]]:
+    with capture_logs() as lines:
+        yield lines  # type: ignore[misc]
+
+
+def crashes(lines: list[dict[str, object]]) -> list[object]:
+    return [line["event"] for line in lines if str(line["event"]).endswith(".crashed")]
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ValueError("a defect"), RecursionError()])
+async def test_a_crash_in_a_link_stops_its_robot_and_no_other(
+    error: Exception, logged: list[dict[str, object]]
+) -> None:
+    def crash(*_: object) -> None:
+        raise error
+
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("a")) as one,
+        fake_device(host.tcp, robot_topics("b"), local_host=OTHER) as other,
+    ):
+        await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link]) == 2)
+        await is_driven(host, "a", one)
+        host.hub._reactions[events.DeviceLogged] = crash
+        await one.send(encode(Id.LOG, b"\x01\x02\x00\x00\x00hi"))
+        await hears_zero_and_is_cut(one)
+        await is_driven(host, "b", other)
+    assert crashes(logged) == ["link.crashed"]
+
+
+async def test_a_crash_of_a_subscriber_is_its_own(logged: list[dict[str, object]]) -> None:
+    seen = []
+
+    def crash(_: Message) -> None:
+        raise KeyError("theta")
+
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        host.hub.topics.subscribe("/robot_0/odometry", crash, key="client 1")
+        host.hub.topics.subscribe("/robot_0/odometry", seen.append, key="client 2")
+        for number in range(5):
+            await device.send(pose(number))
+        await expect(lambda: len(seen) == 5)
+        await is_driven(host, "robot_0", device)
+        assert host.hub.isolation.crashes == {"subscriber": 1}  # then it is no subscriber any more
+    assert [line["subscriber"] for line in logged if line["event"] == "subscriber.crashed"] == ["client 1"]
+
+
+async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[str, object]]) -> None:
+    def crash(_: float) -> None:
+        raise ArithmeticError("a defect")
+
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("a")) as one,
+        fake_device(host.tcp, robot_topics("b"), local_host=OTHER) as other,
+    ):
+        await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link]) == 2)
+        await is_driven(host, "a", one)
+        await is_driven(host, "b", other)
+        host.hub.robots.find("a").gate.step = crash  # type: ignore[method-assign, assignment]
+        await hears_zero_and_is_cut(one)
+        await is_driven(host, "b", other)
+    assert "robot.crashed" in crashes(logged)
+
+
+async def test_a_crash_of_a_task_or_a_diagnosis_ends_nothing_else(logged: list[dict[str, object]]) -> None:
+    async def work() -> None:
+        raise ZeroDivisionError
+
+    def crash(_: float) -> None:
+        raise OSError(24, "Too many open files")
+
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        host.hub.spawn(work(), name="some work")
+        host.hub.diagnoses._live[1].witness.look = crash  # type: ignore[method-assign, assignment]
+        await expect(lambda: host.hub.isolation.crashes["diagnosis"] > 0)
+        await is_driven(host, "robot_0", device)
+    assert {"task.crashed", "diagnosis.crashed"} <= set(crashes(logged))
+
+
+async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_driven() -> None:
+    usual = resource.getrlimit(resource.RLIMIT_NOFILE)
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()) as device,
+        fake_device(host.tcp, local_host=OTHER) as silent,
+    ):
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        held = []
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, usual[1]))
+        try:
+            with pytest.raises(OSError, match="Too many open files"):
+                while True:
+                    held.append(open("/dev/null"))  # noqa: PTH123, SIM115
+            await silent.send(b"nonsense" * 100)
+            await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links()), timeout_s=15)
+            await is_driven(host, "robot_0", device)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, usual)
+            for file in held:
+                file.close()
+        assert not host.hub.isolation.crashes
+
+
+@pytest.mark.parametrize("cause", ["replaced", "idle"])
+async def test_a_link_that_ends_from_here_leaves_a_standing_robot(cause: str) -> None:
+    """Also one without a watchdog of its own."""
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        await is_driven(host, "robot_0", device)
+        link = host.hub.links()[0]
+        if cause == "idle":
+            link.heard_at_s -= 60.0
+            link.wake()
+            await hears_zero_and_is_cut(device)
+        else:
+            async with fake_device(host.tcp, robot_topics()):
+                await hears_zero_and_is_cut(device)
+
+
+async def test_names_asked_in_vain_are_not_kept(logged: list[dict[str, object]]) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        for number in range(2000):
+            name = f"/{number}/{'x' * 200}".encode()
+            await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))
+        await expect(lambda: host.hub.links()[0].session.counts.frames_from_device > 2000)
+        assert len(host.hub._unknown_parameters) == 256
+        host.hub.parameters["/there"] = 3
+        name = b"/there"
+        await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))
+        async with asyncio.timeout(5):
+            while (answer := await device.frame(Id.PARAMETER)) == bytes(12):
+                pass
+        assert answer[:8] == b"\x01\x00\x00\x00\x03\x00\x00\x00"

@@ -1,0 +1,66 @@
+"""What the daemon needs later is there from the start: an import needs a descriptor, and may find none."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import aiohttp
+
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.process import HOSTLINK, run
+
+PATHS = ["/", "/metrics", "/readyz", "/nothing"]
+API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics", "clients", "openapi.json"]
+
+
+async def test_nothing_is_imported_once_the_daemon_runs(tmp_path: Path) -> None:
+    program = tmp_path / "hostlink"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime {HOSTLINK} "$@" 2>"{tmp_path}/log"\n')
+    program.chmod(0o755)
+    child = await asyncio.create_subprocess_exec(
+        program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", "--log-level", "debug"
+    )
+    log = tmp_path / "log"
+    try:
+        async with asyncio.timeout(20):
+            while "daemon.started" not in (log.read_text() if log.exists() else ""):
+                await asyncio.sleep(0.05)
+        started = next(line for line in log.read_text().splitlines() if "daemon.started" in line)
+        await use(started)
+        child.terminate()
+        async with asyncio.timeout(10):
+            assert await child.wait() == 0
+    finally:
+        if child.returncode is None:
+            child.kill()
+    late = log.read_text().split("daemon.started")[1].splitlines()
+    assert any("daemon.stopped" in line for line in late)
+    assert [line for line in late if line.startswith("import time")] == []
+
+
+async def use(started: str) -> None:
+    """Devices, good and bad, and programs."""
+    facts = dict(part.strip('",{} ').split('": "') for part in started.split(", ") if '": "' in part)
+    host, _, port = facts["tcp"].rpartition(":")
+    address, url = (host, int(port)), facts["api"]
+    async with (
+        fake_device(address, robot_topics()) as device,
+        fake_device(address, local_host="127.0.0.9") as garbage,
+        aiohttp.ClientSession() as session,
+    ):
+        await garbage.send(bytes(range(32, 127)) * 20)
+        for number in range(10):
+            await device.send(pose(number / 100))
+            await asyncio.sleep(0.05)
+        for path in (*PATHS, *(f"/api/{name}" for name in API)):
+            async with session.get(url + path) as response:
+                await response.read()
+        async with session.put(f"{url}/api/robots/robot_0/velocity", json={"linear": 0.1, "angular": 0}) as response:
+            assert response.status == 200
+        assert (await run("doctor", "--url", url))[0] in (0, 1)
+        async with session.ws_connect(url) as program:
+            await program.send_json({"op": "subscribe", "topic": "/robot_0/odometry", "compression": "cbor"})
+            await device.send(pose(1.0))
+            async with asyncio.timeout(5):
+                assert (await program.receive()).data
+        await asyncio.sleep(2.5)  # until the diagnosis has looked at the garbage, which it does in a thread

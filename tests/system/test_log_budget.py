@@ -1,0 +1,71 @@
+"""A device cannot fill the disk with the daemon's log."""
+
+import asyncio
+import json
+import signal
+import struct
+from pathlib import Path
+
+import pytest
+
+from hostlink.log_budget import BURST_LINES, RATE_HZ
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.process import HOSTLINK, Process
+from tools.crowd import parameters, topic_infos
+
+FLOOD_S = 2.0
+LINE_BYTES = 1000  # more than any line here has
+
+
+def logs(count: int) -> bytes:
+    text = b"the battery is low"
+    return encode(Id.LOG, struct.pack("<BI", 2, len(text)) + text) * count
+
+
+async def flood(address: tuple[str, int], block: bytes) -> None:
+    """From one connection, as fast as it is taken."""
+    async with fake_device(address, robot_topics("flood"), local_host="127.0.0.5") as device:
+        end_s = asyncio.get_running_loop().time() + FLOOD_S
+        while asyncio.get_running_loop().time() < end_s:
+            await device.send(block)
+
+
+async def reconnect(address: tuple[str, int], _: bytes) -> None:
+    """A connection after the other."""
+    end_s = asyncio.get_running_loop().time() + FLOOD_S
+    while asyncio.get_running_loop().time() < end_s:
+        async with fake_device(address, local_host="127.0.0.5"):
+            await asyncio.sleep(0)
+
+
+@pytest.mark.parametrize(
+    ("work", "block"),
+    [(flood, logs(500)), (flood, topic_infos(500)), (flood, parameters(5000)), (reconnect, b"")],
+    ids=["logs", "refused topics", "unknown parameters", "connections"],
+)
+async def test_a_flood_of_lines_is_cut_and_counted(work: object, block: bytes, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with log.open("wb") as stderr:
+        child = await asyncio.create_subprocess_exec(
+            HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", stderr=stderr
+        )
+    try:
+        async with asyncio.timeout(20):
+            while b"daemon.started" not in log.read_bytes():
+                await asyncio.sleep(0.05)
+        host, _, port = json.loads(log.read_bytes().splitlines()[0])["tcp"].rpartition(":")
+        async with fake_device((host, int(port)), robot_topics()) as honest:
+            await work((host, int(port)), block)  # type: ignore[operator]
+            assert await honest.velocity() == (0.0, 0.0)
+            assert await Process(child).end(signal.SIGTERM) == 0
+    finally:
+        if child.returncode is None:
+            child.kill()
+    lines = [json.loads(line) for line in log.read_bytes().splitlines()]
+    allowed = BURST_LINES + RATE_HZ * (FLOOD_S + 5) + 30
+    assert len(lines) < allowed
+    assert log.stat().st_size < allowed * LINE_BYTES
+    told = [line for line in lines if line["event"] == "log.lines_left_out" and line["about"] == "127.0.0.5"]
+    assert sum(line["lines"] for line in told) > 100
+    assert [line["reason"] for line in lines if line["event"] == "link.closed" and line["peer"].startswith("127.0.0.1")]
