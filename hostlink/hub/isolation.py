@@ -33,6 +33,6 @@ class Isolation:
             log.error(event, exc_info=error, **facts)
         except Exception:  # noqa: BLE001 - whatever it was, the crash itself matters more
             with contextlib.suppress(Exception):
-                log.error(event, cause=repr(error), **facts)
+                log.error(event, cause=repr(error), **facts)  # noqa: TRY400 - without the traceback, which failed
         if self._reraises:
             raise error

@@ -21,6 +21,7 @@ from hostlink.transport.stream import StreamTransport
 
 _RTT_AT = 68  # tcpi_rtt, microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where nothing can replace them
+RECEIVE_BUFFER_BYTES = 65536  # of a flood, in the kernel: by so much a device's news may be late
 BACKLOG = 1024  # connections that may wait to be accepted
 ACCEPTED_AT_ONCE = 4  # before others have their turn: a hundred, as is usual, take 30 ms
 STALL_LOOK_S = 0.01
@@ -117,6 +118,7 @@ def set_options(connection: socket.socket) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
     for name, value in {**KEEPALIVE, "TCP_USER_TIMEOUT": USER_TIMEOUT_MS}.items():
         option = getattr(socket, name, None)  # not every system has each of them
         if option is not None:

@@ -1,6 +1,8 @@
 """A crash ends what it belongs to: a link, a robot, a subscriber, a task. Everything else goes on."""
 
 import asyncio
+import contextlib
+import os
 import resource
 from collections.abc import Iterator
 
@@ -21,9 +23,7 @@ OTHER = "127.0.0.3"
 
 
 def drive(host: Daemon, name: str) -> None:
-    host.hub.robots.command(
-        host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
-    )
+    host.hub.robots.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
 
 
 async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:
@@ -130,16 +130,17 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
         held = []
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, usual[1]))
         try:
-            with pytest.raises(OSError, match="Too many open files"):
+            with contextlib.suppress(OSError):  # too many open files
                 while True:
-                    held.append(open("/dev/null"))  # noqa: PTH123, SIM115
+                    held.append(os.open("/dev/null", os.O_RDONLY))
+            assert held
             await silent.send(b"nonsense" * 100)
             await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links()), timeout_s=15)
             await is_driven(host, "robot_0", device)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, usual)
-            for file in held:
-                file.close()
+            for descriptor in held:
+                os.close(descriptor)
         assert not host.hub.isolation.crashes
 
 

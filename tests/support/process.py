@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests.support.waiting import expect
+
 HOSTLINK = str(Path(sys.executable).parent / "hostlink")
 TIMEOUT_S = 20.0
 
@@ -60,6 +62,28 @@ async def serve(
         if child.returncode is None:
             child.kill()
         await child.communicate()
+
+
+@contextlib.asynccontextmanager
+async def serve_into(log: Path, *, program: tuple[str, ...] = (HOSTLINK,)) -> AsyncIterator[Process]:
+    """`hostlink serve` whose log goes into a file."""
+    with log.open("wb") as stderr:
+        child = await asyncio.create_subprocess_exec(
+            *program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", stderr=stderr
+        )
+    try:
+        await expect(lambda: b"daemon.started" in log.read_bytes(), timeout_s=TIMEOUT_S)
+        started = _started(log)
+        host, _, port = started["tcp"].rpartition(":")
+        yield Process(child, (host, int(port)), started["api"])
+    finally:
+        if child.returncode is None:
+            child.kill()
+        await child.wait()
+
+
+def _started(log: Path) -> Any:
+    return next(json.loads(line) for line in log.read_bytes().splitlines() if b"daemon.started" in line)
 
 
 async def run(*arguments: str, input_text: str = "") -> tuple[int, str, str]:

@@ -1,51 +1,35 @@
 """What the daemon needs later is there from the start: an import needs a descriptor, and may find none."""
 
 import asyncio
+import signal
 import sys
 from pathlib import Path
 
 import aiohttp
 
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.process import HOSTLINK, run
+from tests.support.process import HOSTLINK, Process, run, serve_into
 
 PATHS = ["/", "/metrics", "/readyz", "/nothing"]
 API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics", "clients", "openapi.json"]
 
 
 async def test_nothing_is_imported_once_the_daemon_runs(tmp_path: Path) -> None:
-    program = tmp_path / "hostlink"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -X importtime {HOSTLINK} "$@" 2>"{tmp_path}/log"\n')
-    program.chmod(0o755)
-    child = await asyncio.create_subprocess_exec(
-        program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", "--log-level", "debug"
-    )
     log = tmp_path / "log"
-    try:
-        async with asyncio.timeout(20):
-            while "daemon.started" not in (log.read_text() if log.exists() else ""):
-                await asyncio.sleep(0.05)
-        started = next(line for line in log.read_text().splitlines() if "daemon.started" in line)
-        await use(started)
-        child.terminate()
-        async with asyncio.timeout(10):
-            assert await child.wait() == 0
-    finally:
-        if child.returncode is None:
-            child.kill()
+    async with serve_into(log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
+        await use(daemon)
+        assert await daemon.end(signal.SIGTERM) == 0
     late = log.read_text().split("daemon.started")[1].splitlines()
     assert any("daemon.stopped" in line for line in late)
     assert [line for line in late if line.startswith("import time")] == []
 
 
-async def use(started: str) -> None:
+async def use(daemon: Process) -> None:
     """Devices, good and bad, and programs."""
-    facts = dict(part.strip('",{} ').split('": "') for part in started.split(", ") if '": "' in part)
-    host, _, port = facts["tcp"].rpartition(":")
-    address, url = (host, int(port)), facts["api"]
+    url = daemon.url
     async with (
-        fake_device(address, robot_topics()) as device,
-        fake_device(address, local_host="127.0.0.9") as garbage,
+        fake_device(daemon.tcp, robot_topics()) as device,
+        fake_device(daemon.tcp, local_host="127.0.0.9") as garbage,
         aiohttp.ClientSession() as session,
     ):
         await garbage.send(bytes(range(32, 127)) * 20)

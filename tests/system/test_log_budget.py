@@ -4,6 +4,7 @@ import asyncio
 import json
 import signal
 import struct
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,10 @@ import pytest
 from hostlink.log_budget import BURST_LINES, RATE_HZ
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import HOSTLINK, Process
+from tests.support.process import serve_into
 from tools.crowd import parameters, topic_infos
 
+Flood = Callable[[tuple[str, int], bytes], Awaitable[None]]
 FLOOD_S = 2.0
 LINE_BYTES = 1000  # more than any line here has
 
@@ -44,24 +46,12 @@ async def reconnect(address: tuple[str, int], _: bytes) -> None:
     [(flood, logs(500)), (flood, topic_infos(500)), (flood, parameters(5000)), (reconnect, b"")],
     ids=["logs", "refused topics", "unknown parameters", "connections"],
 )
-async def test_a_flood_of_lines_is_cut_and_counted(work: object, block: bytes, tmp_path: Path) -> None:
+async def test_a_flood_of_lines_is_cut_and_counted(work: Flood, block: bytes, tmp_path: Path) -> None:
     log = tmp_path / "log"
-    with log.open("wb") as stderr:
-        child = await asyncio.create_subprocess_exec(
-            HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", stderr=stderr
-        )
-    try:
-        async with asyncio.timeout(20):
-            while b"daemon.started" not in log.read_bytes():
-                await asyncio.sleep(0.05)
-        host, _, port = json.loads(log.read_bytes().splitlines()[0])["tcp"].rpartition(":")
-        async with fake_device((host, int(port)), robot_topics()) as honest:
-            await work((host, int(port)), block)  # type: ignore[operator]
-            assert await honest.velocity() == (0.0, 0.0)
-            assert await Process(child).end(signal.SIGTERM) == 0
-    finally:
-        if child.returncode is None:
-            child.kill()
+    async with serve_into(log) as daemon, fake_device(daemon.tcp, robot_topics()) as honest:
+        await work(daemon.tcp, block)
+        assert await honest.velocity() == (0.0, 0.0)
+        assert await daemon.end(signal.SIGTERM) == 0
     lines = [json.loads(line) for line in log.read_bytes().splitlines()]
     allowed = BURST_LINES + RATE_HZ * (FLOOD_S + 5) + 30
     assert len(lines) < allowed
