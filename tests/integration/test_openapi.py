@@ -6,12 +6,13 @@ from typing import Any
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 
-from hostlink.config import ApiConfig, Config
+from hostlink.config import ApiConfig, Config, LinkConfig
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 
 EXAMPLES = 25  # a path
-GENEROUS = Config(api=ApiConfig(max_requests_s=1e6))
+PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)  # the device says nothing for as long as this takes
+GENEROUS = Config(api=ApiConfig(max_requests_s=1e6), link=PATIENT)
 
 
 def try_everything(url: str, document: dict[str, Any]) -> list[str]:
