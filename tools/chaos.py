@@ -20,7 +20,7 @@ from hostlink.cli.addresses import parse_address
 from hostlink.errors import ConfigError
 from tools.fault_script import BadScript, parse
 from tools.faults import Script
-from tools.relay import Relay, TcpEnd
+from tools.relay import Relay, TcpEnd, connect_tcp, listen_tcp
 
 LINES = {
     "at": "TIME FAULT [NUMBER] [to-device|from-device]: once",
@@ -89,18 +89,18 @@ async def relay(script: Script, listen: tuple[str, int], to: tuple[str, int], te
         asyncio.get_running_loop().add_signal_handler(number, running.cancel)  # type: ignore[union-attr]
 
     async def connect() -> TcpEnd:
-        return TcpEnd.over(*await asyncio.open_connection(*to))
+        return await connect_tcp(*to)
 
     made = Relay(script, connect, teller.say)
     try:
         async with asyncio.TaskGroup() as tasks:
 
-            def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-                passages.append(tasks.create_task(made.serve(TcpEnd.over(reader, writer))))
+            def accept(device: TcpEnd) -> None:
+                passages.append(tasks.create_task(made.serve(device)))
                 passages[:] = [task for task in passages if not task.done()]
 
             passages: list[asyncio.Task[None]] = []
-            async with await asyncio.start_server(accept, *listen) as server:
+            async with await listen_tcp(accept, *listen) as server:
                 where = "{}:{}".format(*server.sockets[0].getsockname()[:2])
                 teller.say("listening", {"at": where, "to": "{}:{}".format(*to), "seed": script.seed})
                 await made.run()

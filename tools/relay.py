@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
 from hostlink.transport.base import Transport
+from hostlink.transport.connection import Connection
 from hostlink.transport.stream import StreamTransport
 from tools.faults import OF_BYTES, Direction, Fault, FaultyLine, Kind, Schedule, Script, boot_noise
 
@@ -29,18 +30,32 @@ class TcpEnd(StreamTransport):
     """A TCP connection that can be reset."""
 
     @classmethod
-    def over(cls, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> "TcpEnd":
+    def over(cls, connection: Connection) -> "TcpEnd":
         """Frames pass at once, as they come."""
-        writer.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        host, port = (writer.get_extra_info("peername") or ("gone", 0))[:2]
-        return cls(reader, writer, peer=f"{host}:{port}", address=host)
+        transport = connection.transport
+        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        host, port = (transport.get_extra_info("peername") or ("gone", 0))[:2]
+        return cls(connection, peer=f"{host}:{port}", address=host)
 
     def break_off(self) -> None:
         """A reset: both ends get an error, what was not read is gone."""
-        if not self._writer.transport.is_closing():
-            connection = self._writer.get_extra_info("socket")
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            self._writer.transport.abort()
+        transport = self._connection.transport
+        if not transport.is_closing():
+            linger = struct.pack("ii", 1, 0)
+            transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            transport.abort()
+
+
+async def connect_tcp(host: str, port: int) -> TcpEnd:
+    """Open a connection."""
+    _, connection = await asyncio.get_running_loop().create_connection(Connection, host, port)
+    return TcpEnd.over(connection)
+
+
+async def listen_tcp(on_connection: Callable[[TcpEnd], None], host: str, port: int) -> asyncio.Server:
+    """Accept connections."""
+    loop = asyncio.get_running_loop()
+    return await loop.create_server(lambda: Connection(lambda made: on_connection(TcpEnd.over(made))), host, port)
 
 
 class Relay:

@@ -21,7 +21,7 @@ from tests.support.virtual_device import POSE, NumberedRobot, VirtualDevice
 from tests.support.virtual_world import NUMBERS, command
 from tools.fault_script import parse
 from tools.faults import Script
-from tools.relay import Relay, TcpEnd
+from tools.relay import Relay, TcpEnd, connect_tcp, listen_tcp
 
 COMMAND_INTERVAL_S = 0.1
 LOOP_S = 1 / 60
@@ -54,20 +54,20 @@ async def drive(robot: NumberedRobot, script: Script, seconds: float) -> Account
     async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
 
         async def reach_host() -> TcpEnd:
-            return TcpEnd.over(*await asyncio.open_connection(*addresses.tcp))
+            return await connect_tcp(*addresses.tcp)
 
-        def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            running_tasks.append(tasks.create_task(relay.serve(TcpEnd.over(reader, writer))))
+        def accept(end: TcpEnd) -> None:
+            running_tasks.append(tasks.create_task(relay.serve(end)))
 
         async def dial() -> TcpEnd:
-            return TcpEnd.over(*await asyncio.open_connection(*server.sockets[0].getsockname()[:2]))
+            return await connect_tcp(*server.sockets[0].getsockname()[:2])
 
         relay = Relay(script, reach_host, lambda what, _: account.faults.append((loop.time(), what)))
         hub.topics.subscribe(
             "/robot_0/odometry",
             lambda message: account.poses_seen.append((loop.time(), int(POSE.unpack(message.payload)[0]))),
         )
-        async with await asyncio.start_server(accept, "127.0.0.1", 0) as server:
+        async with await listen_tcp(accept, "127.0.0.1", 0) as server:
             device = VirtualDevice(robot, dial, loop_s=LOOP_S)
             running_tasks = [tasks.create_task(device.run()), tasks.create_task(relay.run())]
             await asyncio.sleep(SETTLE_S)

@@ -1,6 +1,7 @@
 """Robots: which devices are robots, and the one way by which velocity reaches them: each robot's gate."""
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -128,7 +129,8 @@ class Robots:
             robot.unsubscribe()
         robot.unsubscribe = self._subscribe(topics.odometry, robot.see)
         robot.gate.restart()
-        link.last_frame = link.session.frame_to(topics.velocity, self.twist.encode(ZERO.to_twist()))
+        with contextlib.suppress(HostlinkError):  # a device that takes no velocity needs no zero
+            link.last_frame = link.session.frame_to(topics.velocity, self.twist.encode(ZERO.to_twist()))
         log.info("robot.appeared", robot=name, velocity=topics.velocity, odometry=topics.odometry)
         self._wake.set()
 

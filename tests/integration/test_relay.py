@@ -15,7 +15,7 @@ from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topic
 from tests.support.waiting import expect
 from tools.fault_script import parse
 from tools.faults import Fault, Kind
-from tools.relay import Relay, TcpEnd
+from tools.relay import Relay, TcpEnd, connect_tcp, listen_tcp
 
 CHAOS = Path(__file__).parents[2] / "tools" / "chaos.py"
 
@@ -25,16 +25,16 @@ async def relayed(host: tuple[str, int], *lines: str) -> AsyncIterator[tuple[Rel
     """A relay to this host, and where it listens."""
 
     async def connect() -> TcpEnd:
-        return TcpEnd.over(*await asyncio.open_connection(*host))
+        return await connect_tcp(*host)
 
     async with asyncio.TaskGroup() as tasks:
         relay = Relay(parse(lines), connect, lambda *_: None)
         passages: list[asyncio.Task[None]] = []
 
-        def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            passages.append(tasks.create_task(relay.serve(TcpEnd.over(reader, writer))))
+        def accept(device: TcpEnd) -> None:
+            passages.append(tasks.create_task(relay.serve(device)))
 
-        async with await asyncio.start_server(accept, "127.0.0.1", 0) as server:
+        async with await listen_tcp(accept, "127.0.0.1", 0) as server:
             faults = tasks.create_task(relay.run())
             yield relay, server.sockets[0].getsockname()[:2]
         for task in (faults, *passages):
