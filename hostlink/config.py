@@ -96,6 +96,9 @@ class ApiConfig:
     certificate: Path | None = None  # PEM, with `key`: TLS
     key: Path | None = None
     max_clients: int = 256  # WebSockets and event streams at once
+    max_connections: int = 512  # TCP connections, theirs included: half of the descriptors that a process usually has
+    max_connections_per_address: int = 320  # this computer is one address, and may have every client
+    request_timeout_s: float = 10.0  # for the head of a request, and again for its body
     max_message_bytes: int = 1024 * 1024  # the largest frame of a device as base64 is a tenth of it
     max_requests_s: float = 1000.0  # of one address, and of one WebSocket; ten robots driven at 100 Hz
 

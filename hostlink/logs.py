@@ -8,9 +8,9 @@ Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.
                  robot.crashed, odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
-                 client.unknown_op
+                 client.unknown_op, client.crowded
 The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
-                 task.crashed, diagnosis.crashed, systemd.deaf, python.logged
+                 task.crashed, diagnosis.crashed, systemd.deaf, python.logged, descriptors.exhausted, loop.error
 The log itself   log.lines_left_out, log.lines_lost
 """
 

@@ -6,6 +6,7 @@ through the browser of whoever sits there (Origin and Host are looked at). With 
 
 import hmac
 import ipaddress
+import math
 import ssl
 from contextvars import ContextVar
 from enum import IntEnum
@@ -14,6 +15,7 @@ from urllib.parse import SplitResult, urlsplit
 
 from aiohttp import web
 
+from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 
@@ -50,6 +52,11 @@ class Access:
         for limit in ("max_clients", "max_message_bytes", "max_requests_s"):
             if not getattr(config, limit) >= 1:
                 raise ConfigError(f"api.{limit}", "must be 1 or more")
+        if not 0 < config.request_timeout_s < math.inf:
+            raise ConfigError("api.request_timeout_s", "must be above 0, and finite")
+        for limit in ("max_connections", "max_connections_per_address"):
+            if getattr(config, limit) <= KEPT_FOR_REQUESTS:
+                raise ConfigError(f"api.{limit}", f"must be more than {KEPT_FOR_REQUESTS}, which only requests may use")
         if not self._tokens and not _is_loopback(config.host):
             raise ConfigError(
                 f"api.host {config.host}",

@@ -2,7 +2,7 @@
 
 import asyncio
 import itertools
-from typing import Protocol, TypedDict
+from typing import NoReturn, Protocol, TypedDict
 
 from aiohttp import web
 
@@ -85,23 +85,29 @@ class Client:
 class Clients:
     """All of them, up to a bound."""
 
-    def __init__(self, max_clients: int) -> None:
+    def __init__(self, max_clients: int, *, max_per_address: int) -> None:
         self.refused = 0
         self.gone_dropped = 0  # messages that clients which are gone were too slow for
-        self._max_clients = max_clients
+        self._max_clients, self._max_per_address = max_clients, max_per_address
         self._numbers = itertools.count(1)
         self._clients: list[Client] = []  # oldest first
 
     def enter(self, kind: str, request: web.Request, grant: Grant, backlog: Backlog | None = None) -> Client:
         """A new client; 503 when there are too many already."""
         if len(self._clients) >= self._max_clients:
-            self.refused += 1
-            raise web.HTTPServiceUnavailable(
-                reason=f"{self._max_clients} clients are connected: close one, or raise api.max_clients"
+            self._refuse(f"{self._max_clients} clients are connected: close one, or raise api.max_clients")
+        if sum(client.peer == (request.remote or "") for client in self._clients) >= self._max_per_address:
+            self._refuse(
+                f"{self._max_per_address} clients of {request.remote} are connected: close one, "
+                "or raise api.max_connections_per_address"
             )
         client = Client(next(self._numbers), kind, request, grant, backlog)
         self._clients.append(client)
         return client
+
+    def _refuse(self, reason: str) -> NoReturn:
+        self.refused += 1
+        raise web.HTTPServiceUnavailable(reason=reason)
 
     def leave(self, client: Client) -> None:
         """It is gone."""

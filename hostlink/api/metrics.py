@@ -17,6 +17,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from hostlink.api.clients import Clients
+from hostlink.api.connections import Connections
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.routes import Route
 from hostlink.hub.hub import Hub
@@ -47,10 +48,10 @@ _LINK_CLOCK = {
 class Metrics:
     """The registry of one daemon."""
 
-    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit) -> None:
+    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections) -> None:
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
-        self._registry.register(_Graph(hub, clients, limit))
+        self._registry.register(_Graph(hub, clients, limit, connections))
         self.to_client = Histogram(
             "hostlink_device_to_client_seconds",
             "From the arrival of a message to the client's socket",
@@ -76,8 +77,8 @@ class Metrics:
 class _Graph(Collector):
     """Reads the hub and the clients at the moment of the question: nothing is counted twice."""
 
-    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit) -> None:
-        self._hub, self._clients, self._limit = hub, clients, limit
+    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections) -> None:
+        self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
 
     def describe(self) -> list[Metric]:
         """Nothing at registration: there is no event loop to ask yet."""
@@ -98,6 +99,7 @@ class _Graph(Collector):
         yield from self._robots()
         yield from self._links()
         yield from self._to_clients()
+        yield from self._to_port()
 
     def _robots(self) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()
@@ -173,3 +175,14 @@ class _Graph(Collector):
         yield CounterMetricFamily(
             "hostlink_requests_refused", "Requests turned away: too many a second", value=self._limit.refused
         )
+
+    def _to_port(self) -> Iterator[Metric]:
+        yield GaugeMetricFamily(
+            "hostlink_api_connections", "TCP connections to the API's port", value=len(self._connections)
+        )
+        closed = CounterMetricFamily(
+            "hostlink_api_connections_closed", "That hostlink refused or cut, by cause", labels=["cause"]
+        )
+        for cause, count in self._connections.closed.items():
+            closed.add_metric([cause], count)
+        yield closed

@@ -34,6 +34,10 @@ class RateLimit:
         self._keep(key, _Bucket(left, now_s))
         return max(0.0, -left / self._per_s)
 
+    def forget(self, key: Hashable) -> None:
+        """`key` never comes again."""
+        self._buckets.pop(key, None)
+
     def _left(self, key: Hashable, now_s: float) -> float:
         bucket = self._buckets.pop(key, _Bucket(self._per_s, now_s))
         return min(self._per_s, bucket.left + (now_s - bucket.at_s) * self._per_s)

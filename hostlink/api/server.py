@@ -15,11 +15,14 @@ import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
 from structlog.contextvars import bound_contextvars
 
+from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, Role, check_role, present_grant, tls_context, token_of
 from hostlink.api.captures import Captures
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.clients import Client, Clients
+from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
+from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.replies import explain_errors, reply
@@ -37,6 +40,7 @@ log = structlog.get_logger()
 
 PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
+LINGER_S = 1.0  # for a body that nobody asked for, before its connection is closed
 DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
@@ -66,8 +70,17 @@ class ApiServer:
         self._config = config
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
-        self._clients = Clients(config.max_clients)
-        self._metrics = Metrics(hub, self._clients, self._limit)
+        connections = Connections(
+            config.max_connections,
+            config.max_connections_per_address,
+            request_timeout_s=config.request_timeout_s,
+        )
+        self.listener = ApiListener(connections, hub.spawn)
+        self._clients = Clients(
+            min(config.max_clients, config.max_connections - KEPT_FOR_REQUESTS),
+            max_per_address=config.max_connections_per_address - KEPT_FOR_REQUESTS,
+        )
+        self._metrics = Metrics(hub, self._clients, self._limit, connections)
         self._sockets: set[web.WebSocketResponse] = set()
         self._routes: list[Route] = []
         self._by_handler: dict[Handler, Route] = {}
@@ -103,12 +116,17 @@ class ApiServer:
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Who may not is refused here, before anything else looks at the request."""
+        with self.listener.answering(request.transport):
+            return await self._answer(request, handler)
+
+    async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         origin = request.headers.get("Origin")
         self._access.check_place(origin=origin, host=request.host)
         if request.method == "OPTIONS" and origin is not None:  # a browser asks whether a page of elsewhere may
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
             self._check(request)
+            await self._receive_body(request)
             answer = await handler(request)
         if origin is not None and not answer.prepared:
             answer.headers["Access-Control-Allow-Origin"] = origin
@@ -129,6 +147,19 @@ class ApiServer:
             grant = self._access.grant(token_of(request))
             check_role(grant, role)
             present_grant.set(grant)
+
+    async def _receive_body(self, request: web.Request) -> None:
+        """Of a request that has one; its handler finds it read. Nothing else waits for a body: a stop has none."""
+        route = self._by_handler.get(request.match_info.handler)
+        if route is None or route.takes is None:
+            return
+        timeout_s = self._config.request_timeout_s
+        try:
+            with self.listener.receiving(request.transport):
+                async with asyncio.timeout(timeout_s):
+                    await request.read()
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(reason=f"the body did not come within {timeout_s:g} s") from None
 
     async def _root(self, request: web.Request) -> web.StreamResponse:
         return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
@@ -155,6 +186,7 @@ class ApiServer:
             finally:
                 self._sockets.discard(socket)
                 self._clients.leave(client)
+                self._limit.forget(client.name)
                 if request.transport is not None and request.transport.get_write_buffer_size():
                     request.transport.abort()  # it takes nothing: closing would wait for it without end
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
@@ -259,26 +291,39 @@ async def _page_file(request: web.Request) -> web.StreamResponse:
 @contextlib.asynccontextmanager
 async def serve_api(config: ApiConfig, hub: Hub) -> AsyncIterator[str]:
     """Serve until the block is left; yields the address as a URL. ConfigError when the port is taken."""
+    server = ApiServer(hub, config)
     runner = web.AppRunner(
-        ApiServer(hub, config).application(),
+        server.application(),
         access_log=None,
         handle_signals=False,
         shutdown_timeout=SHUTDOWN_TIMEOUT_S,
+        lingering_time=LINGER_S,
+        auto_decompress=False,  # a kilobyte of a body is at most a kilobyte
     )
     tls = tls_context(config)
     await runner.setup()
     try:
-        site = web.TCPSite(runner, config.host, config.port, ssl_context=tls)
-        try:
-            await site.start()
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise
+        listening = await _bind(config)
+        host, port = listening[0].getsockname()[:2]
+        async with server.listener.serving(listening, _protocols(runner), tls):
+            yield f"{'http' if tls is None else 'https'}://{f'[{host}]' if ':' in host else host}:{port}"
+    finally:
+        await runner.cleanup()
+
+
+def _protocols(runner: web.AppRunner) -> MakeProtocol:
+    assert runner.server is not None  # noqa: S101 - after its setup
+    return runner.server
+
+
+async def _bind(config: ApiConfig) -> list[sockets.socket]:
+    try:
+        return await bind(config.host, config.port)
+    except (OSError, OverflowError) as error:
+        where = f"API port {config.port}"
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             problem = (
                 "is in use: another hostlink or rosbridge runs; stop it, or choose another port with --api HOST:PORT"
             )
-            raise ConfigError(f"API port {config.port}", problem) from error
-        host, port = runner.addresses[0][:2]
-        yield f"{'http' if tls is None else 'https'}://{host}:{port}"
-    finally:
-        await runner.cleanup()
+            raise ConfigError(where, problem) from error
+        raise ConfigError(f"{where} of {config.host}", f"cannot be listened on: {why(error)}") from error

@@ -19,6 +19,8 @@ from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.check import describe
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
+from hostlink.cli.garbage import collect_while_idle
+from hostlink.cli.loop_errors import LoopErrors
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
@@ -50,6 +52,7 @@ async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
     However the block is left, first every robot is stopped and every device told; then the rest may take its time.
     """
     hub = Hub(config, Catalog(config.message_folders))
+    asyncio.get_running_loop().set_exception_handler(LoopErrors(hub.refused))
     try:
         async with _hub_running(hub), _ways_in(hub, config) as addresses:
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
@@ -158,6 +161,7 @@ async def _serve(config: Config, notifier: Notifier) -> None:
         async with running(config) as (hub, _):
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
+            hub.spawn(collect_while_idle(hub.robots), name="garbage collector")
             notifier.tell("READY=1")
             await ending.wait()
             notifier.tell("STOPPING=1")

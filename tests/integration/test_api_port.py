@@ -1,0 +1,119 @@
+"""The API's port under connections that say nothing, say half of it, or take nothing."""
+
+import asyncio
+import contextlib
+import ssl
+import subprocess
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from hostlink.config import ApiConfig, Config
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.waiting import expect
+
+HALF = b"GET /api/robots HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
+BODY_MISSING = b"PUT /api/robots/robot_0/velocity HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 40\r\n\r\n{"
+SMALL = Config(api=ApiConfig(max_connections=24, max_connections_per_address=24))
+IMPATIENT = Config(api=ApiConfig(request_timeout_s=0.2))
+
+
+def port_of(host: Daemon) -> int:
+    return int(host.url.rpartition(":")[2])
+
+
+@contextlib.asynccontextmanager
+async def connections(host: Daemon, count: int, said: bytes) -> AsyncIterator[list[asyncio.StreamReader]]:
+    """So many connections to the API, each of which says this and then waits."""
+    readers, writers = [], []
+    try:
+        for _ in range(count):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port_of(host))
+            writer.write(said)
+            readers.append(reader)
+            writers.append(writer)
+        yield readers
+    finally:
+        for writer in writers:
+            writer.close()
+
+
+async def closed(reader: asyncio.StreamReader) -> bytes:
+    """What came until the host closed it."""
+    async with asyncio.timeout(5):
+        with contextlib.suppress(ConnectionError):
+            return await reader.read()
+    return b""
+
+
+async def stop(host: Daemon) -> int:
+    async with asyncio.timeout(5):
+        return (await host.rest("POST", "/api/stop"))[0]
+
+
+async def metric(host: Daemon, name: str) -> float:
+    async with host.session.get(host.url + "/metrics") as response:
+        lines = (await response.text()).splitlines()
+    return float(next(line.rpartition(" ")[2] for line in lines if line.startswith(name)))
+
+
+@pytest.mark.parametrize("said", [b"", HALF, BODY_MISSING], ids=["nothing", "head", "body"])
+async def test_a_stop_gets_through_beside_connections_that_never_finish(said: bytes) -> None:
+    async with daemon(SMALL) as host, fake_device(host.tcp, robot_topics()), connections(host, 60, said):
+        assert await stop(host) == 200
+        assert await metric(host, 'hostlink_api_connections_closed_total{cause="gave_way"}') >= 30
+        assert await metric(host, "hostlink_api_connections ") <= 24
+
+
+async def test_event_streams_leave_room_for_a_stop() -> None:
+    async with daemon(SMALL) as host, contextlib.AsyncExitStack() as stack:
+        session = await stack.enter_async_context(aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)))
+        answers = []
+        for _ in range(12):
+            response = await stack.enter_async_context(session.get(host.url + "/api/events"))
+            answers.append(response.status)
+        assert answers == [200] * 8 + [503] * 4
+        assert await stop(host) == 200
+
+
+async def test_who_reads_no_answer_gives_way() -> None:
+    asks = b"GET /api/openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 30
+    async with daemon(SMALL) as host, connections(host, 40, asks):
+        assert await stop(host) == 200
+
+
+@pytest.mark.parametrize("said", [b"", HALF], ids=["nothing", "half"])
+async def test_half_a_head_ends_with_its_time(said: bytes) -> None:
+    async with daemon(IMPATIENT) as host, connections(host, 3, said) as readers:
+        for reader in readers:
+            assert await closed(reader) == b""
+        assert await metric(host, 'hostlink_api_connections_closed_total{cause="timeout"}') == 3
+
+
+async def test_half_a_body_ends_with_its_time() -> None:
+    async with daemon(IMPATIENT) as host, fake_device(host.tcp, robot_topics()):
+        async with connections(host, 3, BODY_MISSING) as readers:
+            for reader in readers:
+                assert (await reader.readline()).startswith(b"HTTP/1.1 408 ")
+        await expect(lambda: host.hub.robots.find("robot_0").gate.holder is None)
+
+
+async def test_a_stop_does_not_wait_for_the_body_that_it_does_not_need() -> None:
+    said = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\n"
+    async with daemon() as host, connections(host, 1, said) as readers:
+        assert (await readers[0].readline()).startswith(b"HTTP/1.1 200 ")
+        assert await closed(readers[0])  # the rest of the answer, then the end
+
+
+async def test_handshakes_of_tls_that_never_end_give_way(tmp_path: Path) -> None:
+    certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    make = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
+    names = ["-addext", "subjectAltName=IP:127.0.0.1", "-out", certificate, "-keyout", key]
+    await asyncio.to_thread(subprocess.run, [*make, *names], check=True, capture_output=True)
+    trust = ssl.create_default_context(cafile=certificate)
+    api = ApiConfig(certificate=certificate, key=key, max_connections=24, max_connections_per_address=24)
+    async with daemon(Config(api=api)) as host, connections(host, 60, b"\x16"), asyncio.timeout(5):
+        assert (await host.session.post(host.url + "/api/stop", ssl=trust)).status == 200

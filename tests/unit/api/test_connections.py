@@ -1,0 +1,109 @@
+"""Who may be connected to the API's port at once, and who gives way."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.api.connections import IDLE_TIMEOUT_S, Connection, Connections
+
+HERE, THERE = "127.0.0.1", "10.0.0.5"
+
+
+def crowd(*, most: int = 4, of_address: int = 3) -> Connections:
+    return Connections(most, of_address, request_timeout_s=10.0)
+
+
+def enter(connections: Connections, address: str, now_s: float = 0.0) -> Connection:
+    new, _ = connections.enter(address, now_s)
+    assert new is not None
+    return new
+
+
+def test_over_the_bound_of_an_address_its_longest_waiting_gives_way() -> None:
+    connections = crowd()
+    first = enter(connections, HERE)
+    enter(connections, HERE)
+    enter(connections, HERE)
+    _, leaving = connections.enter(HERE, 1.0)
+    assert leaving is first
+    assert len(connections) == 3
+    assert connections.closed == {"gave_way": 1}
+
+
+def test_over_the_bound_of_all_the_address_with_most_that_wait_gives_way() -> None:
+    connections = crowd()
+    enter(connections, HERE)
+    attacker = enter(connections, THERE)
+    enter(connections, THERE)
+    enter(connections, THERE)
+    _, leaving = connections.enter(HERE, 1.0)
+    assert leaving is attacker
+
+
+def test_a_connection_whose_request_is_answered_never_gives_way() -> None:
+    connections = crowd()
+    for _ in range(3):
+        connections.serve(enter(connections, HERE))
+    assert connections.enter(HERE, 0.0) == (None, None)
+    assert connections.closed == {"too_many_of_address": 1}
+    connections.serve(enter(connections, THERE))
+    assert connections.enter("10.0.0.6", 0.0) == (None, None)
+    assert connections.closed == {"too_many_of_address": 1, "too_many": 1}
+
+
+def test_half_a_request_and_an_idle_connection_have_their_time() -> None:
+    connections = crowd()
+    half, idle = enter(connections, HERE), enter(connections, HERE)
+    connections.serve(idle)
+    connections.wait(idle, 5.0)
+    assert connections.overdue(9.9) == []
+    assert connections.overdue(10.0) == [half]
+    assert connections.overdue(5.0 + IDLE_TIMEOUT_S - 0.1) == []
+    assert connections.overdue(5.0 + IDLE_TIMEOUT_S) == [idle]
+    assert len(connections) == 0
+    assert connections.closed == {"timeout": 2}
+
+
+def test_who_has_left_does_not_wait_again() -> None:
+    connections = crowd()
+    gone = enter(connections, HERE)
+    connections.serve(gone)
+    connections.leave(gone)
+    connections.wait(gone, 1.0)
+    assert connections.overdue(1000.0) == []
+    assert len(connections) == 0
+
+
+steps = st.lists(st.tuples(st.sampled_from(["enter", "serve", "wait", "leave"]), st.integers(0, 9)), max_size=200)
+
+
+@given(steps, st.integers(1, 6), st.integers(1, 6))
+def test_the_bounds_hold_and_nobody_who_sends_a_whole_request_waits_for_one_who_does_not(
+    script: list[tuple[str, int]], most: int, of_address: int
+) -> None:
+    connections = crowd(most=most, of_address=of_address)
+    here: dict[int, Connection] = {}
+    served: set[int] = set()
+    for step, choice in script:
+        chosen = sorted(here)[choice % len(here)] if here else None
+        if step == "enter":
+            address = f"10.0.0.{choice % 3}"
+            mine = [each.number for each in here.values() if each.address == address]
+            new, leaving = connections.enter(address, 0.0)
+            if leaving is not None:
+                assert leaving.number not in served
+                del here[leaving.number]
+            if new is None:
+                assert served.issuperset(mine if len(mine) >= of_address else here)
+            else:
+                here[new.number] = new
+        elif chosen is not None and step == "serve":
+            connections.serve(here[chosen])
+            served.add(chosen)
+        elif chosen is not None and step == "wait":
+            connections.wait(here[chosen], 0.0)
+            served.discard(chosen)
+        elif chosen is not None:
+            connections.leave(here.pop(chosen))
+            served.discard(chosen)
+        assert len(connections) == len(here) <= most
+        assert all(sum(each.address == one.address for each in here.values()) <= of_address for one in here.values())
