@@ -106,13 +106,17 @@ class _Graph(Collector):
         connected = GaugeMetricFamily("hostlink_robot_connected", "1 when its device is there", labels=["robot"])
         age = GaugeMetricFamily("hostlink_robot_odometry_age_seconds", "Since the newest pose", labels=["robot"])
         poses = CounterMetricFamily("hostlink_robot_poses", "Poses that came", labels=["robot"])
+        refused = CounterMetricFamily(
+            "hostlink_robot_velocity_refused", "Velocities that the device could not take", labels=["robot"]
+        )
         for robot in self._hub.robots.all():
+            refused.add_metric([robot.name], robot.refusals.count)
             connected.add_metric([robot.name], robot.link is not None)
             odometry = robot.odometry.snapshot(now_s)
             if odometry is not None:
                 age.add_metric([robot.name], odometry["age_s"])
                 poses.add_metric([robot.name], odometry["count"])
-        yield from (connected, age, poses)
+        yield from (connected, age, poses, refused)
 
     def _links(self) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()

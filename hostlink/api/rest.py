@@ -117,9 +117,17 @@ class Rest:
                 RobotView,
                 method="POST",
                 is_limited=False,
-                fails=(NOT_FOUND,),
+                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
             ),
-            Route("/api/stop", self._stop_all, "Stop every robot", RobotsView, method="POST", is_limited=False),
+            Route(
+                "/api/stop",
+                self._stop_all,
+                "Stop every robot",
+                RobotsView,
+                method="POST",
+                is_limited=False,
+                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
+            ),
             Route(
                 f"{robot}/lock",
                 self._lock,
@@ -193,8 +201,7 @@ class Rest:
         return reply(robot_view(robot))
 
     async def _stop_all(self, request: web.Request) -> web.Response:
-        for robot in self._hub.robots.all():
-            self._hub.robots.stop(robot)
+        self._hub.robots.stop_all()
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:

@@ -46,7 +46,10 @@ class OdometryView(TypedDict):
 
 
 class RobotView(TypedDict):
-    """One robot: what it is, who drives it how fast, where it says that it is."""
+    """One robot: what it is, who drives it how fast, where it says that it is.
+
+    unreachable: why its device could not take the last velocity; null: it could.
+    """
 
     name: str
     connected: bool
@@ -57,6 +60,7 @@ class RobotView(TypedDict):
     priority: int | None
     locked: bool
     lock_reason: str | None
+    unreachable: str | None
     velocity: VelocityView
     odometry: OdometryView | None
 
@@ -172,6 +176,7 @@ def robot_view(robot: Robot) -> RobotView:
         "priority": robot.gate.priority,
         "locked": robot.gate.lock_reason is not None,
         "lock_reason": robot.gate.lock_reason,
+        "unreachable": robot.refusals.cause,
         "velocity": velocity_view(robot.gate.current),
         "odometry": odometry_view(robot),
     }

@@ -94,7 +94,7 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", keys: list[str]) 
     try:
         while not keyboard.is_done:
             if keyboard.take_stop():
-                await host.robot(name).stop()
+                refusal = await _stop(host, name)
             if keyboard.wants_suspend:
                 await _send(host, state["velocity_topic"], (0.0, 0.0))
                 keyboard.suspend()
@@ -113,6 +113,15 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", keys: list[str]) 
                 if velocity is not None:
                     await _send(host, state["velocity_topic"], velocity)
                 await asyncio.sleep(TICK_S)
+
+
+async def _stop(host: Host, name: str) -> str:
+    """Stop the robot; returns why that was refused, or an empty text. A lost connection shows by the next request."""
+    try:
+        await host.robot(name).stop()
+    except HostlinkError as error:
+        return str(error)
+    return ""
 
 
 async def _send(host: Host, topic: str, velocity: tuple[float, float]) -> str:

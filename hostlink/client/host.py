@@ -195,10 +195,11 @@ class Host:
 
     async def _leave(self) -> None:
         """Stop what is driven; a connection that is gone has stopped it already."""
-        with contextlib.suppress(HostlinkError, TimeoutError):
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 for name in self._driver.robots:
-                    await self.robot(name).stop()
+                    with contextlib.suppress(HostlinkError):  # of one; the others are stopped
+                        await self.robot(name).stop()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 await self._connection.aclose()

@@ -45,6 +45,7 @@ class RobotState(TypedDict):
     priority: NotRequired[int | None]  # of the holder
     locked: NotRequired[bool]
     lock_reason: NotRequired[str | None]
+    unreachable: NotRequired[str | None]  # why its device could not take the last velocity
 
 
 class TopicState(TypedDict):

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import structlog
@@ -31,6 +31,26 @@ FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by i
 DEMO_PRIORITY = 0  # whoever comes is more important
 PROGRAM_PRIORITY = 50  # a client of the API that does not say
 MAX_PRIORITY = 100  # a person at keys or a joystick says 60
+LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats his command ten times a second
+
+
+@dataclass(slots=True)
+class Refusals:
+    """Velocities that a robot's device could not take."""
+
+    count: int = 0
+    cause: str | None = None  # of the last velocity; None: it was taken
+    log_at_s: float = float("-inf")
+    logged: int = 0
+
+    def add(self, robot: str, error: HostlinkError) -> None:
+        """Log the first, then one in LOG_INTERVAL_S with the number of those since."""
+        self.count += 1
+        self.cause = str(error)
+        now_s = _now_s()
+        if now_s >= self.log_at_s:
+            log.warning("robot.unreachable", robot=robot, cause=self.cause, count=self.count - self.logged)
+            self.log_at_s, self.logged = now_s + LOG_INTERVAL_S, self.count
 
 
 @dataclass(slots=True)
@@ -48,6 +68,7 @@ class Robot:
     sent: Velocity = ZERO
     sent_at_s: float = 0.0
     unsubscribe: Unsubscribe | None = None
+    refusals: Refusals = field(default_factory=Refusals)
 
     def see(self, message: Message) -> None:
         """Take a message of the robot's odometry topic."""
@@ -147,14 +168,21 @@ class Robots:
                 log.warning("robot.gone", robot=robot.name)
 
     def command(self, robot: Robot, velocity: Velocity, *, owner: str, priority: int = PROGRAM_PRIORITY) -> Velocity:
-        """Drive for the length of a lease; returns the velocity after the limits. DeviceGone, RobotHeld, BadRequest."""
+        """Drive for the length of a lease; returns the velocity after the limits.
+
+        Raises DeviceGone, RobotHeld, BadRequest; FrameTooLarge, WrongType or UnknownTopic when the device cannot take
+        it: then nobody drives.
+        """
         if self._is_closed:
             raise DeviceGone(robot.name, ENDING)
         if robot.link is None:
             raise DeviceGone(robot.name)
         limited = robot.gate.command(owner, velocity, priority=priority, now_s=_now_s())
         if robot.gate.holder in (owner, None):  # another's idle zero changes nothing, so it is no news for the device
-            self._tell(robot)
+            refusal = self._tell(robot)
+            if refusal is not None:
+                robot.gate.release(owner, now_s=_now_s())
+                raise refusal
         return limited
 
     def close(self) -> None:
@@ -162,9 +190,17 @@ class Robots:
         self._is_closed = True
 
     def stop(self, robot: Robot) -> None:
-        """Stop, whoever drives, as fast as the robot's decelerations allow."""
+        """Stop, whoever drives, as fast as the robot's decelerations allow; raises what `command` does of a device."""
         robot.gate.stop(now_s=_now_s())
-        self._tell(robot)
+        _raise(self._tell(robot))
+
+    def stop_all(self) -> None:
+        """Stop every robot; a refusal of one is raised when the others have been told."""
+        refusals = []
+        for robot in self.all():
+            robot.gate.stop(now_s=_now_s())
+            refusals.append(self._tell(robot))
+        _raise(next(filter(None, refusals), None))
 
     def halt(self, robot: Robot) -> None:
         """Zero at once, whatever the limits say; for the daemon's own end."""
@@ -172,10 +208,13 @@ class Robots:
         self._tell(robot)
 
     def lock(self, robot: Robot, reason: str) -> None:
-        """The emergency stop: zero at once, and no command until `unlock`; also while the robot is not connected."""
+        """The emergency stop: zero at once, and no command until `unlock`; also while the robot is not connected.
+
+        Raises what `command` does of a device; the robot is locked then, too.
+        """
         robot.gate.lock(printable(reason))
         log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
-        self._tell(robot)
+        _raise(self._tell(robot))
 
     def unlock(self, robot: Robot) -> None:
         """Let the robot be driven again."""
@@ -211,40 +250,46 @@ class Robots:
             if topic is not None and robots.get(resolve(topic)) is robot:
                 del robots[resolve(topic)]
 
-    def _tell(self, robot: Robot) -> None:
-        self._step(robot, is_news=True)
+    def _tell(self, robot: Robot) -> HostlinkError | None:
         self._wake.set()
+        return self._step(robot, is_news=True)
 
-    def _step(self, robot: Robot, *, is_news: bool = False) -> None:
-        """A crash here is the robot's own: its link ends, with a zero as its last frame."""
+    def _step(self, robot: Robot, *, is_news: bool = False) -> HostlinkError | None:
+        """Send what the gate says, if it is time; returns why the device cannot take it.
+
+        A crash here is the robot's own: its link ends, with a zero as its last frame.
+        """
         try:
-            self._send(robot, is_news=is_news)
+            return self._send(robot, is_news=is_news)
         except Exception as error:  # noqa: BLE001 - counted; no other robot's gate may miss its turn
             if robot.link is not None:
                 robot.link.end(LinkEnd.CRASHED)
             self._isolation.crashed("robot", error, robot=robot.name)
+            return DeviceGone(robot.name)
 
-    def _send(self, robot: Robot, *, is_news: bool) -> None:
+    def _send(self, robot: Robot, *, is_news: bool) -> HostlinkError | None:
         was_held_by, is_first = robot.gate.holder, robot.gate.is_new_device
         velocity = robot.gate.step(_now_s())
         if was_held_by is not None and robot.gate.holder is None:
             log.info("robot.stopped", robot=robot.name, reason="no command came", owner=was_held_by)
         if velocity is None or robot.link is None:
-            return
+            return None
         now_s = _now_s()
         is_repeat = velocity == robot.sent and not velocity.is_zero and not is_news
         if is_repeat and now_s < robot.sent_at_s + FEED_INTERVAL_S:
-            return
+            return None
         payload = self.twist.encode(velocity.to_twist())
         try:
             robot.link.session.publish(robot.topics.velocity, payload, is_urgent=True, is_kept=is_first)
             robot.link.session.keep_clear(robot_moves=robot.gate.may_move)
         except HostlinkError as error:
-            log.warning("robot.unreachable", robot=robot.name, cause=str(error))
-            return
+            robot.refusals.add(robot.name, error)
+            return error
+        robot.refusals.cause = None
         robot.sent, robot.sent_at_s = velocity, now_s
         robot.link.wake()
         self._show(robot.topics.velocity, payload)
+        return None
 
     def _odometry(self, name: str) -> OdometryView:
         config = self._configs.get(name, RobotConfig())
@@ -263,6 +308,11 @@ class Robots:
             max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
             max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
         )
+
+
+def _raise(refusal: HostlinkError | None) -> None:
+    if refusal is not None:
+        raise refusal
 
 
 def _now_s() -> float:

@@ -1,0 +1,117 @@
+"""A velocity that the device cannot take: whoever asked is told, by every way, and the log is not filled with it."""
+
+import contextlib
+from collections.abc import AsyncIterator
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.client import connect
+from hostlink.config import Config
+from hostlink.errors import FrameTooLarge, HostlinkError
+from hostlink.protocol.frame import Id
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, robot_topics, topic
+from tests.support.process import run
+from tests.support.rosbridge import Client
+from tests.support.waiting import expect
+
+REASON = "/robot_0/velocity_commands: frame of 56 bytes, the device takes 40"
+TWIST = {"linear": {"x": 0.2}}
+SMALL = [
+    topic(Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
+    topic(Id.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist", buffer_bytes=40),
+]
+
+
+@contextlib.asynccontextmanager
+async def small_robot() -> AsyncIterator[Daemon]:
+    async with daemon(Config()) as host, fake_device(host.tcp, SMALL):
+        yield host
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("PUT", "velocity", b'{"linear": 0.1, "angular": 0}'),
+        ("PUT", "velocity", b'{"linear": 0, "angular": 0}'),
+        ("POST", "stop", None),
+        ("POST", "lock", None),
+    ],
+)
+async def test_rest_says_why(method: str, path: str, body: bytes | None) -> None:
+    async with small_robot() as host:
+        status, answer = await host.rest(method, f"/api/robots/robot_0/{path}", body)
+        assert (status, answer["error"]) == (413, {"kind": "FrameTooLarge", "reason": REASON})
+        robot = await host.get("/api/robots/robot_0")
+    assert robot["holder"] is None
+    assert robot["unreachable"] == REASON
+    assert robot["locked"] is (path == "lock")  # it is locked, though its device has not heard the zero
+
+
+async def test_a_stop_of_all_reaches_the_others_first() -> None:
+    async with small_robot() as host, fake_device(host.tcp, robot_topics("robot_1")) as other:
+        assert (await host.rest("PUT", "/api/robots/robot_1/velocity", b'{"linear": 0.2, "angular": 0}'))[0] == 200
+        assert await other.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        status, answer = await host.rest("POST", "/api/stop")
+        assert (status, answer["error"]["reason"]) == (413, REASON)
+        assert await other.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["/robot_0/velocity_commands", "/robot_0/cmd_vel"])
+async def test_rosbridge_says_why(name: str) -> None:
+    async with small_robot() as host, host.session.ws_connect(host.url) as socket:
+        client = Client(socket)
+        await client.say(op="set_level", level="error")
+        await client.say(op="publish", id="p", topic=name, type="geometry_msgs/Twist", msg=TWIST)
+        assert await client.hear() == {"op": "status", "level": "error", "msg": REASON, "id": "p"}
+
+
+async def test_the_drive_operation_says_why() -> None:
+    async with small_robot() as host, host.session.ws_connect(host.url) as socket:
+        client = Client(socket)
+        await client.say(op="drive", id="d", robot="robot_0", linear=0.1, angular=0.0)
+        assert await client.hear() == {
+            "op": "drive_result", "id": "d", "result": False, "kind": "FrameTooLarge", "reason": REASON,
+        }  # fmt: skip
+
+
+async def test_the_python_client_says_why() -> None:
+    async with small_robot() as host, connect(host.url) as program:
+        with pytest.raises(HostlinkError, match=REASON):
+            await program.robot("robot_0").drive(0.1, 0.0)
+        with pytest.raises(HostlinkError, match=REASON):
+            await program.robot("robot_0").stop()
+        await program.publish("/robot_0/cmd_vel", TWIST)
+        await program.settle()
+        with pytest.raises(HostlinkError, match=REASON):
+            await program.publish("/robot_0/cmd_vel", TWIST)
+        assert not program.robot("robot_0").is_driven
+
+
+async def test_a_command_says_why() -> None:
+    async with small_robot() as host:
+        status, _, error = await run("pub", "/robot_0/cmd_vel", '{"linear": {"x": 0.1}}', "--url", host.url)
+    assert (status, error) == (1, f"hostlink: {REASON}\n")
+
+
+async def test_the_log_has_one_line_of_it() -> None:
+    with capture_logs() as lines:
+        async with small_robot() as host:
+            for _ in range(40):
+                await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0}')
+            robot = host.hub.robots.find("robot_0")
+            await expect(lambda: not robot.gate.is_active)
+            assert robot.refusals.count > 40
+    assert [line["cause"] for line in lines if line["event"] == "robot.unreachable"] == [REASON]
+
+
+async def test_a_robot_that_takes_its_velocity_again_is_reachable() -> None:
+    async with small_robot() as host:
+        robot = host.hub.robots.find("robot_0")
+        with pytest.raises(FrameTooLarge):
+            host.hub.robots.stop(robot)
+        async with fake_device(host.tcp, robot_topics()) as better:  # the same address replaces it
+            await expect(lambda: robot.refusals.cause is None)
+            assert (await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}'))[0] == 200
+            assert await better.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
