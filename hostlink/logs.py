@@ -8,9 +8,9 @@ Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.
                  robot.crashed, odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
-                 client.unknown_op, client.crowded
+                 client.unknown_op, client.crowded, client.malformed
 The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
-                 task.crashed, diagnosis.crashed, systemd.deaf, python.logged, descriptors.exhausted, loop.error
+                 task.crashed, diagnosis.crashed, systemd.deaf, descriptors.exhausted, loop.error, library.complained
 The log itself   log.lines_left_out, log.lines_lost
 """
 
@@ -26,7 +26,6 @@ from hostlink.log_output import LogOutput
 
 _MAX_PRINTED = 64
 _BUDGET_KEY = "log_budget"  # bound around what a peer causes; never printed
-_PYTHON = "python's own loggers"
 
 budget = LogBudget()
 output = LogOutput(None)
@@ -57,7 +56,6 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
         logger_factory=structlog.WriteLoggerFactory(file=output),  # type: ignore[arg-type]  # write and flush are all
         cache_logger_on_first_use=False,
     )
-    logging.basicConfig(handlers=[_IntoStructlog(level=logging.WARNING)], force=True)
     logging.captureWarnings(capture=True)
 
 
@@ -88,19 +86,3 @@ def _keep_budget(
     if peer is not None and not budget.allows(peer, time.monotonic()):
         raise structlog.DropEvent
     return event
-
-
-class _IntoStructlog(logging.Handler):
-    """What asyncio, aiohttp and Python's warnings have to say takes the same way, with a budget of its own."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        try:
-            structlog.get_logger().warning(
-                "python.logged",
-                logger=record.name,
-                text=record.getMessage(),
-                exc_info=record.exc_info,
-                **of_peer(_PYTHON),
-            )
-        except Exception:  # noqa: BLE001 - as logging itself: a line that cannot be made is lost, not its cause
-            output.lost_lines += 1

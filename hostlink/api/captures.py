@@ -18,6 +18,7 @@ from hostlink.errors import UnknownTopic
 from hostlink.hub.diagnoses import Case
 from hostlink.hub.hub import Hub
 
+MAX_DIGITS = 18  # no count is longer
 _START = (0, 0)
 
 
@@ -87,7 +88,7 @@ class Captures:
     def _find(self, request: web.Request) -> Case:
         number = request.match_info["number"]
         diagnoses = self._hub.diagnoses
-        case = diagnoses.case(int(number)) if number.isdecimal() else None
+        case = diagnoses.case(int(number)) if _is_number(number) else None
         if case is None:
             raise UnknownTopic("link", number, tuple(str(each) for each in diagnoses.numbers()))
         return case
@@ -107,8 +108,13 @@ def reads(case: Case, since: tuple[int, int] = _START) -> Iterator[ReadView]:
         yield {"t": end_s, "dir": "device", "hex": "", "conn": number, "event": "close"}
 
 
+def _is_number(text: str) -> bool:
+    """Whether it is a whole number, and not one of so many digits that Python refuses to read it."""
+    return text.isdecimal() and len(text) <= MAX_DIGITS
+
+
 def _parse_position(text: str) -> tuple[int, int]:
     from_device, dash, to_device = text.partition("-")
-    if not (dash and from_device.isdecimal() and to_device.isdecimal()):
+    if not (dash and _is_number(from_device) and _is_number(to_device)):
         raise UnknownTopic("position", text, ("0-0", "what an earlier answer gave"))
     return int(from_device), int(to_device)

@@ -7,6 +7,7 @@ from typing import NoReturn, Protocol, TypedDict
 from aiohttp import web
 
 from hostlink.api.access import Grant
+from hostlink.api.heads import readable
 
 
 class Backlog(Protocol):
@@ -51,7 +52,7 @@ class Client:
         self.name = f"client {number}" + (f" ({grant.who})" if grant.who else "")
         self.peer = request.remote or ""
         self.grant = grant
-        self.program = request.headers.get("User-Agent", "")[:120]
+        self.program = readable(request.headers.get("User-Agent", ""))[:120]
         self.backlog = backlog
         self.since_s = asyncio.get_running_loop().time()
         self.messages_from_client = self.messages_to_client = self.bytes_to_client = 0

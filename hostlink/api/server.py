@@ -13,6 +13,7 @@ from typing import TypedDict
 
 import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
@@ -22,6 +23,7 @@ from hostlink.api.client_queue import ClientQueue
 from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
+from hostlink.api.heads import refuse_subprotocol, refuse_unreadable
 from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
 from hostlink.api.rate_limit import RateLimit
@@ -160,11 +162,14 @@ class ApiServer:
                     await request.read()
         except TimeoutError:
             raise web.HTTPRequestTimeout(reason=f"the body did not come within {timeout_s:g} s") from None
+        except (OSError, web.RequestPayloadError, HttpProcessingError) as error:
+            raise web.HTTPBadRequest(reason="the body broke off, or is not what its head says") from error
 
     async def _root(self, request: web.Request) -> web.StreamResponse:
         return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
 
     async def _serve_client(self, request: web.Request) -> web.WebSocketResponse:
+        refuse_subprotocol(request)
         queue = ClientQueue(asyncio.get_running_loop().time)
         client = self._clients.enter("rosbridge", request, present_grant.get(), queue)
         socket = web.WebSocketResponse(
@@ -313,6 +318,7 @@ async def serve_api(config: ApiConfig, hub: Hub) -> AsyncIterator[str]:
 
 def _protocols(runner: web.AppRunner) -> MakeProtocol:
     assert runner.server is not None  # noqa: S101 - after its setup
+    runner.server.request_handler = refuse_unreadable(runner.server.request_handler)
     return runner.server
 
 

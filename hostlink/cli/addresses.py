@@ -4,12 +4,13 @@ from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
 
 MAX_PORT = 0xFFFF
+MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of thousands
 
 
 def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
     """`HOST:PORT`, `:PORT` or `[::1]:PORT`."""
     host, colon, port = text.rpartition(":")
-    if not colon or not port.isdecimal() or int(port) > MAX_PORT:
+    if not colon or not _is_number(port) or int(port) > MAX_PORT:
         raise ConfigError(option, f"{text!r} is not HOST:PORT")
     return host.strip("[]") or default_host, int(port)
 
@@ -18,6 +19,10 @@ def parse_serial(text: str) -> SerialConfig:
     """`/dev/ttyACM0`, `/dev/ttyACM0@57600`, or with rates to try `/dev/ttyACM0@57600,115200`."""
     path, at, rates = text.partition("@")
     bauds = rates.split(",") if at else []
-    if not path or not all(baud.isdecimal() and int(baud) for baud in bauds):
+    if not path or not all(_is_number(baud) and int(baud) for baud in bauds):
         raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
     return SerialConfig(path=path, baud=tuple(map(int, bauds))) if at else SerialConfig(path=path)
+
+
+def _is_number(text: str) -> bool:
+    return text.isdecimal() and len(text) <= MAX_DIGITS

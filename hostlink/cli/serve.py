@@ -17,10 +17,10 @@ from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.check import describe
+from hostlink.cli.complaints import complaints_logged
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
-from hostlink.cli.loop_errors import LoopErrors
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
@@ -52,9 +52,8 @@ async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
     However the block is left, first every robot is stopped and every device told; then the rest may take its time.
     """
     hub = Hub(config, Catalog(config.message_folders))
-    asyncio.get_running_loop().set_exception_handler(LoopErrors(hub.refused))
     try:
-        async with _hub_running(hub), _ways_in(hub, config) as addresses:
+        async with complaints_logged(hub.refused), _hub_running(hub), _ways_in(hub, config) as addresses:
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
             try:
                 yield hub, addresses

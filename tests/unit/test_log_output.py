@@ -98,26 +98,14 @@ def test_no_stream_or_a_closed_one(stream: io.StringIO | None) -> None:
 def log() -> Iterator[io.StringIO]:
     """The daemon's own log, in memory."""
     stream = io.StringIO()
-    root = logging.getLogger()
-    handlers = list(root.handlers)
     logs.configure(stream=stream)
     yield stream
     logging.captureWarnings(capture=False)
-    root.handlers[:] = handlers
     structlog.reset_defaults()
 
 
 def events(log: io.StringIO) -> list[dict[str, object]]:
     return [json.loads(line) for line in log.getvalue().splitlines()]
-
-
-def test_what_asyncio_says_is_a_line_of_the_log(log: io.StringIO) -> None:
-    logging.getLogger("asyncio").error("Exception in callback %s", "x()")
-    logging.getLogger("asyncio").info("this is not")
-    found = events(log)
-    assert [(line["event"], line["logger"], line["text"]) for line in found] == [
-        ("python.logged", "asyncio", "Exception in callback x()")
-    ]
 
 
 def test_what_a_peer_causes_has_a_budget_and_what_was_left_out_is_told(log: io.StringIO) -> None:
