@@ -49,7 +49,7 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.StackInfoRenderer(),
-            *([] if is_terminal else [structlog.processors.format_exc_info]),
+            _make_printable if is_terminal else structlog.processors.format_exc_info,
             renderer,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(logging.getLevelNamesMapping()[level.upper()]),
@@ -74,9 +74,14 @@ def log_what_is_missing() -> None:
         log.warning("log.lines_lost", lines=lost)
 
 
+def _make_printable(_: object, __: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
+    """For a terminal; JSON escapes by itself what is not ASCII."""
+    return {key: _replace(value) if isinstance(value, str) else value for key, value in event.items()}
+
+
 def printable(text: str) -> str:
     """What a peer said, safe for a terminal: printable characters only, and not too many of them."""
-    return "".join(char if char.isprintable() else "?" for char in text[:_MAX_PRINTED])
+    return _replace(text[:_MAX_PRINTED])
 
 
 def _keep_budget(
@@ -86,3 +91,8 @@ def _keep_budget(
     if peer is not None and not budget.allows(peer, time.monotonic()):
         raise structlog.DropEvent
     return event
+
+
+def _replace(text: str) -> str:
+    """Without controls, old terminals' C1, and what turns the direction of reading: none of them is printable."""
+    return text if text.isprintable() else "".join(char if char.isprintable() else "?" for char in text)

@@ -168,7 +168,7 @@ class ApiServer:
     async def _root(self, request: web.Request) -> web.StreamResponse:
         return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
 
-    async def _serve_client(self, request: web.Request) -> web.WebSocketResponse:
+    async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         refuse_subprotocol(request)
         queue = ClientQueue(asyncio.get_running_loop().time)
         client = self._clients.enter("rosbridge", request, present_grant.get(), queue)
@@ -196,7 +196,7 @@ class ApiServer:
                     request.transport.abort()  # it takes nothing: closing would wait for it without end
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
         raise_if_cancelled()
-        return socket
+        return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # it broke off before
 
     async def _talk(self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue) -> None:
         loop = asyncio.get_running_loop()

@@ -10,6 +10,7 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.output import complain
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import BadRequest, ConfigError
 
@@ -48,7 +49,7 @@ async def _capture(url: str, token: str | None, number: int | None, output: Path
         finally:
             if output is not None:
                 out.close()
-    sys.stderr.write(f"link {wanted}: {count} bytes{f' in {output}' if output else ''}\n")
+    complain(f"link {wanted}: {count} bytes{f' in {output}' if output else ''}")
 
 
 async def _last(host: Host) -> int:
@@ -72,7 +73,7 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
             yield read
         has_begun, position = True, piece["position"]
         if piece["lost_bytes"]:
-            sys.stderr.write(f"{piece['lost_bytes']} bytes before that are lost\n")
+            complain(f"{piece['lost_bytes']} bytes before that are lost")
         if loop.time() >= until_s or not piece["is_open"]:
             return
         await asyncio.sleep(min(POLL_S, until_s - loop.time()))

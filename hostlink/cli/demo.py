@@ -10,6 +10,7 @@ import typer
 
 from hostlink import logs
 from hostlink.cli.ending import stop_signals
+from hostlink.cli.output import say, say_over
 from hostlink.cli.serve import merge, running
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
@@ -49,21 +50,20 @@ async def _demo(config: Config, robots: int) -> None:
             await ending.wait()
             line.cancel()
             driver.cancel()
-            sys.stdout.write("\nstopping the robots ...\n")
+            say("", "stopping the robots ...")
             hub.robots.leave(OWNER)
             await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots hear it before they go
             fleet.cancel()
 
 
 def _print_welcome(api: str) -> None:
-    sys.stdout.write(
-        f"hostlink runs: {api}  (open it in a browser)\n"
-        f"  drive     hostlink teleop --url {api}\n"
-        f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'\n'
-        f"  read      curl {api}/api/robots/robot_0/odometry\n"
-        "Ctrl-C ends it.\n"
+    say(
+        f"hostlink runs: {api}  (open it in a browser)",
+        f"  drive     hostlink teleop --url {api}",
+        f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'',
+        f"  read      curl {api}/api/robots/robot_0/odometry",
+        "Ctrl-C ends it.",
     )
-    sys.stdout.flush()
 
 
 async def _drive(hub: Hub) -> None:
@@ -87,8 +87,7 @@ async def _show(hub: Hub) -> None:
         robots = hub.robots.all()
         if robots:
             text = "   ".join(_describe(robot) for robot in robots[:2])
-            sys.stdout.write(f"\r\x1b[2K{text}" if is_terminal else f"{text}\n")
-            sys.stdout.flush()
+            say_over(text)
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 

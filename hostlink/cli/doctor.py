@@ -6,7 +6,6 @@ Exit status: 0 nothing is wrong, 1 something is, 2 the arguments are.
 import asyncio
 import contextlib
 import json as json_text
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +15,7 @@ from hostlink import logs
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.looking import Report, look_at_network, look_at_port, look_at_recording, report_of
+from hostlink.cli.output import complain, say, show_progress
 from hostlink.client import DEFAULT_URL, connect
 from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError
@@ -55,8 +55,9 @@ def command(  # noqa: PLR0913 - the options of a command line
         report = asyncio.run(_listen(listen, seconds, folders))
     else:
         report = asyncio.run(_ask_or_listen(url, token, seconds, folders))
-    _clear()
-    sys.stdout.write(json_text.dumps(report) + "\n" if json else "\n".join(_lines(report)) + "\n")
+    with contextlib.suppress(OSError):
+        show_progress("")
+    say(*([json_text.dumps(report)] if json else _lines(report)))
     is_healthy = not report["findings"] and not any(link["diagnosis"] for link in report["links"])
     raise typer.Exit(0 if is_healthy else 1)
 
@@ -66,7 +67,7 @@ async def _ask_or_listen(url: str, token: str | None, seconds: float, folders: t
         async with connect(url, token=token, reconnect=False) as host:
             view = await host.get("/api/links")
     except HostlinkError as error:
-        sys.stderr.write(f"{error}\n")
+        complain(str(error))
         if url != DEFAULT_URL:  # asked for by name: looking elsewhere would answer another question
             raise
         return await _listen(LISTEN, seconds, folders)
@@ -99,13 +100,4 @@ def _told(found: dict[str, Any]) -> list[str]:
 
 
 def _say(line: str) -> None:
-    """Progress: one line that is written over on a terminal; elsewhere nobody waits for it."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[2K{line} ...")
-        sys.stderr.flush()
-
-
-def _clear() -> None:
-    with contextlib.suppress(OSError):
-        if sys.stderr.isatty():
-            sys.stderr.write("\r\x1b[2K")
+    show_progress(f"{line} ...")

@@ -2,12 +2,12 @@
 
 import asyncio
 import json as json_text
-import sys
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.output import say
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -32,8 +32,7 @@ async def _echo(url: str, token: str | None, topic: str, count: int, throttle_ms
     ):
         async for message in messages:
             text = json_text.dumps(message, ensure_ascii=False)
-            sys.stdout.write((text if as_json else f"{topic}  {text}") + "\n")
-            sys.stdout.flush()
+            say(text if as_json else f"{topic}  {text}")
             seen += 1
             if seen == count:
                 return

@@ -90,11 +90,11 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
 
 
 def advice(shown: dict[str, Any]) -> list[str]:
-    """A cause and a next step for each finding of the live links and of ports; then the last links that ended."""
+    """Lines: a cause and a next step for each finding of live links and of ports; then the last links that ended."""
     said = []
     for link in shown["links"]:
-        said += [_advice(f"link {link['number']}", each) for each in link["diagnosis"]]
-    said += [_advice(port["name"], each) for port in shown["ports"] for each in port["diagnosis"]]
+        said += [line for each in link["diagnosis"] for line in _advice(f"link {link['number']}", each)]
+    said += [line for port in shown["ports"] for each in port["diagnosis"] for line in _advice(port["name"], each)]
     for link in shown["ended"][:3]:
         codes = ", ".join(each["code"] for each in link["diagnosis"])
         seconds = f"after {link['seconds']:.0f} s, {link['ended_ago_s']:.0f} s ago"
@@ -102,6 +102,6 @@ def advice(shown: dict[str, Any]) -> list[str]:
     return said
 
 
-def _advice(about: str, found: dict[str, str]) -> str:
+def _advice(about: str, found: dict[str, str]) -> list[str]:
     detail = f" ({found['detail']})" if found["detail"] else ""
-    return f"{about} {found['code']}: {found['cause']}{detail}\n  next: {found['next_step']}"
+    return [f"{about} {found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]

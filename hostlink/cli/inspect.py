@@ -1,12 +1,12 @@
 """`hostlink inspect`: what a recording of a link's bytes says."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
 
+from hostlink.cli.output import plain, say
 from hostlink.messages.catalog import Catalog
 from hostlink.recording import Inspection, load_reads
 
@@ -26,9 +26,9 @@ def command(
     inspection.take_all(load_reads(file))
     report = inspection.report()
     if json:
-        sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
+        say(msgspec.json.encode(report).decode())
     else:
-        sys.stdout.write("\n".join(_lines(report)) + "\n")
+        say(*_lines(report))
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
@@ -56,7 +56,7 @@ def table(head: list[str], rows: list[list[Any]]) -> list[str]:
     """Columns under a head; nothing where there are no rows."""
     if not rows:
         return []
-    cells = [head, *([str(cell) for cell in row] for row in rows)]
+    cells = [head, *([plain(str(cell)) for cell in row] for row in rows)]
     widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
     return [
         "",

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cli.output import complain
 from hostlink.errors import ConfigError, HostlinkError
 
 COMMANDS = {
@@ -51,7 +52,7 @@ def main() -> None:
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
-        sys.stderr.write(f"hostlink: {error}\n")
+        complain(f"hostlink: {error}")
         sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
     except BrokenPipeError:  # whoever read our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,13 +1,13 @@
 """`hostlink pub`: publish messages on a topic."""
 
 import asyncio
-import sys
 from contextlib import AbstractAsyncContextManager
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.arguments import Token, Url, json_object
+from hostlink.cli.output import complain
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import HostlinkError
 
@@ -48,7 +48,7 @@ async def _pub(
             await host.publish(topic, message, type_name=type_name)
             sent += 1
         await _hear_refusal(host, topic)
-    sys.stderr.write(f"{sent} sent\n")
+    complain(f"{sent} sent")
 
 
 async def _hear_refusal(host: Host, topic: str) -> None:

@@ -21,6 +21,7 @@ from hostlink.cli.complaints import complaints_logged
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
+from hostlink.cli.output import say
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
@@ -130,7 +131,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     Exit status: 0 stopped as asked, 1 failed, 2 wrong arguments or settings, or an address that is in use.
     """
     if example is not None:
-        sys.stdout.write(read_example(example))
+        say(*read_example(example).splitlines())
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
         raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
@@ -138,7 +139,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     file = check_config or config
     settings = merge(load(file) if file else Config(), listen=listen, serial=serial, api=api, messages=messages)
     if check_config is not None:
-        sys.stdout.write(describe(settings))
+        say(*describe(settings).splitlines())
     else:
         asyncio.run(_serve(settings, Notifier(os.environ)))
 

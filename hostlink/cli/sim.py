@@ -2,12 +2,12 @@
 
 import asyncio
 import contextlib
-import sys
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.addresses import parse_address
+from hostlink.cli.output import complain
 from hostlink.errors import ConfigError
 from hostlink.sim.faults import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
@@ -26,8 +26,4 @@ def command(
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(run_fleet(host, port, robots=robots, first=first, fault=chosen, say=_say))
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(line + "\n")
+        asyncio.run(run_fleet(host, port, robots=robots, first=first, fault=chosen, say=complain))

@@ -9,6 +9,7 @@ import tty
 from collections.abc import Iterator
 
 from hostlink.cli.keys import KeyReader
+from hostlink.cli.output import plain
 from hostlink.errors import ConfigError
 
 _HIDE_CURSOR, _SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
@@ -52,7 +53,7 @@ def key_terminal() -> Iterator[Terminal]:
 def draw(lines: list[str]) -> None:
     """Write a screen over the one before, line by line, so that nothing flickers."""
     width, height = _size()
-    visible = [line[: width - 1] + "\x1b[K" for line in lines[:height]]
+    visible = [plain(line)[: width - 1] + "\x1b[K" for line in lines[:height]]
     write("\x1b[H" + "\r\n".join(visible) + "\x1b[J")
 
 

@@ -11,6 +11,7 @@ import typer
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Look, advice, figures, link_rows, robot_rows
 from hostlink.cli.inspect import table
+from hostlink.cli.output import say
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError
 
@@ -40,9 +41,7 @@ def command(
 async def _print(url: str, token: str | None, interval_s: float, *, is_once: bool, as_json: bool) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         async for shown in watch(host, interval_s):
-            text = json_text.dumps(shown) if as_json else "\n".join(_lines(shown))
-            sys.stdout.write(text + "\n")
-            sys.stdout.flush()
+            say(*([json_text.dumps(shown)] if as_json else _lines(shown)))
             if is_once:
                 return
 

@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+from rich.markup import escape
 from textual import work
 from textual.app import App, ComposeResult
 from textual.binding import BindingType
@@ -9,6 +10,7 @@ from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Footer, Static
 
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
+from hostlink.cli.output import plain
 from hostlink.cli.top import watch
 from hostlink.client import connect
 from hostlink.errors import HostlinkError
@@ -60,9 +62,9 @@ class TopScreen(App[None]):
     def _show(self, shown: dict[str, Any]) -> None:
         _fill(self.query_one("#links", DataTable), link_rows(shown))
         _fill(self.query_one("#robots", DataTable), robot_rows(shown))
-        self.query_one("#advice", Static).update("\n".join(advice(shown)) or "nothing is wrong")
+        self.query_one("#advice", Static).update("\n".join(map(plain, advice(shown))) or "nothing is wrong")
 
 
 def _fill(table: "DataTable[str]", rows: Rows) -> None:
     table.clear()
-    table.add_rows(rows)
+    table.add_rows([escape(plain(cell)) for cell in row] for row in rows)  # textual reads [red] as a colour

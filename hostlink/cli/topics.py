@@ -2,12 +2,12 @@
 
 import asyncio
 import json as json_text
-import sys
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.output import complain, plain, say
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -25,14 +25,14 @@ async def _topics(url: str, token: str | None, *, as_json: bool) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         topics = await host.topics()
     if as_json:
-        sys.stdout.write(json_text.dumps(topics) + "\n")
+        say(json_text.dumps(topics))
     elif not topics:
-        sys.stderr.write("no topics: no device has connected yet\n")
+        complain("no topics: no device has connected yet")
     else:
-        width = max(len(topic["name"]) for topic in topics)
-        type_width = max(len(topic["type"]) for topic in topics)
-        for topic in topics:
-            sys.stdout.write(
-                f"{topic['name']:<{width}}  {topic['type']:<{type_width}}  {topic['publishers']} -> "
-                f"{topic['subscribers']}  {topic['messages']} messages\n"
+        names = [(plain(topic["name"]), plain(topic["type"])) for topic in topics]
+        width, type_width = (max(map(len, column)) for column in zip(*names, strict=True))
+        for (name, type_name), topic in zip(names, topics, strict=True):
+            say(
+                f"{name:<{width}}  {type_name:<{type_width}}  {topic['publishers']} -> "
+                f"{topic['subscribers']}  {topic['messages']} messages"
             )

@@ -62,7 +62,9 @@ def test_advice_is_about_links_ports_and_those_that_ended() -> None:
     now.links["ports"].append({"name": "/dev/ttyACM0", "diagnosis": [FINDING | {"detail": ""}]})
     now.links["ended"].append(ended)
     assert advice(figures(look(0.0), now)) == [
-        "link 1 damaged: why (3 of 4)\n  next: do",
-        "/dev/ttyACM0 damaged: why\n  next: do",
+        "link 1 damaged: why (3 of 4)",
+        "  next: do",
+        "/dev/ttyACM0 damaged: why",
+        "  next: do",
         "link 3 p ended: idle after 11 s, 4 s ago; damaged",
     ]

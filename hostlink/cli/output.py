@@ -1,0 +1,45 @@
+"""What the commands write. Names and texts of devices and programs are in it: none of it steers a terminal."""
+
+import json
+import sys
+from typing import TextIO
+
+_CLEAR_LINE = "\r\x1b[2K"
+
+
+def plain(text: str) -> str:
+    """The text in one line; what is not printable is escaped as in JSON, so that JSON stays the JSON that it was.
+
+    That is controls, ESC and the C1 of old terminals, what turns the direction of reading, and ends of lines.
+    """
+    return text if text.isprintable() else "".join(map(_escaped, text))
+
+
+def say(*lines: str) -> None:
+    """Write lines on standard output, now."""
+    _write(sys.stdout, "".join(f"{plain(line)}\n" for line in lines))
+
+
+def complain(*lines: str) -> None:
+    """Write lines on standard error, now."""
+    _write(sys.stderr, "".join(f"{plain(line)}\n" for line in lines))
+
+
+def say_over(line: str) -> None:
+    """Write a line over the one before on a terminal; elsewhere a line each."""
+    _write(sys.stdout, f"{_CLEAR_LINE}{plain(line)}" if sys.stdout.isatty() else f"{plain(line)}\n")
+
+
+def show_progress(line: str) -> None:
+    """On a terminal, a line of standard error that is written over; elsewhere nobody waits for it."""
+    if sys.stderr.isatty():
+        _write(sys.stderr, f"{_CLEAR_LINE}{plain(line)}")
+
+
+def _escaped(char: str) -> str:
+    return char if char.isprintable() else json.dumps(char)[1:-1]
+
+
+def _write(stream: TextIO, text: str) -> None:
+    stream.write(text)
+    stream.flush()

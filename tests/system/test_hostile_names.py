@@ -1,0 +1,102 @@
+"""Every command that prints what a device or a program calls itself: none of it reaches the terminal as a code."""
+
+import asyncio
+import json
+import struct
+from pathlib import Path
+
+import pytest
+from textual.widgets import DataTable
+
+from hostlink.cli.top_screen import TopScreen
+from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.protocol.frame import Id, encode
+from tests.support.daemon import daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.process import run
+from tests.support.rosbridge import Client
+from tests.support.waiting import expect
+
+HOSTILE = "\x1b]0;x\x07\x1b[2J\x9b31m\u202e\u2066\x7f[red][/x]"
+TOPICS = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
+
+
+async def say_text(device: FakeDevice) -> None:
+    data = HOSTILE.encode()
+    while True:
+        await device.send(encode(126, struct.pack("<I", len(data)) + data) + pose(1.0))
+        await asyncio.sleep(0.05)
+
+
+def texts(value: object) -> list[str]:
+    """Every text of a JSON value, names without their first slash."""
+    if isinstance(value, dict):
+        return texts(list(value.values()))
+    if isinstance(value, list):
+        return [text for each in value for text in texts(each)]
+    return [str(value).removeprefix("/")]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("topics",),
+        ("topics", "--json"),
+        ("echo", "/robot_0/text", "--count", "1"),
+        ("echo", "/robot_0/text", "--count", "1", "--json"),
+        ("call", "/rosapi/topics"),
+        ("call", f"/{HOSTILE}"),
+        ("pub", f"/{HOSTILE}", '{"no": 1}'),
+        ("top", "--once", "--interval", "0.1"),
+        ("doctor",),
+        ("teleop", HOSTILE),
+    ],
+    ids=lambda words: " ".join(word for word in words if HOSTILE not in word),
+)
+async def test_a_command_prints_only_what_is_printable(arguments: tuple[str, ...]) -> None:
+    async with (
+        daemon() as host,
+        host.session.ws_connect(host.url) as socket,
+        fake_device(host.tcp, TOPICS) as device,
+        asyncio.TaskGroup() as tasks,
+    ):
+        await Client(socket).say(op="advertise", topic=f"/{HOSTILE}", type="std_msgs/String")
+        await Client(socket).call("/rosapi/topics")
+        talking = tasks.create_task(say_text(device))
+        _, out, err = await run(*arguments, "--url", host.url)
+        talking.cancel()
+    assert out + err
+    assert [line for line in (out + err).split("\n") if not line.isprintable()] == []
+    if "--json" in arguments:
+        assert HOSTILE in texts(json.loads(out))
+
+
+async def test_a_recording_is_printable(tmp_path: Path) -> None:
+    file = tmp_path / "link.jsonl"
+    log = encode(Id.LOG, bytes([3]) + struct.pack("<I", len(HOSTILE.encode())) + HOSTILE.encode())
+    async with daemon() as host, fake_device(host.tcp, TOPICS) as device:
+        await device.send(log)
+        await expect(lambda: host.hub.links()[0].session.counts.frames_from_device >= 7)
+        assert (await run("capture", "1", "-o", str(file), "--url", host.url))[0] == 0
+    for command in ("inspect", "doctor"):
+        _, out, err = await run(command, str(file))
+        assert [line for line in (out + err).split("\n") if not line.isprintable()] == []
+        assert "\\u001b]0;x" in out or command == "doctor"
+
+
+async def test_the_screen_shows_names_as_they_are() -> None:
+    token = "a-token-of-somebody"
+    config = Config(api=ApiConfig(tokens=(TokenConfig(name=HOSTILE, role="drive", token=token),)))
+    async with daemon(config) as host, fake_device(host.tcp, TOPICS):
+        screen = TopScreen(host.url, token, 0.1)
+        path = f"/api/robots/robot_0/velocity?token={token}"
+        async with screen.run_test(size=(140, 30)):
+            robots = screen.query_one("#robots", DataTable)
+            for _ in range(10):
+                assert (await host.rest("PUT", path, b'{"linear": 0.1, "angular": 0}'))[0] == 200
+                await asyncio.sleep(0.1)
+            shown = "".join(segment.text for segment in robots.render_line(1))
+    assert screen.failure is None
+    assert shown.isprintable()
+    assert "\\u001b]0;x" in shown
+    assert "[red][/x]" in shown

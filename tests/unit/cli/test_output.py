@@ -1,0 +1,72 @@
+"""What the commands write: nothing of a device's or a program's steers a terminal, and JSON stays what it was."""
+
+import ast
+import io
+import json
+from pathlib import Path
+
+import pytest
+import structlog
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hostlink.cli
+from hostlink import logs
+from hostlink.cli.output import plain, say
+
+WRITERS = {"output.py", "terminal.py", "capture.py"}  # the second its own codes, the third JSON of hexadecimal digits
+HOSTILE = "\x1b[2J\x9b31m\u202e\u2066\x7f\n\r\t\x07\u2028\ufeff\U000e0041"
+
+
+@given(st.text(st.characters(codec=None)))
+def test_a_line_is_printable_whatever_it_was(text: str) -> None:
+    assert plain(text).isprintable()
+
+
+@given(st.text())
+def test_json_is_the_same_json(text: str) -> None:
+    written = plain(json.dumps({text: text}, ensure_ascii=False))
+    assert json.loads(written) == {text: text}
+
+
+def test_plain_words_of_all_languages_stay() -> None:
+    assert plain("robot_0  größe  機器人  +0.10 m/s") == "robot_0  größe  機器人  +0.10 m/s"
+
+
+def test_a_line_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    say("a\nb", "c")
+    assert capsys.readouterr().out == "a\\nb\nc\n"
+
+
+def test_no_command_writes_past_it() -> None:
+    """A new command that wrote by itself would write what devices call themselves."""
+    for file in Path(hostlink.cli.__file__).parent.glob("*.py"):
+        if file.name not in WRITERS:
+            tree = ast.parse(file.read_text())
+            written = [ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Call)]
+            past = [call for call in written if call.startswith(("sys.stdout.write", "sys.stderr.write", "print("))]
+            assert past == [], file.name
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_log_on_a_terminal_has_no_codes_but_its_own() -> None:
+    before = structlog.get_config()
+    out = _Terminal()
+    try:
+        logs.configure(stream=out)
+        structlog.get_logger().info("robot.appeared", robot=f"r{HOSTILE}", velocity=f"/{HOSTILE}")
+    finally:
+        structlog.configure(**before)
+    written = out.getvalue()
+    assert "robot.appeared" in written
+    assert "\x1b[2J" not in written
+    assert not set(HOSTILE) - {"\x1b", "\n"} & set(written) - set("[2J31m")
+
+
+def test_a_name_in_the_log_is_printable_and_short() -> None:
+    assert logs.printable(HOSTILE).isprintable()
+    assert len(logs.printable("x" * 1000)) == 64
