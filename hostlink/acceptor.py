@@ -51,10 +51,12 @@ def _listen(family: int, protocol: int, address: tuple[object, ...]) -> socket.s
     return listening
 
 
-def why(error: OSError | OverflowError) -> str:
+def why(error: OSError | OverflowError | UnicodeError) -> str:
     """What kept `bind` from it, for people."""
     if isinstance(error, OverflowError):
         return "no such port; they go from 0 (any free one) to 65535"
+    if isinstance(error, UnicodeError):
+        return "no such name"
     if isinstance(error, socket.gaierror) or error.errno is None:  # its numbers are not the system's
         return error.strerror or str(error)
     return os.strerror(error.errno)

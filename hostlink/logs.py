@@ -10,7 +10,8 @@ Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op, client.crowded, client.malformed
 The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
-                 task.crashed, diagnosis.crashed, systemd.deaf, descriptors.exhausted, loop.error, library.complained
+                 task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, descriptors.exhausted,
+                 loop.error, library.complained
 The log itself   log.lines_left_out, log.lines_lost
 """
 

@@ -57,7 +57,7 @@ class Access:
         for limit in ("max_connections", "max_connections_per_address"):
             if getattr(config, limit) <= KEPT_FOR_REQUESTS:
                 raise ConfigError(f"api.{limit}", f"must be more than {KEPT_FOR_REQUESTS}, which only requests may use")
-        if not self._tokens and not _is_loopback(config.host):
+        if not self._tokens and not is_loopback(config.host):
             raise ConfigError(
                 f"api.host {config.host}",
                 "whoever reaches this address could drive the robots: set [[api.tokens]], or listen on 127.0.0.1",
@@ -137,7 +137,8 @@ def _unauthorized(reason: str) -> web.HTTPUnauthorized:
     return web.HTTPUnauthorized(reason=reason, headers={"WWW-Authenticate": 'Bearer realm="hostlink"'})
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Whether only this computer reaches the address."""
     if host == "localhost":
         return True
     try:

@@ -325,7 +325,7 @@ def _protocols(runner: web.AppRunner) -> MakeProtocol:
 async def _bind(config: ApiConfig) -> list[sockets.socket]:
     try:
         return await bind(config.host, config.port)
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, UnicodeError) as error:
         where = f"API port {config.port}"
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             problem = (

@@ -1,5 +1,7 @@
 """The spelling of addresses on the command line."""
 
+import ipaddress
+
 from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
 
@@ -22,6 +24,15 @@ def parse_serial(text: str) -> SerialConfig:
     if not path or not all(_is_number(baud) and int(baud) for baud in bauds):
         raise ConfigError("--serial", f"{text!r} is not PORT or PORT@BAUD")
     return SerialConfig(path=path, baud=tuple(map(int, bauds))) if at else SerialConfig(path=path)
+
+
+def is_address(text: str) -> bool:
+    """Whether it is a whole IP address."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _is_number(text: str) -> bool:

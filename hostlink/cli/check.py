@@ -1,31 +1,151 @@
-"""`hostlink serve --check-config`: what a configuration means, without serving it."""
+"""What keeps a configuration from being served, and what looks wrong in it: the same for `serve` and `--check-config`.
 
-from hostlink.cli.addresses import MAX_PORT
+`serve` asks here before it begins, so that what the check accepts is served. What only the moment decides, as a port
+that another program has, is a warning here.
+"""
+
+import errno
+import importlib.util
+import math
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+from hostlink.acceptor import bind, close_all, why
+from hostlink.api.access import Access, is_loopback, tls_context
+from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.cli.addresses import MAX_PORT, is_address
+from hostlink.cli.descriptors import fitted
 from hostlink.config import Config, SerialConfig
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.hub.door import Door
+from hostlink.hub.hub import Hub
+from hostlink.hub.parameters import to_parameter
 from hostlink.messages.catalog import Catalog
-from hostlink.transport.keyed import read_key
+from hostlink.protocol.control import encode_parameter
+from hostlink.transport.ports import find_port
 
 
-def describe(config: Config) -> str:
-    """A line for each thing that would be served. A ConfigError for what only shows when it is used."""
-    Catalog(config.message_folders)
+async def check(config: Config, *, descriptors: int) -> list[str]:
+    """A ConfigError for what cannot be served; returns what looks wrong."""
+    _check_values(config)
+    Door(Hub(config, Catalog(config.message_folders)), config.tcp)  # message folders, limits of robots, the key
+    Access(config.api)
+    tls_context(config.api)
+    if config.tcp.mdns and not all(map(importlib.util.find_spec, ("ifaddr", "zeroconf"))):
+        raise ConfigError("tcp.mdns", "needs zeroconf: pip install 'hostlink[mdns]'")
+    warnings = [*await _try_port("tcp", config.tcp.host, config.tcp.port)]
+    warnings += await _try_port("api", config.api.host, config.api.port)
+    fits = fitted(config, descriptors)
+    if fits != config:
+        warnings.append(
+            f"{descriptors} descriptors (ulimit -n) are enough for {fits.tcp.max_connections} devices and "
+            f"{fits.api.max_connections} connections of programs only"
+        )
+    return [*warnings, *_suspicious(config)]
+
+
+def describe(config: Config) -> list[str]:
+    """A line for each thing that would be served."""
     tcp, api = config.tcp, config.api
     who = ", ".join(tcp.allow) or "everybody"
     if tcp.key_file is not None:
-        read_key(tcp.key_file)
         who += ", with the key" + (f" but {', '.join(tcp.keyless)}" if tcp.keyless else "")
-    for where, port in (("tcp.port", tcp.port), ("api.port", api.port)):
-        if not 0 <= port <= MAX_PORT:
-            raise ConfigError(where, f"{port} is no port; they go from 0 (any free one) to {MAX_PORT}")
     lines = [f"devices on TCP {tcp.host}:{tcp.port}, from {who}, at most {tcp.max_connections}"]
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
-    lines.append(f"programs on http://{api.host}:{api.port}")
+    lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{api.host}:{api.port}")
     lines += [f"robot {name}, {robot.address or 'known by its topics'}" for name, robot in config.robots.items()]
     lines += [f"messages in {folder}" for folder in config.message_folders]
-    lines.append(f"{len(config.parameters)} parameters")
-    return "".join(f"{line}\n" for line in lines)
+    return [*lines, f"{len(config.parameters)} parameters"]
 
 
 def _describe_port(port: SerialConfig) -> str:
     return f"{port.name} at {' or '.join(map(str, port.bauds))} baud"
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+
+
+def _check_values(config: Config) -> None:
+    for where, port in (("tcp.port", config.tcp.port), ("api.port", config.api.port)):
+        if not 0 <= port <= MAX_PORT:
+            raise ConfigError(where, f"{port} is no port; they go from 0 (any free one) to {MAX_PORT}")
+    for where, number in _positive(config):
+        if number is not None and not 0 < number < math.inf:
+            raise ConfigError(where, f"must be above 0, and finite, not {number:g}")
+
+
+def _positive(config: Config) -> Iterator[tuple[str, float | None]]:
+    """Settings that mean nothing unless they are above zero."""
+    for name in ("silence_timeout_s", "idle_timeout_s", "write_timeout_s", "uart_bytes_s"):
+        yield f"link.{name}", getattr(config.link, name)
+    for port in config.serial:
+        yield f"serial {port.name}.baud_try_s", port.baud_try_s
+        yield from ((f"serial {port.name}.baud", baud) for baud in port.bauds)
+    for robot, settings in config.robots.items():
+        for name in ("uart_bytes_s", "wheel_separation_m", "cmd_vel_max_age_s"):
+            yield f"robots.{robot}.{name}", getattr(settings, name)
+
+
+async def _try_port(part: str, host: str, port: int) -> list[str]:
+    """Listen there for a moment."""
+    try:
+        close_all(await bind(host, port))
+    except (OSError, OverflowError, UnicodeError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            return [f"{part}.port {port} is in use at this moment"]
+        raise ConfigError(f"{part}.host {host}, port {port}", f"cannot be listened on: {why(error)}") from error
+    return []
+
+
+# -- what looks wrong -------------------------------------------------------------------------------------------------
+
+
+def _suspicious(config: Config) -> Iterator[str]:
+    yield from _suspicious_robots(config)
+    yield from _suspicious_api(config)
+    if config.tcp.keyless and config.tcp.key_file is None:
+        yield "tcp.keyless means nothing without tcp.key_file: nobody needs a key"
+    for port in config.serial:
+        try:
+            find_port(port)
+        except OSError as error:
+            if error.errno != errno.ENOENT:  # it may be plugged in later
+                yield f"serial {error.strerror}"
+    for name, value in config.parameters.items():
+        try:
+            encode_parameter(to_parameter(name, value))
+        except (HostlinkError, ValueError, OverflowError) as error:
+            yield f"parameters.{name} cannot be sent: {error}"
+
+
+def _suspicious_robots(config: Config) -> Iterator[str]:
+    ports = {port.name for port in config.serial}
+    by_address: dict[str, str] = {}
+    for name, robot in config.robots.items():
+        where = f"robots.{name}"
+        if robot.max_wheel_m_s is not None and robot.wheel_separation_m is None:
+            yield f"{where}.max_wheel_m_s needs wheel_separation_m: without it turning costs the wheels nothing"
+        if robot.address is None:
+            continue
+        if robot.address in by_address:
+            yield (
+                f"{where} and robots.{by_address[robot.address]} have one address, {robot.address}: "
+                "which device is which is known only if each says its own name"
+            )
+        by_address.setdefault(robot.address, name)
+        if robot.address not in ports and not is_address(robot.address):
+            yield f"{where}.address {robot.address} is neither an IP address nor the name of a [[serial]] port"
+
+
+def _suspicious_api(config: Config) -> Iterator[str]:
+    api = config.api
+    if api.certificate is None and not is_loopback(api.host):
+        yield f"api.host {api.host} without a certificate: whoever sees the network can read the tokens"
+    if api.max_clients > api.max_connections - KEPT_FOR_REQUESTS:
+        yield (
+            f"api.max_clients {api.max_clients}: no more than {api.max_connections - KEPT_FOR_REQUESTS} of the "
+            f"{api.max_connections} connections of api.max_connections are for them"
+        )
+    for origin in api.origins:
+        if origin != "*" and not (urlsplit(origin).scheme and urlsplit(origin).netloc):
+            yield f'api.origins {origin} is none: it begins with a scheme, as "https://panel.example"'

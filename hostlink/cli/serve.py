@@ -16,12 +16,13 @@ import typer
 from hostlink import logs
 from hostlink.api.server import serve_api
 from hostlink.cli.addresses import parse_address, parse_serial
-from hostlink.cli.check import describe
+from hostlink.cli.check import check, describe
 from hostlink.cli.complaints import complaints_logged
+from hostlink.cli.descriptors import fitted, limit
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
-from hostlink.cli.output import say
+from hostlink.cli.output import complain, say
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
@@ -138,10 +139,14 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     logs.configure(level=log_level)
     file = check_config or config
     settings = merge(load(file) if file else Config(), listen=listen, serial=serial, api=api, messages=messages)
+    warnings = asyncio.run(check(settings, descriptors=limit()))
     if check_config is not None:
-        say(*describe(settings).splitlines())
-    else:
-        asyncio.run(_serve(settings, Notifier(os.environ)))
+        say(*describe(settings))
+        complain(*(f"warning: {warning}" for warning in warnings))
+        return
+    for warning in warnings:
+        log.warning("config.suspicious", reason=warning)
+    asyncio.run(_serve(fitted(settings, limit()), Notifier(os.environ)))
 
 
 def shorten_pauses() -> None:

@@ -1,12 +1,28 @@
-"""What `--check-config` says of a configuration."""
+"""What `--check-config` and `serve` say of a configuration before anything is served."""
 
+import asyncio
+import socket
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from hostlink.cli.check import describe
-from hostlink.config import ApiConfig, Config, RobotConfig, SerialConfig, TcpConfig
+from hostlink.cli.check import check, describe
+from hostlink.cli.descriptors import FEWEST, fitted
+from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
 from hostlink.errors import ConfigError
+
+TOKEN = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")
+OPEN = ApiConfig(host="0.0.0.0", port=0)
+
+
+def checked(config: Config, descriptors: int = 1024) -> list[str]:
+    """With ports that no daemon has."""
+    if config.tcp.port == 11411:
+        config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0))
+    if config.api.port == 9090:
+        config = replace(config, api=replace(config.api, port=0))
+    return asyncio.run(check(config, descriptors=descriptors))
 
 
 def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
@@ -19,7 +35,7 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
     )
     (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
     (tmp_path / "my_msgs" / "msg" / "Odd.msg").write_text("int32 data\n")
-    assert describe(config).splitlines() == [
+    assert describe(config) == [
         "devices on TCP 0.0.0.0:11411, from 192.168.4.0/24, 10.0.0.7, at most 256",
         "a device on /dev/ttyACM0 at 57600 baud",
         "a device on 7543 at 57600 or 115200 baud",
@@ -37,8 +53,83 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
         (Config(tcp=TcpConfig(port=65536)), r"tcp.port: 65536 is no port; they go from 0 \(any free one\) to 65535"),
         (Config(api=ApiConfig(port=-1)), "api.port: -1 is no port"),
         (Config(message_folders=(Path("/none"),)), "/none: "),
+        (Config(api=OPEN), r"whoever reaches this address could drive the robots: set \[\[api.tokens\]\]"),
+        (
+            Config(robots={"a": RobotConfig(max_linear_m_s=-1.0)}),
+            "max_linear_m_s must be a finite number, zero or more",
+        ),
+        (
+            Config(robots={"a": RobotConfig(uart_bytes_s=0)}),
+            "robots.a.uart_bytes_s: must be above 0, and finite, not 0",
+        ),
+        (Config(link=LinkConfig(write_timeout_s=float("nan"))), "link.write_timeout_s: must be above 0, and finite"),
+        (Config(serial=(SerialConfig(path="/dev/x", baud=(57600, -1)),)), "serial /dev/x.baud: must be above 0"),
+        (Config(api=ApiConfig(max_requests_s=-1.0)), "api.max_requests_s: must be 1 or more"),
+        (Config(api=ApiConfig(host="192.0.2.7")), "set .*api.tokens"),
+        (Config(api=ApiConfig(host="192.0.2.7", tokens=(TOKEN,))), "cannot be listened on: Cannot assign requested"),
+        (Config(api=ApiConfig(certificate=Path("/none.pem"), key=Path("/none.key"))), "No such file"),
+        (Config(api=ApiConfig(certificate=Path("/none.pem"))), "TLS needs both certificate and key"),
+        (Config(tcp=TcpConfig(key_file=Path("/none"))), "tcp.key_file: /none: No such file"),
     ],
 )
-def test_what_only_shows_when_it_is_used_is_found(config: Config, problem: str) -> None:
+def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
-        describe(config)
+        checked(config)
+
+
+@pytest.mark.parametrize(
+    ("config", "warning"),
+    [
+        (
+            Config(robots={"a": RobotConfig(address="192.168.4")}),
+            "robots.a.address 192.168.4 is neither an IP address nor the name of a [[serial]] port",
+        ),
+        (
+            Config(robots={"a": RobotConfig(address="10.0.0.1"), "b": RobotConfig(address="10.0.0.1")}),
+            "robots.b and robots.a have one address, 10.0.0.1: which device is which is known only if each says its "
+            "own name",
+        ),
+        (
+            Config(api=replace(OPEN, tokens=(TOKEN,))),
+            "api.host 0.0.0.0 without a certificate: whoever sees the network can read the tokens",
+        ),
+        (
+            Config(serial=(SerialConfig(path="/dev/tty[01]"),)),
+            "serial /dev/tty[01]: fits 2 ports: /dev/tty0, /dev/tty1",
+        ),
+        (Config(tcp=TcpConfig(keyless=("10.0.0.1",))), "tcp.keyless means nothing without tcp.key_file: nobody needs"),
+        (Config(parameters={"a": 2**40}), "parameters.a cannot be sent: "),
+        (Config(robots={"a": RobotConfig(max_wheel_m_s=0.3)}), "robots.a.max_wheel_m_s needs wheel_separation_m"),
+        (Config(api=ApiConfig(max_clients=1000)), "api.max_clients 1000: no more than 496 of the 512 connections"),
+        (Config(api=ApiConfig(origins=("panel.example",))), "api.origins panel.example is none"),
+    ],
+)
+def test_what_looks_wrong_is_told(config: Config, warning: str) -> None:
+    warnings = checked(config)
+    assert len(warnings) == 1
+    assert warnings[0].startswith(warning)
+
+
+def test_the_address_of_a_port_is_none_of_a_network() -> None:
+    serial = SerialConfig(usb_serial="7543")
+    warnings = checked(Config(serial=(serial,), robots={"a": RobotConfig(address="7543")}))
+    assert [warning for warning in warnings if "robots.a" in warning] == []
+
+
+def test_a_port_that_is_in_use_is_a_warning_because_it_may_be_the_same_daemon() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert checked(Config(api=ApiConfig(port=port))) == [f"api.port {port} is in use at this moment"]
+
+
+def test_devices_and_programs_have_their_share_of_few_descriptors() -> None:
+    assert fitted(Config(), 1024) == Config()
+    small = fitted(Config(), 256)
+    assert (small.tcp.max_connections, small.api.max_connections) == (64, 128)
+    assert checked(Config(), 256)[0].startswith("256 descriptors (ulimit -n) are enough for 64 devices and 128 conn")
+    for descriptors in range(FEWEST, 1024):
+        fits = fitted(Config(), descriptors)
+        assert fits.tcp.max_connections + fits.api.max_connections <= descriptors - 64
+        assert fits.tcp.max_connections >= 1
+    with pytest.raises(ConfigError, match="127 descriptors are too few: at least 128"):
+        fitted(Config(), 127)

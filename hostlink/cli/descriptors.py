@@ -1,0 +1,36 @@
+"""How the descriptors that a process may have are shared between devices and programs. Pure."""
+
+import dataclasses
+import resource
+
+from hostlink.api.connections import KEPT_FOR_REQUESTS
+from hostlink.config import Config
+from hostlink.errors import ConfigError
+
+OWN = 64  # of the daemon itself: listening sockets, the loop, the log, files that are read
+FEWEST = OWN + 4 * KEPT_FOR_REQUESTS
+
+
+def limit() -> int:
+    """How many this process may have, by the system's soft limit."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return 1 << 30 if soft == resource.RLIM_INFINITY else soft
+
+
+def fitted(config: Config, descriptors: int) -> Config:
+    """The bounds on connections such that neither devices nor programs can take the others' descriptors.
+
+    Where there are too few, both have their share of them by what they wanted. ConfigError below FEWEST.
+    """
+    if descriptors < FEWEST + len(config.serial):
+        raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few: at least {FEWEST + len(config.serial)}")
+    room = descriptors - OWN - len(config.serial)
+    devices, programs = config.tcp.max_connections, config.api.max_connections
+    if devices + programs <= room:
+        return config
+    programs = max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs))
+    return dataclasses.replace(
+        config,
+        tcp=dataclasses.replace(config.tcp, max_connections=min(devices, room - programs)),
+        api=dataclasses.replace(config.api, max_connections=programs),
+    )

@@ -1,0 +1,107 @@
+"""Whatever `serve` would refuse, the check refuses, and nothing else: drawn from settings that are right and wrong."""
+
+import asyncio
+import contextlib
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hostlink.cli.check import check
+from hostlink.cli.serve import running
+from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.errors import ConfigError
+
+NUMBERS = st.sampled_from([1.0, 0.5, 3.0, 0.0, -1.0, math.inf, -math.inf, math.nan, 1e-300])
+WHOLE = st.sampled_from([1, 17, 512, 0, -1, 2**40])
+HOSTS = st.sampled_from(["127.0.0.1", "localhost", "0.0.0.0", "256.1.1.1", "192.0.2.1", "a b", "x" * 70, "é..é", "::"])
+PATHS = st.sampled_from([Path("/none"), Path("/"), Path("/etc/passwd")])
+PORTS = st.sampled_from([0, 0, 0, 0, -1, 65536, 10**30])
+TOKENS = st.sampled_from(
+    [
+        TokenConfig(name="a", role="drive", token="a-token-of-a-driver"),
+        TokenConfig(name="b", token="a-token-of-a-driver"),
+        TokenConfig(name="c", token="short"),
+        TokenConfig(name="d"),
+        TokenConfig(name="e", token_file=Path("/none")),
+    ]
+)
+
+
+def table(kind: type[Any], **fields: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    """One of its dataclass with a few of these settings; a draw that the dataclass refuses is not made."""
+
+    def make(chosen: dict[str, Any]) -> Any:
+        with contextlib.suppress(ValueError):
+            return kind(**chosen)
+        return kind()
+
+    few = st.lists(st.sampled_from(sorted(fields)), max_size=2, unique=True)
+    return few.flatmap(lambda names: st.fixed_dictionaries({name: fields[name] for name in names})).map(make)
+
+
+configs = st.builds(
+    Config,
+    tcp=table(
+        TcpConfig, host=HOSTS, port=PORTS, max_connections=WHOLE, max_connections_per_address=WHOLE, key_file=PATHS
+    ),
+    api=table(
+        ApiConfig,
+        host=HOSTS,
+        port=PORTS,
+        tokens=st.lists(TOKENS, max_size=2).map(tuple),
+        origins=st.sampled_from([(), ("*",), ("https://a",), ("",)]),
+        certificate=PATHS,
+        key=PATHS,
+        max_clients=WHOLE,
+        max_connections=WHOLE,
+        max_connections_per_address=WHOLE,
+        max_message_bytes=WHOLE,
+        max_requests_s=NUMBERS,
+        request_timeout_s=NUMBERS,
+    ),
+    link=table(
+        LinkConfig, silence_timeout_s=NUMBERS, idle_timeout_s=NUMBERS, write_timeout_s=NUMBERS, uart_bytes_s=WHOLE
+    ),
+    serial=st.lists(st.builds(SerialConfig, path=st.just("/dev/none"), baud=WHOLE, baud_try_s=NUMBERS), max_size=1).map(
+        tuple
+    ),
+    robots=st.dictionaries(
+        st.sampled_from(["robot_0", "", "a/b"]),
+        table(
+            RobotConfig,
+            **{
+                each.name: NUMBERS
+                for each in dataclasses.fields(RobotConfig)
+                if each.name.startswith(("max_", "wheel_", "cmd_vel_max"))
+            },
+        ),
+        max_size=1,
+    ),
+    message_folders=st.sampled_from([(), (), (Path("/none"),)]),
+)
+
+
+def with_free_ports(config: Config) -> Config:
+    """What is not drawn must not be another daemon's."""
+    tcp = config.tcp if config.tcp.port != TcpConfig().port else dataclasses.replace(config.tcp, port=0)
+    api = config.api if config.api.port != ApiConfig().port else dataclasses.replace(config.api, port=0)
+    return dataclasses.replace(config, tcp=tcp, api=api)
+
+
+async def begin(config: Config) -> None:
+    async with running(config):
+        await asyncio.sleep(0)
+
+
+@given(configs.map(with_free_ports))
+@settings(max_examples=150, deadline=None)
+def test_what_the_check_accepts_is_served_and_what_serve_refuses_the_check_refuses(config: Config) -> None:
+    try:
+        asyncio.run(check(config, descriptors=1024))
+    except ConfigError:
+        return  # and `serve`, which asks the check first, with it
+    asyncio.run(begin(config))
