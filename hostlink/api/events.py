@@ -92,7 +92,10 @@ class Events:
             client.sent(len(wire))
 
         try:
-            await response.prepare(request)
+            try:
+                await response.prepare(request)
+            except OSError as error:
+                raise web.HTTPBadRequest(reason="it broke off before the first event") from error
             with contextlib.suppress(OSError):  # the reader is gone, or takes nothing (TimeoutError is one too)
                 yield response, send
         finally:
