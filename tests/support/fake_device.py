@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import socket
 import struct
 from collections.abc import AsyncIterator
 
@@ -92,6 +93,12 @@ class FakeDevice:
     def hang_up(self) -> None:
         """Close this end."""
         self._writer.close()
+
+    def break_off(self) -> None:
+        """Reset the connection: what was not read is gone."""
+        linger = struct.pack("ii", 1, 0)
+        self._writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+        self._writer.transport.abort()
 
     async def closed(self) -> None:
         """Wait until the host has closed the connection."""

@@ -16,7 +16,7 @@ from tests.support.process import serve_into
 from tools.crowd import parameters, topic_infos
 
 Flood = Callable[[tuple[str, int], bytes], Awaitable[None]]
-FLOOD_S = 2.0
+FLOOD_S = 1.5
 CONNECTIONS = 400
 LINE_BYTES = 1000  # more than any line here has
 
@@ -32,13 +32,14 @@ async def flood(address: tuple[str, int], block: bytes) -> None:
         end_s = asyncio.get_running_loop().time() + FLOOD_S
         while asyncio.get_running_loop().time() < end_s:
             await device.send(block)
+        device.break_off()
 
 
 async def reconnect(address: tuple[str, int], _: bytes) -> None:
     """A connection after the other; each causes two lines at least."""
     for _ in range(CONNECTIONS):
-        async with fake_device(address, local_host="127.0.0.5"):
-            await asyncio.sleep(0)
+        async with fake_device(address, local_host="127.0.0.5") as device:
+            await device.frame(Id.PUBLISHER)  # so it is a link, not one that was refused
 
 
 @pytest.mark.parametrize(
