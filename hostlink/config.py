@@ -73,6 +73,12 @@ class LinkConfig:
     idle_timeout_s: float | None = 11.0  # of one that never asks; without answers a device falls silent after 11 s
     write_timeout_s: float = 5.0  # a socket that takes nothing for two of the device's time requests is dead
     uart_bytes_s: int | None = None  # None: as fast as the socket; 3840 for the paper's robot (38400 baud)
+    max_topics: int = 256  # of one device, with its services; rosserial's own library has 25 of each by default
+    forget_robot_after_s: float = 600.0  # a robot that nobody configured and nobody locked, once it has left
+
+    def __post_init__(self) -> None:
+        if self.max_topics < 1 or not self.forget_robot_after_s >= 0:
+            raise ValueError("max_topics must be at least 1, forget_robot_after_s zero or more")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,8 +4,8 @@ Life of a link   link.opened, link.closed, link.trouble, link.refused, link.brok
                  connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
 What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1, subscriber.crashed
-Robots           robot.appeared, robot.gone, robot.stopped, robot.locked, robot.unlocked, robot.unreachable,
-                 robot.crashed, odometry.unreadable
+Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
+                 robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
 Services         service.late, service.failed
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op, client.crowded, client.malformed

@@ -67,7 +67,7 @@ class Events:
     async def _odometry(self, request: web.Request) -> web.StreamResponse:
         robot = self._hub.robots.find(request.match_info["name"])
         news = asyncio.Event()
-        unsubscribe = self._hub.topics.subscribe(robot.topics.odometry, lambda _: news.set())
+        unsubscribe = self._hub.topics.subscribe(robot.shown.odometry, lambda _: news.set())
         try:
             async with self._stream(request) as (response, send):
                 while True:

@@ -32,6 +32,7 @@ _LINK_COUNTERS = {
     "unknown_ids": "Frames of a topic that the device never told",
     "refused_frames": "Frames that were refused",
     "malformed": "Control frames whose payload makes no sense",
+    "excess_topics": "Topics over the bound of one device",
     "negotiations": "Times that the device told its topics",
     "asks": "Times that it was asked for them",
     "replaced": "Messages that a newer one took the place of",
@@ -116,7 +117,17 @@ class _Graph(Collector):
             if odometry is not None:
                 age.add_metric([robot.name], odometry["age_s"])
                 poses.add_metric([robot.name], odometry["count"])
-        yield from (connected, age, poses, refused)
+        unreadable = CounterMetricFamily(
+            "hostlink_robot_unreadable", "Messages of its odometry that are none", labels=["robot"]
+        )
+        for robot in self._hub.robots.all():
+            unreadable.add_metric([robot.name], robot.unreadable)
+        forgotten = CounterMetricFamily(
+            "hostlink_robots_forgotten",
+            "Robots that were away for long, or before many others",
+            value=self._hub.robots.forgotten,
+        )
+        yield from (connected, age, poses, refused, unreadable, forgotten)
 
     def _links(self) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()

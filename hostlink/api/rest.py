@@ -217,12 +217,12 @@ class Rest:
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        if robot.topics.reset is None:
+        if robot.shown.reset is None:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
             raise DeviceGone(robot.name)
-        self._hub.publish(robot.topics.reset, {}, source=_owner(request))
-        return reply({"reset": robot.topics.reset})
+        self._hub.publish(robot.shown.reset, {}, source=_owner(request))
+        return reply({"reset": robot.shown.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
         return reply(links_view(self._hub))

@@ -66,11 +66,12 @@ class RobotView(TypedDict):
 
 
 class TopicInfoView(TypedDict):
-    """A topic as a device announced it."""
+    """A topic of a device: its name in the graph, and the one that the device announced."""
 
     kind: str
     id: int
     name: str
+    own_name: str
     type: str
     md5: str
     buffer_bytes: int
@@ -115,6 +116,7 @@ class LinkView(TypedDict):
     unknown_ids: int
     refused_frames: int
     malformed: int
+    excess_topics: int
     negotiations: int
     asks: int
     replaced: int
@@ -170,8 +172,8 @@ def robot_view(robot: Robot) -> RobotView:
         "name": robot.name,
         "connected": robot.link is not None,
         "link": None if robot.link is None else robot.link.number,
-        "velocity_topic": robot.topics.velocity,
-        "odometry_topic": robot.topics.odometry,
+        "velocity_topic": robot.shown.velocity,
+        "odometry_topic": robot.shown.odometry,
         "holder": robot.gate.holder,
         "priority": robot.gate.priority,
         "locked": robot.gate.lock_reason is not None,
@@ -210,7 +212,8 @@ def link_views(hub: Hub) -> list[LinkView]:
             {
                 "kind": info.kind.name.lower(),
                 "id": info.topic_id,
-                "name": info.name,
+                "name": hub.shown_name(link, info.name),
+                "own_name": info.name,
                 "type": info.type,
                 "md5": info.md5,
                 "buffer_bytes": info.buffer_bytes,

@@ -50,3 +50,4 @@ class Evidence:
     earlier: tuple[EarlierLink, ...] = ()
     end: str | None = None  # why the link is no more
     host_clock: str = ""  # what is wrong with this computer's clock
+    numbered: str = ""  # the robot's name has a number, because another device tells the same

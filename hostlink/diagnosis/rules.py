@@ -168,8 +168,12 @@ def _clock_trouble(evidence: Evidence) -> str | None:
     return f"the device asks every {interval_s:.2f} s, not every {TIME_REQUEST_S:g} s" if is_fast else None
 
 
-def _name_taken(evidence: Evidence) -> str | None:
+def _too_many_robots(evidence: Evidence) -> str | None:
     return "" if evidence.end == "refused" else None
+
+
+def _flashed_alike(evidence: Evidence) -> str | None:
+    return evidence.numbered or None
 
 
 def _host_fault(evidence: Evidence) -> str | None:
@@ -177,7 +181,7 @@ def _host_fault(evidence: Evidence) -> str | None:
 
 
 _RULES: dict[str, Rule] = {
-    "name_taken": _name_taken,
+    "too_many_robots": _too_many_robots,
     "host_fault": _host_fault,
     "no_bytes": _no_bytes,
     "no_topics": _no_topics,
@@ -189,4 +193,5 @@ _RULES: dict[str, Rule] = {
     "went_silent": _went_silent,
     "time_stopped": _time_stopped,
     "clock_trouble": _clock_trouble,
+    "flashed_alike": _flashed_alike,
 }

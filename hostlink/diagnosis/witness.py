@@ -73,6 +73,7 @@ class Witness:
         earlier: tuple[EarlierLink, ...] = (),
         end: str | None = None,
         host_clock: str = "",
+        numbered: str = "",
     ) -> Evidence:
         """All that is known now; what the link itself cannot know is given."""
         session, total = self._session, self._total()
@@ -98,6 +99,7 @@ class Witness:
             earlier=earlier,
             end=end,
             host_clock=host_clock,
+            numbered=numbered,
         )
 
     def _note_time_request(self, now_s: float) -> None:

@@ -37,6 +37,8 @@ class Case:
     end: LinkEnd | None = None
     ended_at_s: float = 0.0
     last_evidence: Evidence | None = None  # of a link that has ended, until it is judged
+    robot: str = ""  # what its robot is called here
+    own_name: str = ""  # what that calls itself, if it had to be given a number
 
 
 class Diagnoses:
@@ -68,6 +70,12 @@ class Diagnoses:
         case = self._live.get(link.number)
         if case is not None:
             case.witness.see_baud(baud, _now_s())
+
+    def identify(self, link: Link, robot: str, *, own_name: str = "") -> None:
+        """It is known which robot the link's device is, if any; `own_name` if it had to be given a number."""
+        case = self._live.get(link.number)
+        if case is not None:
+            case.robot, case.own_name = robot, own_name
 
     def note(self, link: Link, event: events.Event) -> None:
         """The session of a live link saw something other than a message."""
@@ -133,7 +141,8 @@ class Diagnoses:
                 was_negotiated=other.witness.was_negotiated,
             )
             for other in self.ended
-            if other.link.address == case.link.address and now_s - other.ended_at_s < EARLIER_S
+            if (other.link.address, other.robot) == (case.link.address, case.robot)
+            and now_s - other.ended_at_s < EARLIER_S
         )
         return case.witness.evidence(
             now_s,
@@ -141,6 +150,7 @@ class Diagnoses:
             earlier=earlier,
             end=None if case.end is None else case.end.value,
             host_clock=self._host_clock,
+            numbered="" if not case.own_name else f"{case.own_name} is another device's name; this is {case.robot}",
         )
 
     def _tell(self, case: Case, found: Finding) -> None:

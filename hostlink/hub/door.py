@@ -15,7 +15,7 @@ from hostlink.transport.keyed import KeyedTransport, read_key
 
 log = structlog.get_logger()
 
-PAUSE_S = 5.0  # a device whose robot's name is another's comes again at once, and nothing will have changed
+PAUSE_S = 5.0  # a device for which there is no room comes again at once, and nothing will have changed
 TELL_INTERVAL_S = 10.0  # whoever is refused comes again at once
 
 
@@ -39,7 +39,7 @@ class Door:
             for link in self._links.values()
         ]
         verdict = self._admission.judge(transport.address, guests)
-        refusal = "name_taken" if self._is_paused(transport.address) else verdict.refusal
+        refusal = "too_many_robots" if self._is_paused(transport.address) else verdict.refusal
         if refusal is not None:
             self._count(refusal, transport.peer)
             self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")

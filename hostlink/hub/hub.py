@@ -15,13 +15,14 @@ from hostlink.config import Config, LinkConfig
 from hostlink.errors import DeviceGone, HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.diagnoses import Diagnoses
+from hostlink.hub.identities import Identities, Parts
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.parameters import find_parameter
 from hostlink.hub.robot_topics import RobotTopics
-from hostlink.hub.robots import ENDING, LOCK_REASON, PROGRAM_PRIORITY, Robots
-from hostlink.hub.services import Provider, Services
-from hostlink.hub.subscriptions import Deliver, Topic, TopicGraph, Unsubscribe, resolve
+from hostlink.hub.robots import ENDING, PROGRAM_PRIORITY, Robot, Robots
+from hostlink.hub.services import Services
+from hostlink.hub.subscriptions import Topic, TopicGraph
 from hostlink.link.fair_share import FairShare
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import log_what_is_missing, of_peer, printable
@@ -30,7 +31,7 @@ from hostlink.messages.message_type import MessageType
 from hostlink.protocol import events
 from hostlink.protocol.control import LOG_LEVELS, Parameter
 from hostlink.protocol.session import Session
-from hostlink.robot.directory import Directory, Refused
+from hostlink.robot.directory import VELOCITY_TYPE, Directory
 from hostlink.robot.velocity import Velocity
 from hostlink.transport.base import Transport
 
@@ -57,7 +58,15 @@ class Hub:
         self.topics = TopicGraph(catalog, self.isolation)
         self.services = Services(catalog)
         self.diagnoses = Diagnoses(self.isolation)
-        self.robots = Robots(config.robots, catalog, self.isolation, subscribe=self._watch_odometry, show=self._show)
+        self.robots = Robots(
+            config.robots,
+            catalog,
+            self.isolation,
+            subscribe=self.topics.subscribe,
+            show=self._show,
+            forget_after_s=config.link.forget_robot_after_s,
+            on_forgotten=self._forget_robot,
+        )
         self.robot_topics = RobotTopics(config.robots, self.topics, catalog)
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause
@@ -65,8 +74,13 @@ class Hub:
         self._rosout = self.topics.advertise("/rosout", "hostlink", type_name="rosgraph_msgs/Log")
         self.config = config
         self._is_ending = False
-        self._directory = Directory({name: robot.address for name, robot in config.robots.items()})
-        self._devices: dict[int, Device] = {}
+        self._identities = Identities(
+            Parts(self.robots, self.robot_topics, self.services, self.diagnoses),
+            Directory({name: robot.address for name, robot in config.robots.items()}),
+            spawn=lambda work, name: self.spawn(work, name=name),
+            deliver=self._deliver,
+        )
+        self._devices = self._identities.devices
         self._numbers = itertools.count(1)
         self._share = FairShare()
         self._unknown_parameters: OrderedDict[str, None] = OrderedDict()  # that were told of, the latest last
@@ -110,7 +124,8 @@ class Hub:
         config = self.config.link if link_config is None else link_config
         session = Session(
             check=lambda info: check_type(self.catalog, info),
-            uart_bytes_s=self._uart_bytes_s(transport.address, config),
+            uart_bytes_s=self._uart_bytes_s(transport, config),
+            max_topics=config.max_topics,
         )
         link = Link(transport, session, config, number=next(self._numbers), on_event=self._react, share=self._share)
         self._devices[link.number] = Device(link, self.topics, self.services, self.catalog)
@@ -139,6 +154,11 @@ class Hub:
         """The live links, oldest first."""
         return [device.link for device in self._devices.values()]
 
+    def shown_name(self, link: Link, name: str) -> str:
+        """By which name the graph knows what a device calls so."""
+        device = self._devices.get(link.number)
+        return name if device is None else device.shown.of(name)
+
     async def farewell(self) -> None:
         """Stop every robot, tell every device to fall silent, end every link; bounded by FAREWELL_TIMEOUT_S.
 
@@ -161,82 +181,54 @@ class Hub:
         for link in self.links():
             link.end(LinkEnd.STOPPED)
 
-    def _uart_bytes_s(self, address: str, config: LinkConfig) -> int | None:
-        mine = (robot.uart_bytes_s for robot in self.config.robots.values() if robot.address == address)
+    def _uart_bytes_s(self, transport: Transport, config: LinkConfig) -> int | None:
+        here = (transport.peer, transport.address)
+        mine = (robot.uart_bytes_s for robot in self.config.robots.values() if robot.address in here)
         return next((rate for rate in mine if rate is not None), config.uart_bytes_s)
 
     def _forget(self, link: Link) -> None:
-        device = self._devices.pop(link.number, None)
-        if device is not None:
-            touched = device.names
-            device.leave()
-            self.robots.vanish(link)
-            if touched:
-                self.robot_topics.update(self.robots.all(), touched)
-            self.robots.leave(str(link))  # a device may drive another
-            self._directory.leave(link.number)
+        self._identities.forget(link)
+
+    def _forget_robot(self, robot: Robot) -> None:
+        self._identities.forget_robot(robot)
 
     # -- what devices say ---------------------------------------------------------------------------------------------
 
     def _react(self, link: Link, event: events.Event) -> None:
         if link.number in self._devices:  # one that was replaced has nothing to say any more
+            self._identities.hear(link)
             if not isinstance(event, events.MessageReceived):
                 self.diagnoses.note(link, event)
             self._reactions[type(event)](link, event)
 
     def _deliver(self, link: Link, event: events.MessageReceived) -> None:
         device = self._devices[link.number]
+        if device.is_undecided:
+            device.early.add(event)
+            return
+        device.look_at_stamp(event.topic.topic_id, event.payload)
+        type_ = device.odometry.get(event.topic.topic_id)
+        if type_ is not None:
+            self._see_odometry(link, Message(event.topic.name, type_.name, type_, event.payload, time.time_ns()))
         topic = device.routes.get(event.topic.topic_id)
         if topic is None:
             return
-        device.look_at_stamp(event.topic.topic_id, event.payload)
         try:
             self._spread(topic, event.payload, source=link)
         except HostlinkError as error:
             log.debug("message.refused", topic=topic.name, reason=str(error))
 
+    def _see_odometry(self, link: Link, message: Message) -> None:
+        """A pose belongs to the robot of the link by which it came, whatever its topic is called."""
+        robot = self.robots.of_link(link)
+        if robot is not None:
+            robot.see(message)
+            self.robot_topics.relay(robot, message)
+
     def _announce(self, link: Link, event: events.TopicsNegotiated) -> None:
         log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
-        if not event.is_changed:
-            return
-        topics = [(info.name, info.type, info.is_to_device) for info in event.topics]
-        claim = self._directory.claim(link.number, link.address, topics, announced=event.topics)
-        if isinstance(claim, Refused):
-            log.warning("link.refused", reason=claim.reason)
-            link.end(LinkEnd.REFUSED)
-            return
-        if claim.replaces is not None:
-            self._replace(claim.replaces)
-        device = self._devices[link.number]
-        before = device.names
-        device.announce(event.topics)
-        if claim.robot is not None:
-            self.robots.appear(claim.robot.name, claim.robot, link)
-            self._offer_lock(claim.robot.name)
-        else:
-            self.robots.vanish(link)
-        self.robot_topics.update(self.robots.all(), before | device.names)
-
-    def _offer_lock(self, name: str) -> None:
-        """The emergency stop as services, so that programs and devices can call it."""
-        robot = self.robots.find(name)
-
-        async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self.robots.lock(robot, LOCK_REASON)
-            return {"success": True, "message": f"{name} is locked until {name}/unlock is called"}
-
-        async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self.robots.unlock(robot)
-            return {"success": True, "message": f"{name} may be driven"}
-
-        for service, answer in (("lock", lock), ("unlock", unlock)):
-            self.services.provide(Provider(resolve(f"{name}/{service}"), "std_srvs/Trigger", "hostlink", answer))
-
-    def _replace(self, number: int) -> None:
-        old = self._devices.get(number)
-        if old is not None:
-            self._forget(old.link)
-            old.link.end(LinkEnd.REPLACED)
+        if event.is_changed:
+            self._identities.announce(link, event.topics)
 
     def _refuse_topic(self, link: Link, event: events.TopicRefused) -> None:  # noqa: ARG002 - the shape of a reaction
         log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
@@ -275,8 +267,8 @@ class Hub:
             self._rosout.deliver(self._rosout.type.encode({"header": header, **line}), stamp_ns)
 
     def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
-        service = self.services.of_device(event.service.name)
-        if service is None or service.key is not link or not service.answered(event.payload):
+        service = self._devices[link.number].services.get(event.service.name)
+        if service is None or not service.answered(event.payload):
             log.warning("service.late", service=printable(event.service.name))
 
     def _serve_device(self, link: Link, event: events.ServiceRequested) -> None:
@@ -338,32 +330,37 @@ class Hub:
     def _spread(self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY) -> None:
         if self._is_ending:
             raise DeviceGone(topic.name, ENDING)
-        robot = self.robots.of_velocity_topic(topic.name)
-        command = self.robot_topics.command(topic.name, payload)
-        if robot is not None:
-            command = robot, Velocity.from_twist(self.robots.twist.decode(payload))
-        if command is not None:
-            self.robots.command(*command, owner=str(source), priority=priority)
-        else:
+        commands = self._commands(topic, payload)
+        if commands is None:
             self.robots.expect_reset(topic.name)
             topic.spread(payload, time.time_ns(), source=source)
+            return
+        refusal: HostlinkError | None = None
+        for robot, velocity in commands:
+            if robot.link is source:  # as with every topic: nobody hears himself
+                continue
+            try:
+                self.robots.command(robot, velocity, owner=str(source), priority=priority)
+            except HostlinkError as error:
+                refusal = error
+        if refusal is not None:
+            raise refusal
 
-    def _show(self, name: str, payload: bytes) -> None:
+    def _commands(self, topic: Topic, payload: bytes) -> list[tuple[Robot, Velocity]] | None:
+        """Which robots a message drives, and how; None: it is no command. A topic of another type drives nobody."""
+        robots = self.robots.of_velocity_topic(topic.name) if topic.type_name == VELOCITY_TYPE else ()
+        if robots:
+            velocity = Velocity.from_twist(self.robots.twist.decode(payload))
+            return [(robot, velocity) for robot in robots]
+        command = self.robot_topics.command(topic, payload)
+        return None if command is None else [command]
+
+    def _show(self, robot: Robot, payload: bytes) -> None:
         """Let subscribers of a velocity topic, under any of its names, see what the gate sent."""
-        robot = self.robots.of_velocity_topic(resolve(name))
-        for other in [name] if robot is None else self.robot_topics.names_of_velocity(robot):
-            topic = self.topics.find_or_none(other)
-            if topic is not None:
+        for name in self.robot_topics.names_of_velocity(robot):
+            topic = self.topics.find_or_none(name)
+            if topic is not None and topic.type_name == VELOCITY_TYPE:
                 topic.deliver(payload, time.time_ns())
-
-    def _watch_odometry(self, name: str, see: Deliver) -> Unsubscribe:
-        """Let a robot see its odometry, and then everybody who knows it by another name."""
-
-        def see_and_relay(message: Message) -> None:
-            see(message)
-            self.robot_topics.relay(message)
-
-        return self.topics.subscribe(name, see_and_relay)
 
 
 async def _log_what_is_missing() -> None:

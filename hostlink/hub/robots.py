@@ -2,6 +2,9 @@
 
 import asyncio
 import contextlib
+import dataclasses
+import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,12 +15,15 @@ from hostlink.config import RobotConfig
 from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
-from hostlink.hub.subscriptions import Deliver, Unsubscribe, resolve
+from hostlink.hub.shown_names import ShownNames
+from hostlink.hub.subscriptions import Deliver, Unsubscribe
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
+from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopics
 from hostlink.robot.odometry import OdometryView, Twist
+from hostlink.robot.presence import SURE_S
 from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
 
@@ -31,6 +37,7 @@ FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by i
 DEMO_PRIORITY = 0  # whoever comes is more important
 PROGRAM_PRIORITY = 50  # a client of the API that does not say
 MAX_PRIORITY = 100  # a person at keys or a joystick says 60
+MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is taken
 LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats his command ten times a second
 
 
@@ -61,20 +68,26 @@ class Robot:
     """
 
     name: str
+    config: RobotConfig
     gate: VelocityGate
-    topics: RobotTopics
-    link: Link | None
     odometry: OdometryView
+    topics: RobotTopics  # as its device calls them
+    shown: RobotTopics  # as the graph calls them
+    link: Link | None = None
+    locked_link: Link | None = None  # the one that it had when it was locked
     sent: Velocity = ZERO
     sent_at_s: float = 0.0
+    left_at_s: float = 0.0
+    unreadable: int = 0  # messages of its odometry that are none
     unsubscribe: Unsubscribe | None = None
     refusals: Refusals = field(default_factory=Refusals)
 
     def see(self, message: Message) -> None:
-        """Take a message of the robot's odometry topic."""
+        """Take a message of the robot's odometry, which came by its own link."""
         try:
             self.odometry.see(message.decoded, now_s=_now_s(), wall_ns=self._stamp_ns(message))
         except BadPayload as error:
+            self.unreadable += 1
             log.debug("odometry.unreadable", robot=self.name, reason=str(error))
 
     def _stamp_ns(self, message: Message) -> int:
@@ -87,7 +100,11 @@ class Robot:
 
 
 class Robots:
-    """All robots by name. Methods are synchronous; `run` is the one clock of all gates."""
+    """All robots by name. Methods are synchronous; `run` is the one clock of all gates.
+
+    A robot is forgotten when it has been away for `forget_after_s`, or when MAX_AWAY others left after it; one that is
+    configured or locked never is.
+    """
 
     def __init__(
         self,
@@ -96,25 +113,34 @@ class Robots:
         isolation: Isolation | None = None,
         *,
         subscribe: Callable[[str, Deliver], Unsubscribe],
-        show: Callable[[str, bytes], None],
+        show: Callable[[Robot, bytes], None],
+        forget_after_s: float = math.inf,
+        on_forgotten: Callable[[Robot], None] = lambda _: None,
     ) -> None:
-        """`subscribe` gives the odometry; `show` lets the subscribers of a velocity topic see what was sent."""
+        """`subscribe` notes who reads the odometry; `show` is told what was sent."""
         twist = catalog.message("geometry_msgs/Twist")
         assert twist is not None  # noqa: S101 - of the store that the project is built on
         self.twist = twist
         self._isolation = Isolation(reraises=True) if isolation is None else isolation
         self._is_closed = False
+        self.forgotten = 0
+        self.max_robots = MAX_ROBOTS + len(configs)
         self._configs = configs
-        for name in configs:
-            self._limits(name)  # a ConfigError belongs to the start, not to the robot's first connection
+        for config in configs.values():
+            _limits(config)  # a ConfigError belongs to the start, not to the robot's first connection
         self._subscribe, self._show = subscribe, show
+        self._on_forgotten = on_forgotten
         self._robots: dict[str, Robot] = {}
-        self._by_velocity_topic: dict[str, Robot] = {}
-        self._by_reset_topic: dict[str, Robot] = {}
+        self._of_link: dict[Link, Robot] = {}
+        self._away = Away(forget_after_s)  # who may be forgotten
+        self._locked: dict[str, Robot] = {}
+        self._active: dict[str, Robot] = {}  # whose gate may have something to say
+        self._by_velocity_topic: defaultdict[str, dict[str, Robot]] = defaultdict(dict)
+        self._by_reset_topic: defaultdict[str, dict[str, Robot]] = defaultdict(dict)
         self._wake = asyncio.Event()
 
     def all(self) -> list[Robot]:
-        """Every robot that was seen since the daemon started, by name."""
+        """Every robot that is connected, or was and is not forgotten, by name."""
         return [self._robots[name] for name in sorted(self._robots)]
 
     def find(self, name: str) -> Robot:
@@ -124,48 +150,73 @@ class Robots:
             raise UnknownTopic("robot", name, tuple(self._robots))
         return robot
 
-    def of_velocity_topic(self, topic: str) -> Robot | None:
-        """The robot that is driven by the topic of this full name."""
-        return self._by_velocity_topic.get(topic)
+    def of_link(self, link: Link) -> Robot | None:
+        """The robot whose device has this link."""
+        return self._of_link.get(link)
+
+    def of_velocity_topic(self, topic: str) -> tuple[Robot, ...]:
+        """The robots that are driven by the topic of this full name: one, unless several share a name outside."""
+        return tuple(self._by_velocity_topic.get(topic, {}).values())
 
     def expect_reset(self, topic: str) -> None:
         """A message goes to this topic: if it resets a robot's odometry, its next pose is at the origin."""
-        robot = self._by_reset_topic.get(topic)
-        if robot is not None:
+        for robot in self._by_reset_topic.get(topic, {}).values():
             robot.odometry.expect_reset(_now_s())
 
-    def appear(self, name: str, topics: RobotTopics, link: Link) -> None:
-        """A robot's device is ready: whatever was commanded before means nothing now, its first velocity is zero."""
+    def make_room(self, name: str) -> bool:
+        """Whether a robot of this name may come, if need be in the place of one that is away."""
+        if name not in self._robots and len(self._robots) >= self.max_robots:
+            self._forget(self._away.take_first())
+        return name in self._robots or len(self._robots) < self.max_robots
+
+    def appear(
+        self, name: str, topics: RobotTopics, link: Link, *, shown: RobotTopics | None = None, is_certain: bool = True
+    ) -> Robot:
+        """A robot's device is ready: whatever was commanded before means nothing now, its first velocity is zero.
+
+        `shown`: its topics as the graph calls them. A device that is not certainly this robot may be a locked one that
+        has come back under another name: then it is locked as well.
+        """
+        before = self._of_link.get(link)
+        if before is not None and before.name != name:
+            self.vanish(link)
         robot = self._robots.get(name)
+        shown = ShownNames().of_robot(topics) if shown is None else shown
         if robot is None:
-            gate, odometry = VelocityGate(name, self._limits(name)), self._odometry(name)
-            robot = self._robots[name] = Robot(name, gate, topics, link, odometry)
+            robot = self._robots[name] = self._make(name, topics, shown)
         else:
             self._forget_topics(robot)
-            robot.topics, robot.link = topics, link
-        self._by_velocity_topic[resolve(topics.velocity)] = robot
-        if topics.reset is not None:
-            self._by_reset_topic[resolve(topics.reset)] = robot
-        if robot.unsubscribe is not None:
-            robot.unsubscribe()
-        robot.unsubscribe = self._subscribe(topics.odometry, robot.see)
+            if robot.link is not None and robot.link is not link:
+                self._of_link.pop(robot.link, None)
+        robot.topics, robot.shown, robot.link = topics, shown, link
+        self._of_link[link] = robot
+        self._away.remove(name)
+        self._by_velocity_topic[shown.velocity][name] = robot
+        if shown.reset is not None:
+            self._by_reset_topic[shown.reset][name] = robot
+        robot.unsubscribe = self._subscribe(shown.odometry, _read_by_link)
         robot.gate.restart()
         with contextlib.suppress(HostlinkError):  # a device that takes no velocity needs no zero
             link.last_frame = link.session.frame_to(topics.velocity, self.twist.encode(ZERO.to_twist()))
-        log.info("robot.appeared", robot=name, velocity=topics.velocity, odometry=topics.odometry)
-        self._wake.set()
+        self._activate(robot)
+        log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
+        if not is_certain and before is not robot:
+            self._lock_likewise(robot)
+        return robot
 
-    def vanish(self, link: Link) -> None:
-        """A link ended: its robots stand without a device."""
-        for robot in self._robots.values():
-            if robot.link is link:
-                robot.link = None
-                robot.gate.restart()
-                if robot.unsubscribe is not None:
-                    robot.unsubscribe()
-                    robot.unsubscribe = None
-                self._forget_topics(robot)
-                log.warning("robot.gone", robot=robot.name)
+    def vanish(self, link: Link) -> Robot | None:
+        """A link has no robot any more: the one that it had is told to stop, and stands without a device."""
+        robot = self._of_link.pop(link, None)
+        if robot is None:
+            return None
+        self._send_last_zero(robot, link)
+        robot.link = None
+        robot.gate.restart()
+        self._activate(robot)
+        self._forget_topics(robot)
+        log.warning("robot.gone", robot=robot.name)
+        self._put_away(robot)
+        return robot
 
     def command(self, robot: Robot, velocity: Velocity, *, owner: str, priority: int = PROGRAM_PRIORITY) -> Velocity:
         """Drive for the length of a lease; returns the velocity after the limits.
@@ -213,6 +264,9 @@ class Robots:
         Raises what `command` does of a device; the robot is locked then, too.
         """
         robot.gate.lock(printable(reason))
+        robot.locked_link = robot.link
+        self._locked[robot.name] = robot
+        self._away.remove(robot.name)
         log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
         _raise(self._tell(robot))
 
@@ -221,37 +275,97 @@ class Robots:
         if robot.gate.lock_reason is not None:
             log.warning("robot.unlocked", robot=robot.name, reason=robot.gate.lock_reason)
         robot.gate.unlock()
+        self._locked.pop(robot.name, None)
+        self._put_away(robot)
 
     def leave(self, owner: str) -> None:
         """A source of commands is gone: what it drives stops."""
-        for robot in self._robots.values():
+        for robot in list(self._active.values()):
             if robot.gate.holder == owner:
                 log.info("robot.stopped", robot=robot.name, reason="owner left", owner=owner)
                 robot.gate.release(owner, now_s=_now_s())
                 self._tell(robot)
 
     async def run(self) -> None:
-        """Step every gate that is active; sleep while none is."""
+        """Step every gate that is active; sleep while none is. Robots that are away long enough are forgotten."""
         while True:
-            if any(robot.gate.is_active for robot in self._robots.values()):
-                for robot in self._robots.values():
-                    if robot.gate.is_active:
-                        self._step(robot)
+            for robot in list(self._active.values()):
+                if robot.gate.is_active:
+                    self._step(robot)
+                else:
+                    self._active.pop(robot.name, None)
+            if self._active:
                 await asyncio.sleep(TICK_S)
             else:
                 self._wake.clear()
-                await self._wake.wait()
+                forgets_at_s = self._away.next_s()
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout_at(None if math.isinf(forgets_at_s) else forgets_at_s):
+                        await self._wake.wait()
+            self._forget_some()
+
+    def _make(self, name: str, topics: RobotTopics, shown: RobotTopics) -> Robot:
+        config = self._configs.get(name) or _likewise(self._configs.get(topics.name))
+        fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
+        odometry = OdometryView(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
+        return Robot(name, config, VelocityGate(name, _limits(config)), odometry, topics, shown)
+
+    def _lock_likewise(self, robot: Robot) -> None:
+        """If a locked robot of the same own name may be this one."""
+        if robot.gate.lock_reason is not None:
+            return
+        for other in self._locked.values():
+            link = other.link
+            is_surely_another = link is not None and link is other.locked_link and link.heard_at_s > _now_s() - SURE_S
+            if other.topics.name == robot.topics.name and not is_surely_another:
+                self.lock(robot, f"it may be {other.name}: {other.gate.lock_reason}")
+                return
+
+    def _send_last_zero(self, robot: Robot, link: Link) -> None:
+        """To a device that may have told new topics, or has another link by now; most often it is gone."""
+        if robot.gate.may_move:
+            with contextlib.suppress(HostlinkError):
+                link.session.publish(robot.topics.velocity, self.twist.encode(ZERO.to_twist()), is_urgent=True)
+                link.wake()
+
+    def _put_away(self, robot: Robot) -> None:
+        """It may be forgotten from now on, unless it is configured or locked."""
+        if robot.link is None and robot.gate.lock_reason is None and robot.name not in self._configs:
+            self._away.put(robot.name, _now_s())
+            self._forget_some()
+            self._wake.set()
+
+    def _forget_some(self) -> None:
+        for name in self._away.take_forgotten(_now_s()):
+            self._forget(name)
+
+    def _forget(self, name: str | None) -> None:
+        if name is not None:
+            robot = self._robots.pop(name)
+            self._active.pop(name, None)
+            self.forgotten += 1
+            log.info("robot.forgotten", robot=name)
+            self._on_forgotten(robot)
 
     def _forget_topics(self, robot: Robot) -> None:
         for robots, topic in (
-            (self._by_velocity_topic, robot.topics.velocity),
-            (self._by_reset_topic, robot.topics.reset),
+            (self._by_velocity_topic, robot.shown.velocity),
+            (self._by_reset_topic, robot.shown.reset),
         ):
-            if topic is not None and robots.get(resolve(topic)) is robot:
-                del robots[resolve(topic)]
+            if topic is not None and topic in robots:
+                robots[topic].pop(robot.name, None)
+                if not robots[topic]:
+                    del robots[topic]
+        if robot.unsubscribe is not None:
+            robot.unsubscribe()
+            robot.unsubscribe = None
+
+    def _activate(self, robot: Robot) -> None:
+        self._active[robot.name] = robot
+        self._wake.set()
 
     def _tell(self, robot: Robot) -> HostlinkError | None:
-        self._wake.set()
+        self._activate(robot)
         return self._step(robot, is_news=True)
 
     def _step(self, robot: Robot, *, is_news: bool = False) -> HostlinkError | None:
@@ -288,26 +402,40 @@ class Robots:
         robot.refusals.cause = None
         robot.sent, robot.sent_at_s = velocity, now_s
         robot.link.wake()
-        self._show(robot.topics.velocity, payload)
+        self._show(robot, payload)
         return None
 
-    def _odometry(self, name: str) -> OdometryView:
-        config = self._configs.get(name, RobotConfig())
-        fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
-        return OdometryView(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
 
-    def _limits(self, name: str) -> Limits:
-        config = self._configs.get(name, RobotConfig())
-        return Limits(
-            max_linear_m_s=config.max_linear_m_s,
-            max_angular_rad_s=config.max_angular_rad_s,
-            max_wheel_m_s=config.max_wheel_m_s,
-            wheel_separation_m=config.wheel_separation_m,
-            max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
-            max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
-            max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
-            max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
-        )
+def _likewise(config: RobotConfig | None) -> RobotConfig:
+    """The limits that hold for a robot hold for others that call themselves the same; its names are its own."""
+    if config is None:
+        return RobotConfig()
+    return dataclasses.replace(
+        config,
+        address=None,
+        odom_topic=None,
+        cmd_vel_topic=None,
+        cmd_vel_stamped_topic=None,
+        odom_frame=None,
+        base_frame=None,
+    )
+
+
+def _limits(config: RobotConfig) -> Limits:
+    return Limits(
+        max_linear_m_s=config.max_linear_m_s,
+        max_angular_rad_s=config.max_angular_rad_s,
+        max_wheel_m_s=config.max_wheel_m_s,
+        wheel_separation_m=config.wheel_separation_m,
+        max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
+        max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
+        max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
+        max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
+    )
+
+
+def _read_by_link(message: Message) -> None:
+    """The hub reads a robot's odometry as it comes by the robot's link; here it is only said that it does."""
 
 
 def _raise(refusal: HostlinkError | None) -> None:

@@ -105,17 +105,29 @@ class Services:
         self._providers: dict[str, Provider] = {}
 
     def add_device_service(self, service: DeviceService) -> None:
-        """A device offers a service; it replaces one of that name."""
+        """A device offers a service; it replaces one of that name. BadRequest for a name of the daemon's own."""
+        provider = self._providers.get(service.name)
+        if provider is not None and provider.key == DAEMON:
+            raise BadRequest(f"{service.name} is a service of hostlink's own")
         before = self._devices.get(service.name)
         if before is not None:
             before.close()
         self._devices[service.name] = service
+
+    def remove_device_service(self, service: DeviceService) -> None:
+        """The device offers it no more."""
+        service.close()
+        if self._devices.get(service.name) is service:
+            del self._devices[service.name]
 
     def provide(self, provider: Provider) -> None:
         """A client offers a service; BadRequest for a name of the daemon's own."""
         before = self._providers.get(provider.name)
         if before is not None and before.key == DAEMON != provider.key:
             raise BadRequest(f"{provider.name} is a service of hostlink's own")
+        squatter = self._devices.get(provider.name)
+        if provider.key == DAEMON and squatter is not None:  # the emergency stop is nobody else's
+            self.remove_device_service(squatter)
         self._providers[provider.name] = provider
 
     def withdraw(self, name: str, key: Hashable) -> None:

@@ -1,5 +1,6 @@
 """TopicGraph: every topic by name, who publishes it, who subscribes to it, which devices take it."""
 
+import itertools
 import time
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
@@ -42,24 +43,52 @@ class Topic:
         self.rank = _CLIENT_RANK  # of who said the type
         self.messages = 0
         self.publishers: set[Hashable] = set()
-        self.subscribers: tuple[Subscriber, ...] = ()
+        self._subscribers: dict[int, Subscriber] = {}
+        self._numbers = itertools.count()
+        self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
         self.devices: dict[Hashable, SendToDevice] = {}
         self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for programs that come later
 
     @property
+    def subscribers(self) -> tuple[Subscriber, ...]:
+        """Everybody who subscribed, in that order. Who comes or goes costs the same however many there are."""
+        if self._snapshot is None:
+            self._snapshot = tuple(self._subscribers.values())
+        return self._snapshot
+
+    def add_subscriber(self, subscriber: Subscriber) -> int:
+        """Returns the number by which it is removed."""
+        number = next(self._numbers)
+        self._subscribers[number], self._snapshot = subscriber, None
+        return number
+
+    def remove_subscriber(self, number: int) -> None:
+        """It may be gone already."""
+        self._subscribers.pop(number, None)
+        self._snapshot = None
+
+    @property
     def is_used(self) -> bool:
         """Whether anybody still means this topic."""
-        return bool(self.publishers or self.subscribers or self.devices)
+        return bool(self.publishers or self._subscribers or self.devices)
 
     @property
     def is_heard(self) -> bool:
         """Whether a message would reach anybody."""
-        return bool(self.subscribers or self.devices)
+        return bool(self._subscribers or self.devices)
 
     @property
     def has_device_publisher(self) -> bool:
         """Whether a device publishes it."""
         return any(_rank(key) == _DEVICE_RANK for key in self.publishers)
+
+    @property
+    def highest_rank(self) -> int:
+        """Of who publishes or takes it; a device is mostly the first that is looked at."""
+        owners = itertools.chain(self.devices, self.publishers)
+        if any(not isinstance(key, str) for key in owners):
+            return _DEVICE_RANK
+        return _DAEMON_RANK if DAEMON in self.publishers or DAEMON in self.devices else _CLIENT_RANK
 
     def forget_publisher(self, key: Hashable) -> None:
         """`key` publishes no more."""
@@ -121,14 +150,13 @@ class TopicGraph:
     def subscribe(self, name: str, deliver: Deliver, *, type_name: str = "", key: Hashable = DAEMON) -> Unsubscribe:
         """Deliver what was latched, and every message from now on; call what is returned to end it."""
         topic = self._open(name, type_name, _CLIENT_RANK)
-        subscriber = Subscriber(deliver, key, type_name)
-        topic.subscribers += (subscriber,)
+        number = topic.add_subscriber(Subscriber(deliver, key, type_name))
         for payload in topic.latched.values():
             if payload is not None:
                 deliver(Message(topic.name, topic.type_name, topic.type, payload, time.time_ns()))
 
         def unsubscribe() -> None:
-            topic.subscribers = tuple(other for other in topic.subscribers if other is not subscriber)
+            topic.remove_subscriber(number)
             self._settle(topic)
 
         return unsubscribe
@@ -203,11 +231,10 @@ class TopicGraph:
         """Somebody left: a topic without users goes, one that is only waited for has the type that is waited for."""
         if self._topics.get(topic.name) is not topic:
             return
-        owners = (*topic.publishers, *topic.devices)
-        topic.rank = max(map(_rank, owners), default=_CLIENT_RANK)
+        topic.rank = topic.highest_rank
         if not topic.is_used:
             del self._topics[topic.name]
-        elif not owners:
+        elif not topic.publishers and not topic.devices:
             wanted = next((other.type_name for other in topic.subscribers if other.type_name), "")
             topic.type = self._catalog.message(wanted) if wanted else None
             topic.type_name = wanted if topic.type is None else topic.type.name

@@ -40,6 +40,10 @@ class AskClock:
             self._same_asks[about] += 1
             self._wish = reason
 
+    def request(self, reason: str) -> None:
+        """Want to ask, whatever was asked before."""
+        self._wish = self._wish or reason
+
     def forget_same_asks(self) -> None:
         self._same_asks.clear()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from struct import error as StructError  # noqa: N812 - a class, named like one
 
-from hostlink.errors import FrameTooLarge, HostlinkError, UnknownTopic, WrongType
+from hostlink.errors import BadRequest, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 from hostlink.protocol import events
 from hostlink.protocol.ask_clock import AskClock
 from hostlink.protocol.clock import DeviceClock
@@ -31,7 +31,7 @@ from hostlink.protocol.frame import (
 )
 from hostlink.protocol.outbox import Outbox
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
-from hostlink.protocol.topic_table import TopicTable
+from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
 
 NEGOTIATION_QUIET_S = 0.5  # a device tells its topics without a pause; WiFi may put one in
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
@@ -52,6 +52,7 @@ class SessionCounts:
     unknown_ids: int = 0
     refused_frames: int = 0  # to the host with an id that only the host may use, or of a refused topic
     malformed: int = 0  # control frames whose payload makes no sense
+    excess_topics: int = 0  # TopicInfos over the bound of one device
     negotiations: int = 0
     asks: int = 0
 
@@ -75,6 +76,7 @@ class Session:
         *,
         check: Callable[[TopicInfo], int | None],
         uart_bytes_s: int | None = None,
+        max_topics: int = MAX_TOPICS,
     ) -> None:
         """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
         self.counts = SessionCounts()
@@ -82,7 +84,7 @@ class Session:
         self.foreign = ForeignBytes()
         self.too_large = ""  # the last frame that was refused for its size
         self._check = check
-        self._topics = TopicTable()
+        self._topics = TopicTable(max_topics)
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._outbox = Outbox(uart_bytes_s=uart_bytes_s)
         self._refused: dict[int, HostlinkError] = {}
@@ -233,6 +235,10 @@ class Session:
             name, self._fitting(what, Id.PARAMETER, payload, min(buffers_bytes, default=DEFAULT_BUFFER_BYTES))
         )
 
+    def ask_topics(self, reason: str) -> None:
+        """Ask for the topics as soon as that may be: a device that lives answers."""
+        self._clock.request(reason)
+
     def stop(self) -> None:
         """Queue the request to fall silent, after the urgent commands; the last frame of the session."""
         self._outbox.put_stop()
@@ -297,10 +303,13 @@ class Session:
         if info is None or info.topic_id < FIRST_TOPIC_ID:
             self.counts.malformed += 1
             return
+        self._clock.told_at_s = now_s
+        if not self._topics.is_room(info.topic_id):
+            yield from self._refuse_excess(info)
+            return
         if self._topics.get(info.topic_id) not in (None, info):  # what waits must not meet the id's new meaning
             self._outbox.drop_messages()
         self._refused.pop(info.topic_id, None)
-        self._clock.told_at_s = now_s
         self.device_clock.told(now_s)
         self._clock.is_answered = True
         fixed_bytes = None
@@ -312,6 +321,14 @@ class Session:
         self._topics.add(info, fixed_bytes)
         if not info.is_to_device:
             self._stream.limit_bytes = max(self._stream.limit_bytes, info.buffer_bytes)
+
+    def _refuse_excess(self, info: TopicInfo) -> Iterator[events.Event]:
+        """Count a topic over the bound; the first of a negotiation is told."""
+        self.counts.excess_topics += 1
+        self._topics.excess += 1
+        if self._topics.excess == 1:
+            reason = f"{info.name}: one topic more than the {self._topics.max_topics} that [link] max_topics allows"
+            yield events.TopicRefused(info, BadRequest(reason))
 
     def _finish_negotiation(self) -> events.TopicsNegotiated:
         self._topics.finish()

@@ -3,29 +3,46 @@
 from hostlink.protocol.control import IS_TO_DEVICE, TopicInfo
 from hostlink.protocol.frame import FIRST_TOPIC_ID
 
+MAX_TOPICS = 256  # ten times what rosserial's own library allows by default
+
 
 class TopicTable:
     """The topics of the last complete negotiation, and those that the present one has told so far.
 
-    `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have.
+    `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have. What is over
+    `max_topics` is not taken: `excess` counts it, in the present negotiation.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, max_topics: int = MAX_TOPICS) -> None:
         self.fixed_bytes: dict[int, int] = {}
         self.is_negotiating = False
+        self.max_topics = max_topics
+        self.excess = 0
+        self._by_name: dict[tuple[str, int], TopicInfo] = {}
         self._told: dict[int, TopicInfo] = {}  # by the present negotiation
         self._topics: dict[int, TopicInfo] = {}  # told so far, then those of the negotiation before
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
-        """Take one TopicInfo; the first one after a `finish` begins a new negotiation."""
+        """Take one TopicInfo for which there `is_room`; the first one after a `finish` begins a new negotiation."""
         if not self.is_negotiating:
             self.is_negotiating = True
+            self.excess = 0
             self._told = {}
+        before = self._topics.get(info.topic_id)
+        if before is not None and self._by_name.get((before.name, before.kind)) == before:
+            del self._by_name[before.name, before.kind]
         self._told[info.topic_id] = self._topics[info.topic_id] = info
+        known = self._by_name.get((info.name, info.kind))
+        if known is None or self._told.get(known.topic_id) != known:  # the first of a negotiation has the name
+            self._by_name[info.name, info.kind] = info
         if fixed_bytes is None:
             self.fixed_bytes.pop(info.topic_id, None)
         else:
             self.fixed_bytes[info.topic_id] = fixed_bytes
+
+    def is_room(self, topic_id: int) -> bool:
+        """Whether one more TopicInfo may be taken."""
+        return not self.is_negotiating or topic_id in self._told or len(self._told) < self.max_topics
 
     def finish(self) -> None:
         """The device has told all: what it did not name again is gone."""
@@ -33,6 +50,7 @@ class TopicTable:
         for gone in self._topics.keys() - self._told.keys():
             self.fixed_bytes.pop(gone, None)
         self._topics = dict(self._told)
+        self._by_name = {(info.name, info.kind): info for info in reversed(self._told.values())}
 
     def get(self, topic_id: int) -> TopicInfo | None:
         """What the device announced under this id."""
@@ -40,7 +58,7 @@ class TopicTable:
 
     def find(self, name: str, kind: int) -> TopicInfo | None:
         """The endpoint of that name and kind."""
-        return next((info for info in self._topics.values() if info.name == name and info.kind == kind), None)
+        return self._by_name.get((name, kind))
 
     def all(self) -> tuple[TopicInfo, ...]:
         """Every endpoint, in the order of the ids."""

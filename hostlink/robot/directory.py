@@ -1,19 +1,27 @@
 """Directory: which device is which robot, and which device is another one that came back."""
 
 import itertools
+import math
 import re
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+
+from hostlink.robot.presence import Presence
+from hostlink.robot.robot_names import LONGEST_NAME, Named, Origin, RobotNames
 
 VELOCITY_TYPE = "geometry_msgs/Twist"
 ODOMETRY_TYPES = ("geometry_msgs/Pose2D", "nav_msgs/Odometry")
 RESET_TYPE = "std_msgs/Empty"
 _USUAL_NAMES = ("velocity_commands", "cmd_vel")  # the likelier first
 _DEFAULT_NAME = "robot"
-_LONGEST_NAME = 64  # characters; a name goes into logs, paths and labels
 
+LATE_S = 0.1  # what was on its way when the other device told its topics
+ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
+AGAIN_S = 10.0  # two that take each other for dead, because their loops are slow, do so within a few seconds
+MOVING_S = 3.0  # by then a link that died has been ended for its silence
 TopicClaim = tuple[str, str, bool]  # name, type, whether it goes to the device
+Odometry = tuple[str, str]  # name, type
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,98 +34,182 @@ class RobotTopics:
     odometry_type: str
     reset: str | None
 
+    @property
+    def namespace(self) -> tuple[str, ...]:
+        """What the names of velocity and odometry have in common; else what the velocity's has, or the odometry's."""
+        return _common(_namespace(self.velocity), _namespace(self.odometry))
+
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """The device may stay; `replaces` is the number of an older link of the same one."""
+    """The device may stay; `replaces` is the number of an older link of the same one.
+
+    `own_name`: what the device calls its robot; `robot.name` is what it is called here. `is_certain`: no other device
+    can have meant that name. `is_numbered`: nothing but the order tells it from another.
+    """
 
     robot: RobotTopics | None
     replaces: int | None
+    own_name: str = ""
+    is_certain: bool = True
+    is_numbered: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
-    """The device may not stay: its robot's name belongs to another."""
+class Undecided:
+    """Another link of the same robot is silent, but maybe not dead: claim again soon. `ask`: links to be asked now."""
 
-    reason: str
+    ask: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Entry:
     """What a device claims to be."""
 
-    address: str
-    robot: RobotTopics | None
-    announced: Hashable
-
-    @property
-    def identity(self) -> tuple[str, Hashable]:
-        """What a device has in common with itself before a reconnect."""
-        return self.address, self.announced if self.robot is None else self.robot.name
+    origin: Origin
+    key: tuple[str, Hashable]  # what it has in common with itself before a reconnect
+    since_s: float
+    is_settled: bool = False
+    name: str | None = None  # of its robot
+    is_certain: bool = False
+    replaced_at_s: float = -math.inf  # when it took another link's place
 
 
 class Directory:
     """Knows devices by the numbers of their links.
 
-    A device is another's return when address and robot are the same; one that is no robot, when address and all that
-    it announced are. Robots of one name at two addresses are a mistake that only configuration can mend; a name that
-    the configuration gives to an address is nobody else's.
+    A device that tells what another of its address tells is either that one, come back while its old link looks alive,
+    or a second one that was flashed alike. The old link's silence says which:
+
+    | the old link                                                | then                                              |
+    |-------------------------------------------------------------|---------------------------------------------------|
+    | is heard once the new one has told its topics               | two devices; a robot gets a name of its own       |
+    | silent for 3 s: whatever lives asks for the time each 2.5 s | the same device: the new link replaces the old    |
+    | silent for 0.5 s and for five of its usual gaps             | the same device                                   |
+    | else                                                        | it is asked for its topics, the new one waits     |
+    | silent for 0.5 s after that                                 | the same device                                   |
+
+    Where two were seen, or one was replaced less than 10 s ago, only a silence of 3 s says that one is gone.
+
+    A robot whose name lives at another address waits for up to 3 s if that one is silent: it may have moved.
     """
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> the peer address or serial port that the configuration gives it."""
-        self._addresses = {name: address for name, address in addresses.items() if address is not None}
-        self._names: defaultdict[str, list[str]] = defaultdict(list)
-        for name, address in self._addresses.items():
-            self._names[address].append(name)
+        self._names = RobotNames(addresses)
         self._entries: dict[int, _Entry] = {}
+        self._presences: dict[int, Presence] = {}
+        self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
+        self._by_name: dict[str, int] = {}
+
+    def hear(self, link: int, now_s: float) -> None:
+        """A device said something."""
+        presence = self._presences.get(link)
+        if presence is None:
+            self._presences[link] = Presence(now_s)
+        else:
+            presence.hear(now_s)
 
     def claim(
-        self, link: int, address: str, topics: Sequence[TopicClaim], *, announced: Hashable = None
-    ) -> Accepted | Refused:
+        self,
+        link: int,
+        address: str,
+        topics: Sequence[TopicClaim],
+        *,
+        now_s: float,
+        peer: str = "",
+        announced: Hashable = None,
+    ) -> Accepted | Undecided:
         """A device has told its topics (again); `announced` is all that it told, if that is more than the topics."""
-        others = {number: entry for number, entry in self._entries.items() if number != link}
+        self.hear(link, now_s)
         robot = find_robot(topics)
-        if robot is not None:
-            robot = replace(robot, name=self._configured_name(robot, address, others.values()))
-            refusal = self._refusal(robot.name, address, others.values())
-            if refusal is not None:
-                return refusal
-        entry = _Entry(address, robot, announced or frozenset(topics))
-        replaces = next((number for number, other in others.items() if other.identity == entry.identity), None)
-        if replaces is not None:
-            del self._entries[replaces]
-        self._entries[link] = entry
-        return Accepted(robot, replaces)
+        key = (address, announced or frozenset(topics)) if robot is None else (address, robot.name)
+        entry, is_new = self._entries.get(link), False
+        if entry is None or entry.key != key:
+            self._release(link)
+            origin = Origin("" if robot is None else robot.name, address, peer)
+            entry, is_new = _Entry(origin, key, now_s), True
+            self._entries[link] = entry
+        replaces = None
+        if not entry.is_settled:
+            gone, unclear = self._rivals(entry, now_s)
+            if gone is None and unclear:
+                return Undecided(ask=tuple(unclear) if is_new else ())
+            named = None if robot is None else self._name(entry, gone, now_s)
+            if robot is not None and named is None:
+                return Undecided(ask=())
+            replaces = gone
+            self._settle(link, entry, named, replaces)
+        if robot is None or entry.name is None:
+            return Accepted(None, replaces)
+        is_numbered = self._names.is_numbered(entry.name, entry.origin)
+        return Accepted(replace(robot, name=entry.name), replaces, robot.name, entry.is_certain, is_numbered)
 
     def leave(self, link: int) -> None:
         """The device's link is gone."""
-        self._entries.pop(link, None)
+        self._release(link)
+        self._presences.pop(link, None)
 
-    def _configured_name(self, robot: RobotTopics, address: str, others: Iterable[_Entry]) -> str:
-        """Its own name if that is configured for the address, else the first that no other robot there has."""
-        names = self._names.get(address, [])
-        if robot.name in names:
-            return robot.name
-        taken = {
-            other.robot.name for other in others if other.robot is not None and other.robot.velocity != robot.velocity
-        }
-        return next((name for name in names if name not in taken), robot.name)
+    def forget(self, name: str) -> None:
+        """The robot of that name is forgotten: whoever comes may have it."""
+        if name not in self._by_name:
+            self._names.forget(name)
 
-    def _refusal(self, name: str, address: str, others: Iterable[_Entry]) -> Refused | None:
-        configured = self._addresses.get(name, address)
-        if configured != address:
-            return Refused(
-                f"the robot name {name} belongs to {configured} in hostlink.toml, but {address} wants it; "
-                f'correct the address, or name this one: [robots.OTHER_NAME] address = "{address}"'
+    def _rivals(self, entry: _Entry, now_s: float) -> tuple[int | None, list[int]]:
+        """Of the links that claim the same: one that is gone, and those that may be."""
+        links = self._settled.get(entry.key, {})
+        is_again = any(now_s < self._entries[link].replaced_at_s + AGAIN_S for link in links)
+        has_twins = is_again or len(links) > 1 or self._names.has_twins(entry.origin)
+        unclear = []
+        for link in links:
+            presence = self._presences[link]
+            if presence.heard_at_s > entry.since_s + LATE_S:
+                continue
+            is_given_up = not has_twins and (
+                presence.is_probably_gone(now_s) or now_s - max(entry.since_s, presence.heard_at_s) >= ANSWER_S
             )
-        for other in others:
-            if other.robot is not None and other.robot.name == name and other.address != address:
-                return Refused(
-                    f"two devices claim the robot name {name}: {other.address} has it, {address} wants it; "
-                    f'name one of them in hostlink.toml: [robots.OTHER_NAME] address = "{address}"'
-                )
-        return None
+            if is_given_up or presence.is_surely_gone(now_s):
+                return link, []
+            unclear.append(link)
+        return None, unclear
+
+    def _name(self, entry: _Entry, replaces: int | None, now_s: float) -> Named | None:
+        """None: the one that has the name elsewhere may be this one, come from another address."""
+        if replaces is not None:
+            name = self._entries[replaces].name
+            if name is not None:
+                return Named(name, not self._names.has_twins(entry.origin))
+        named = self._names.choose(entry.origin)
+        holder = self._by_name.get(entry.origin.own)
+        if holder is not None and named.is_new_number:
+            is_elsewhere = self._entries[holder].origin.address != entry.origin.address
+            is_silent = self._presences[holder].is_probably_gone(now_s) or self._presences[holder].is_surely_gone(now_s)
+            if is_elsewhere and is_silent and now_s < entry.since_s + MOVING_S:
+                return None
+        return named
+
+    def _settle(self, link: int, entry: _Entry, named: Named | None, replaces: int | None) -> None:
+        if replaces is not None:
+            self.leave(replaces)
+            entry.replaced_at_s = entry.since_s
+        entry.is_settled = True
+        self._settled[entry.key][link] = None
+        if named is not None:
+            entry.name, entry.is_certain = named.name, named.is_certain
+            self._names.take(named.name, entry.origin)
+            self._by_name[named.name] = link
+
+    def _release(self, link: int) -> None:
+        entry = self._entries.pop(link, None)
+        if entry is None:
+            return
+        if entry.is_settled:
+            self._settled[entry.key].pop(link, None)
+            if not self._settled[entry.key]:
+                del self._settled[entry.key]
+        if entry.name is not None:
+            self._names.leave(entry.name)
+            self._by_name.pop(entry.name, None)
 
 
 def find_robot(topics: Sequence[TopicClaim]) -> RobotTopics | None:
@@ -128,10 +220,9 @@ def find_robot(topics: Sequence[TopicClaim]) -> RobotTopics | None:
         for topic, type_name, is_to_device in topics
         if not is_to_device and type_name in ODOMETRY_TYPES
     ]
-    pairs = [(velocity, *odometry) for velocity in velocities for odometry in odometries]
-    if not pairs:
+    if not velocities or not odometries:
         return None
-    velocity, odometry, odometry_type = min(pairs, key=lambda pair: _unlikelihood(pair[0], pair[1]))
+    velocity, (odometry, odometry_type) = _likeliest_pair(velocities, odometries)
     namespaces = (_namespace(velocity), _namespace(odometry))
     resets = [
         topic
@@ -154,17 +245,34 @@ def _namespace(topic: str) -> tuple[str, ...]:
     return tuple(_parts(topic)[:-1])
 
 
-def _name(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> str:
+def _common(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> tuple[str, ...]:
     """What two namespaces have in common; else the one that there is."""
-    pairs = zip(velocity, odometry, strict=False)
-    common = [here for here, _ in itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)]
-    name = "_".join(common or velocity or odometry)
-    return re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST_NAME] or _DEFAULT_NAME
+    pairs = itertools.takewhile(lambda pair: pair[0] == pair[1], zip(velocity, odometry, strict=False))
+    return tuple(here for here, _ in pairs) or velocity or odometry
 
 
-def _unlikelihood(velocity: str, odometry: str) -> tuple[int, bool, bool, str, str]:
-    """Small for the pair that a person would choose."""
+def _name(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> str:
+    name = "_".join(_common(velocity, odometry))
+    return re.sub(r"\W", "_", name, flags=re.ASCII)[:LONGEST_NAME] or _DEFAULT_NAME
+
+
+def _likeliest_pair(velocities: Sequence[str], odometries: Sequence[Odometry]) -> tuple[str, Odometry]:
+    """The pair that a person would choose: usual names, one namespace. No device makes this slow: each is seen once."""
+    best: dict[tuple[str, ...], Odometry] = {}
+    for odometry in sorted(odometries, key=_unlikelihood, reverse=True):
+        best[_namespace(odometry[0])] = odometry
+    usual = min(map(_rank, velocities))
+    usual_velocities = sorted(velocity for velocity in velocities if _rank(velocity) == usual)
+    together = [(velocity, best[_namespace(velocity)]) for velocity in usual_velocities if _namespace(velocity) in best]
+    if together:
+        return min(together, key=lambda pair: (_unlikelihood(pair[1])[0], *pair))
+    return usual_velocities[0], min(odometries, key=_unlikelihood)
+
+
+def _rank(velocity: str) -> int:
     leaf = _leaf(velocity)
-    rank = _USUAL_NAMES.index(leaf) if leaf in _USUAL_NAMES else len(_USUAL_NAMES)
-    is_apart = _namespace(velocity) != _namespace(odometry)
-    return rank, is_apart, "odom" not in _leaf(odometry), velocity, odometry
+    return _USUAL_NAMES.index(leaf) if leaf in _USUAL_NAMES else len(_USUAL_NAMES)
+
+
+def _unlikelihood(odometry: Odometry) -> tuple[bool, Odometry]:
+    return "odom" not in _leaf(odometry[0]), odometry

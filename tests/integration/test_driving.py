@@ -1,7 +1,6 @@
 """Velocity on a running daemon: every way in which a source of commands can vanish ends in zero."""
 
 import asyncio
-import contextlib
 
 import pytest
 from structlog.testing import capture_logs
@@ -164,18 +163,19 @@ async def test_two_robots_behind_one_address_live_side_by_side() -> None:
                 await second.velocity()
 
 
-async def test_another_address_that_claims_a_robot_name_is_refused_and_told_what_to_configure() -> None:
+async def test_another_address_that_tells_a_robots_name_has_a_number_and_is_told_what_to_configure() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, robot_topics()) as owner:
             await greeted(owner)
-            async with fake_device(host.tcp, local_host="127.0.0.2") as thief:
-                with contextlib.suppress(EOFError):  # refused before or after its time is answered
-                    await thief.announce(robot_topics())
-                await thief.closed()
-            drive(host)
-            assert await owner.velocity() == CURVE
-    reason = next(line["reason"] for line in lines if line["event"] == "link.refused")
-    assert '[robots.OTHER_NAME] address = "127.0.0.2"' in reason
+            async with fake_device(host.tcp, robot_topics(), local_host="127.0.0.2") as other:
+                await greeted(other)
+                drive(host)
+                assert await owner.velocity() == CURVE
+                names = [robot["name"] for robot in (await host.get("/api/robots"))["robots"]]
+                assert names == ["robot_0", "robot_0_2"]
+    numbered = next(line for line in lines if line["event"] == "robot.numbered")
+    assert (numbered["robot"], numbered["own_name"]) == ("robot_0_2", "robot_0")
+    assert '[robots.NAME] address = "127.0.0.2"' in numbered["advice"]
 
 
 async def test_a_name_from_the_configuration() -> None:
@@ -183,6 +183,7 @@ async def test_a_name_from_the_configuration() -> None:
     async with daemon(config) as host, fake_device(host.tcp, robot_topics(), local_host="127.0.0.3") as device:
         await greeted(device)
         assert host.hub.robots.find("mower").topics.velocity == "/robot_0/velocity_commands"
+        assert host.hub.robots.find("mower").shown.velocity == "/mower/velocity_commands"
 
 
 async def test_the_daemon_stops_every_robot_and_then_silences_it() -> None:

@@ -57,7 +57,8 @@ CASES = [
     ("clock_trouble", replace(HEALTHY, stamps_behind_s=-3600.0), "its stamps are 3600.0 s ahead"),
     ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
     ("damaged", replace(HEALTHY, recent=replace(GOOD, bad_checksums=3)), "3 bad checksums and 100 good frames"),
-    ("name_taken", replace(HEALTHY, end="refused"), ""),
+    ("too_many_robots", replace(HEALTHY, end="refused"), ""),
+    ("flashed_alike", replace(HEALTHY, numbered="robot_0 is another device's name"), "another device's name"),
     ("host_fault", replace(HEALTHY, end="crashed"), ""),
 ]
 

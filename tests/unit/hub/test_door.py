@@ -1,4 +1,4 @@
-"""The door in virtual time: a device whose robot's name is another's may try again, but not at once."""
+"""The door in virtual time: a device for which there is no room may try again, but not at once."""
 
 import asyncio
 
@@ -16,15 +16,19 @@ from tests.support.virtual_loop import run_virtual
 
 OWNER, OTHER = "192.168.4.2", "192.168.4.3"
 TIME = encode(Id.TIME, bytes(8))
-ANNOUNCEMENT = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics()) + TIME
 
 
-async def come(door: Door, address: str) -> MemoryTransport:
-    """A device connects, and tells that it is robot_0."""
+def announcement(name: str) -> bytes:
+    infos = [encode(info.kind, encode_topic_info(info)) for info in robot_topics(name)]
+    return b"".join([TIME, *infos, TIME])
+
+
+async def come(door: Door, address: str, name: str) -> MemoryTransport:
+    """A device connects, and tells that it is the robot of that name."""
     host, device = memory_pair(address=address)
     door.enter(host)
     try:
-        await device.send(ANNOUNCEMENT)
+        await device.send(announcement(name))
     except ConnectionResetError:
         assert door._hub.refused  # it was not let in
     await asyncio.sleep(0.1)
@@ -35,27 +39,31 @@ def connected(hub: Hub) -> list[str]:
     return [link.address for link in hub.links()]
 
 
-async def two_of_one_name() -> Hub:
+async def one_too_many() -> Hub:
     hub = Hub(Config(), Catalog(), reraises=True)
     door = Door(hub, Config().tcp)
+    hub.robots.max_robots = 1
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        owner = await come(door, OWNER)
-        for _ in range(10):
-            await come(door, OTHER)
-        assert connected(hub) == [OWNER]
+        owner = await come(door, OWNER, "robot_0")
+        hub.robots.lock(hub.robots.find("robot_0"), "a person is near")
         await owner.aclose()
+        for _ in range(10):
+            await come(door, OTHER, "robot_1")
+        assert connected(hub) == []
+        hub.robots.unlock(hub.robots.find("robot_0"))
         await asyncio.sleep(PAUSE_S)
-        await come(door, OTHER)
+        await come(door, OTHER, "robot_1")
         assert connected(hub) == [OTHER]
+        assert [robot.name for robot in hub.robots.all()] == ["robot_1"]
         running.cancel()
     return hub
 
 
-def test_a_second_robot_of_a_name_waits_before_it_may_try_again() -> None:
+def test_a_robot_for_which_there_is_no_room_waits_before_it_may_try_again() -> None:
     with capture_logs() as lines:
-        hub = run_virtual(two_of_one_name())
-    assert hub.refused == {"name_taken": 9}
+        hub = run_virtual(one_too_many())
+    assert hub.refused == {"too_many_robots": 9}
     told = [line["event"] for line in lines]
     assert (told.count("link.refused"), told.count("connection.refused")) == (1, 1)

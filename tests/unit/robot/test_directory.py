@@ -1,14 +1,32 @@
-"""Directory: which device is which robot, who came back, and who is refused."""
+"""Directory: which device is which robot, who came back, and who was flashed alike."""
 
+import dataclasses
 import itertools
+import time
 from collections.abc import Mapping
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from hostlink.robot.directory import Accepted, Directory, Refused, RobotTopics, TopicClaim, find_robot
+from hostlink.robot.directory import (
+    ANSWER_S,
+    Accepted,
+    Directory,
+    RobotTopics,
+    TopicClaim,
+    Undecided,
+    find_robot,
+)
+from hostlink.robot.presence import SURE_S
 
 TWIST, POSE, ODOMETRY, EMPTY = "geometry_msgs/Twist", "geometry_msgs/Pose2D", "nav_msgs/Odometry", "std_msgs/Empty"
 HOME, AWAY = "192.168.4.2", "192.168.4.3"
+names = st.builds(
+    "/{}{}".format,
+    st.sampled_from(["", "a/", "b/", "a/b/"]),
+    st.sampled_from(["velocity_commands", "cmd_vel", "speed", "odom", "my_odometry", "pose"]),
+)
 SENSOR: list[TopicClaim] = [("/range", "sensor_msgs/Range", False)]
 
 
@@ -34,20 +52,48 @@ def plain_robot() -> list[TopicClaim]:
     return [to_device("cmd_vel"), from_device("odom", ODOMETRY)]
 
 
-def accepted(directory: Directory, link: int, address: str, topics: list[TopicClaim]) -> tuple[str | None, int | None]:
-    claim = directory.claim(link, address, topics)
+class Clocked:
+    """A directory, and a clock; between two claims so much time passes that whoever said nothing is gone."""
+
+    def __init__(self, addresses: Mapping[str, str | None] | None = None) -> None:
+        self.directory = Directory(addresses or {})
+        self.now_s = 0.0
+
+    def claim(self, link: int, address: str, topics: list[TopicClaim], *, port: int = 0) -> Accepted | Undecided:
+        return self.directory.claim(link, address, topics, now_s=self.now_s, peer=f"{address}:{port}")
+
+    def leave(self, link: int) -> None:
+        self.directory.leave(link)
+
+    def talk(self, *links: int, seconds: float = 1.0) -> None:
+        """So much time passes, and these links say something ten times a second."""
+        for _ in range(round(seconds / 0.1)):
+            self.now_s += 0.1
+            for link in links:
+                self.directory.hear(link, self.now_s)
+
+
+def accepted(ours: Clocked, link: int, address: str, topics: list[TopicClaim]) -> tuple[str | None, int | None]:
+    ours.now_s += 100.0
+    claim = ours.claim(link, address, topics)
     assert isinstance(claim, Accepted)
     return None if claim.robot is None else claim.robot.name, claim.replaces
 
 
-def refused(directory: Directory, link: int, address: str, topics: list[TopicClaim]) -> str:
-    claim = directory.claim(link, address, topics)
-    assert isinstance(claim, Refused)
-    return claim.reason
+def beside(ours: Clocked, link: int, address: str, topics: list[TopicClaim], *others: int, port: int = 0) -> str:
+    """The name of a robot that comes while the others talk on."""
+    ours.talk(*others)
+    claim = ours.claim(link, address, topics, port=port)
+    while isinstance(claim, Undecided):
+        ours.talk(*others, link, seconds=0.1)
+        claim = ours.claim(link, address, topics, port=port)
+    assert claim.replaces is None
+    assert claim.robot is not None
+    return claim.robot.name
 
 
-def directory(addresses: Mapping[str, str | None] | None = None) -> Directory:
-    return Directory(addresses or {})
+def directory(addresses: Mapping[str, str | None] | None = None) -> Clocked:
+    return Clocked(addresses)
 
 
 # -- what is a robot --------------------------------------------------------------------------------------------------
@@ -199,26 +245,225 @@ def test_who_left_is_not_replaced() -> None:
     assert accepted(ours, 2, AWAY, paper_robot()) == ("robot_0", None)
 
 
-# -- who is refused ---------------------------------------------------------------------------------------------------
+# -- who is another that was flashed alike -----------------------------------------------------------------------------
 
 
-def test_a_name_that_lives_at_another_address_is_refused_with_what_to_do() -> None:
+def test_two_robots_that_talk_at_once_are_two() -> None:
     ours = directory()
-    accepted(ours, 1, HOME, plain_robot())
-    assert refused(ours, 2, AWAY, plain_robot()) == (
-        "two devices claim the robot name robot: 192.168.4.2 has it, 192.168.4.3 wants it; "
-        'name one of them in hostlink.toml: [robots.OTHER_NAME] address = "192.168.4.3"'
-    )
-    assert accepted(ours, 3, HOME, plain_robot()) == ("robot", 1)
+    accepted(ours, 1, HOME, paper_robot())
+    ours.talk(1)
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=(1,))
+    ours.talk(2, seconds=0.1)
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=())
+    ours.talk(1, 2, seconds=0.2)
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.robot == dataclasses.replace(find_robot(paper_robot()), name="robot_0_2")
+    assert (claim.own_name, claim.replaces, claim.is_numbered, claim.is_certain) == ("robot_0", None, True, False)
 
 
-def test_a_name_that_is_configured_for_another_address_is_refused_even_when_nobody_is_there() -> None:
+def test_who_speaks_seldom_is_asked_and_lives_if_it_answers() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.now_s += 2.4  # all but the time between two of its requests for the time
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=(1,))
+    ours.now_s += 0.3
+    ours.directory.hear(1, ours.now_s)
+    assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
+
+
+def test_who_does_not_answer_is_gone() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.now_s += 0.1
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=(1,))
+    ours.now_s += ANSWER_S
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert (claim.replaces, claim.is_certain) == (1, True)
+
+
+def test_who_talked_all_the_time_and_stops_is_gone_at_once() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.talk(1, seconds=2.0)
+    ours.now_s += 0.6
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.replaces == 1
+
+
+def test_where_two_were_seen_a_short_silence_says_nothing() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
+    ours.talk(1, 2)
+    ours.talk(2, seconds=1.0)
+    assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
+    ours.talk(2, 3, seconds=SURE_S)
+    claim = ours.claim(3, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.robot is not None
+    assert (claim.robot.name, claim.replaces) == ("robot_0", 1)
+
+
+def test_two_slow_ones_that_take_each_other_for_dead_do_so_once() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.now_s += 1.0
+    ours.claim(2, HOME, paper_robot())
+    ours.now_s += 0.6
+    claim = ours.claim(2, HOME, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.replaces == 1
+    ours.now_s += 0.9
+    assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
+    ours.now_s += 0.9
+    assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
+    ours.directory.hear(2, ours.now_s)
+    assert beside(ours, 3, HOME, paper_robot(), 2) == "robot_0_2"
+
+
+def test_a_sensor_beside_one_of_the_same_topics_is_another() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, SENSOR)
+    ours.talk(1)
+    assert ours.claim(2, HOME, SENSOR) == Undecided(ask=(1,))
+    ours.talk(1, seconds=0.2)
+    assert ours.claim(2, HOME, SENSOR) == Accepted(None, None)
+
+
+def test_robots_at_other_addresses_have_numbers_in_the_order_in_which_they_came() -> None:
+    ours = directory()
+    names = [beside(ours, link, f"192.168.4.{link}", plain_robot(), *range(1, link)) for link in range(1, 5)]
+    assert names == ["robot", "robot_2", "robot_3", "robot_4"]
+
+
+def test_a_number_passes_over_names_that_others_have() -> None:
+    ours = directory({"robot_0_2": "10.0.0.1"})
+    accepted(ours, 1, HOME, paper_robot("robot_0_3"))
+    assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0"
+    assert beside(ours, 3, AWAY, paper_robot(), 1, 2) == "robot_0_4"
+
+
+def test_the_longest_name_with_a_number_is_no_longer() -> None:
+    ours = directory()
+    assert beside(ours, 1, HOME, paper_robot("r" * 80)) == "r" * 64
+    assert beside(ours, 2, AWAY, paper_robot("r" * 80), 1) == "r" * 62 + "_2"
+
+
+def test_a_robot_whose_old_link_is_silent_at_another_address_waits_and_has_its_name_again() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.talk(1)
+    ours.now_s += 4.0
+    assert isinstance(ours.claim(2, AWAY, paper_robot()), Undecided)
+    ours.leave(1)
+    assert beside(ours, 2, AWAY, paper_robot()) == "robot_0"
+
+
+def test_it_does_not_wait_for_ever() -> None:
+    ours = directory()
+    accepted(ours, 1, "/dev/ttyACM0", paper_robot())  # no silence ends the link of a serial port
+    ours.now_s += 60.0
+    assert isinstance(ours.claim(2, AWAY, paper_robot()), Undecided)
+    ours.now_s += 3.0
+    assert beside(ours, 2, AWAY, paper_robot()) == "robot_0_2"
+
+
+def test_a_name_that_is_configured_for_another_address_is_nobody_elses_even_when_nobody_is_there() -> None:
     ours = directory({"robot_0": HOME})
-    assert refused(ours, 1, AWAY, paper_robot("robot_0")) == (
-        "the robot name robot_0 belongs to 192.168.4.2 in hostlink.toml, but 192.168.4.3 wants it; "
-        'correct the address, or name this one: [robots.OTHER_NAME] address = "192.168.4.3"'
-    )
+    assert accepted(ours, 1, AWAY, paper_robot("robot_0")) == ("robot_0_2", None)
     assert accepted(ours, 2, HOME, paper_robot("robot_0")) == ("robot_0", None)
+
+
+# -- who comes back to its name ---------------------------------------------------------------------------------------
+
+
+def test_robots_that_were_seen_at_once_come_back_to_their_names_in_any_order() -> None:
+    ours = directory()
+    addresses = [f"192.168.4.{number}" for number in range(2, 5)]
+    names = [beside(ours, link, address, paper_robot(), *range(link)) for link, address in enumerate(addresses)]
+    for order in itertools.permutations(range(3)):
+        for link in range(3):
+            ours.leave(link)
+        for link in order:
+            assert accepted(ours, link, addresses[link], paper_robot()) == (names[link], None)
+
+
+def test_behind_one_address_the_port_tells_who_comes_back() -> None:
+    ours = directory()
+    for link, port in ((1, 5001), (2, 5002), (3, 5003)):
+        beside(ours, link, HOME, paper_robot(), *range(1, link), port=port)
+    for link in (1, 2, 3):
+        ours.leave(link)
+    claim = ours.claim(4, HOME, paper_robot(), port=5002)
+    assert isinstance(claim, Accepted)
+    assert claim.robot is not None
+    assert (claim.robot.name, claim.is_certain) == ("robot_0_2", True)
+    assert beside(ours, 5, HOME, paper_robot(), 4, port=6000) == "robot_0"
+    claim = ours.claim(5, HOME, paper_robot(), port=6000)
+    assert isinstance(claim, Accepted)
+    assert not claim.is_certain
+
+
+def test_one_that_is_alone_takes_its_name_along_to_another_address() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.leave(1)
+    assert accepted(ours, 2, AWAY, paper_robot()) == ("robot_0", None)
+
+
+def test_one_of_several_leaves_its_name_to_nobody_until_it_is_forgotten() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    beside(ours, 2, AWAY, paper_robot(), 1)
+    ours.leave(1)
+    assert accepted(ours, 3, "192.168.4.4", paper_robot()) == ("robot_0_3", None)
+    ours.directory.forget("robot_0")
+    assert accepted(ours, 4, "192.168.4.5", paper_robot()) == ("robot_0", None)
+
+
+def test_a_robot_that_is_there_is_not_forgotten() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.directory.forget("robot_0")
+    assert beside(ours, 2, AWAY, paper_robot(), 1) == "robot_0_2"
+
+
+# -- how long it takes ------------------------------------------------------------------------------------------------
+
+
+def test_ten_thousand_topics_are_looked_at_once_each() -> None:
+    topics = [
+        *(to_device(f"/n{number}/cmd_vel") for number in range(10_000)),
+        *(from_device(f"/n{number}/odom") for number in range(10_000)),
+    ]
+    began_s = time.process_time()
+    robot = find_robot(topics)
+    assert time.process_time() - began_s < 2.0  # 0.1 s; each with each is a minute
+    assert robot is not None
+    assert robot.name == "n0"
+
+
+@given(st.lists(st.tuples(names, st.sampled_from([TWIST, POSE, ODOMETRY]), st.booleans()), max_size=12))
+def test_the_pair_is_the_best_of_all_pairs(topics: list[TopicClaim]) -> None:
+    velocities = [name for name, type_name, is_to_device in topics if is_to_device and type_name == TWIST]
+    odometries = [name for name, type_name, is_to_device in topics if not is_to_device and type_name != TWIST]
+    robot = find_robot(topics)
+    if robot is None:
+        assert not velocities or not odometries
+    else:
+        best = min(itertools.product(velocities, odometries), key=lambda pair: unlikelihood(*pair))
+        assert (robot.velocity, robot.odometry) == best
+
+
+def unlikelihood(velocity: str, odometry: str) -> tuple[int, bool, bool, str, str]:
+    """Of a pair, as a person would choose it: a usual name, one namespace, a word that says odometry."""
+    *velocity_space, velocity_leaf = velocity.split("/")
+    *odometry_space, odometry_leaf = odometry.split("/")
+    rank = {"velocity_commands": 0, "cmd_vel": 1}.get(velocity_leaf, 2)
+    return rank, velocity_space != odometry_space, "odom" not in odometry_leaf, velocity, odometry
 
 
 # -- configured names -------------------------------------------------------------------------------------------------

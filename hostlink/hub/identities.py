@@ -1,0 +1,179 @@
+"""Identities: who the device of each link is, which robot it is, and what that means for the graph."""
+
+import asyncio
+import contextlib
+import dataclasses
+from collections.abc import Callable, Coroutine
+from typing import Any, NamedTuple
+
+import structlog
+
+from hostlink.hub.device import Device
+from hostlink.hub.diagnoses import Diagnoses
+from hostlink.hub.emergency_stop import offer_lock, withdraw_lock
+from hostlink.hub.robot_topics import RobotTopics
+from hostlink.hub.robots import Robot, Robots
+from hostlink.hub.services import Services
+from hostlink.hub.shown_names import ShownNames
+from hostlink.link.link import Link, LinkEnd
+from hostlink.logs import printable
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.events import MessageReceived
+from hostlink.robot.directory import Accepted, Directory, Undecided
+
+log = structlog.get_logger()
+
+DECIDE_INTERVAL_S = 0.05  # a robot speaks every 0.1 s
+LAST_ZERO_S = 0.2  # for the zero to a link that is replaced while its robot drives
+
+
+class Parts(NamedTuple):
+    """What of the hub depends on who a device is."""
+
+    robots: Robots
+    robot_topics: RobotTopics
+    services: Services
+    diagnoses: Diagnoses
+
+
+class Identities:
+    """Owns the devices of the live links. The Directory decides, this does what was decided."""
+
+    def __init__(
+        self,
+        parts: Parts,
+        directory: Directory,
+        *,
+        spawn: Callable[[Coroutine[Any, Any, object], str], None],
+        deliver: Callable[[Link, MessageReceived], None],
+    ) -> None:
+        """`deliver`: what a device said while it was not known who it is."""
+        self.devices: dict[int, Device] = {}
+        self._parts, self._directory = parts, directory
+        self._spawn, self._deliver = spawn, deliver
+
+    def hear(self, link: Link) -> None:
+        """A device said something."""
+        self._directory.hear(link.number, link.heard_at_s)
+
+    def announce(self, link: Link, infos: tuple[TopicInfo, ...]) -> None:
+        """A device has told its topics, other ones than before."""
+        self.devices[link.number].infos = infos
+        self._identify(self.devices[link.number])
+
+    def forget(self, link: Link) -> None:
+        """The link has ended, or another took its place."""
+        device = self.devices.pop(link.number, None)
+        if device is not None:
+            self._leave_graph(device)
+            self._parts.robots.leave(str(link))  # a device may drive another
+            self._directory.leave(link.number)
+
+    def forget_robot(self, robot: Robot) -> None:
+        """It has been away for long."""
+        self._directory.forget(robot.name)
+        self._parts.robot_topics.forget(robot)
+        withdraw_lock(self._parts.services, robot)
+
+    def _identify(self, device: Device) -> None:
+        """Find out which device it is, as far as that can be known by now."""
+        link, infos = device.link, device.infos
+        claim = self._directory.claim(
+            link.number,
+            link.address,
+            [(info.name, info.type, info.is_to_device) for info in infos],
+            now_s=asyncio.get_running_loop().time(),
+            peer=link.peer,
+            announced=infos,
+        )
+        if isinstance(claim, Undecided):
+            self._wait(device, claim)
+        elif claim.robot is not None and not self._parts.robots.make_room(claim.robot.name):
+            self._refuse(link, claim.robot.name)
+        else:
+            self._accept(device, claim)
+
+    def _wait(self, device: Device, claim: Undecided) -> None:
+        """Another link may be the same device, silent or dead: ask that, and claim again soon."""
+        for number in claim.ask:
+            rival = self.devices[number].link
+            rival.session.ask_topics("claimed_twice")
+            rival.wake()
+        if not device.is_undecided:
+            device.is_undecided = True
+            self._leave_graph(device)
+            self._spawn(self._decide(device), f"identity of link {device.link.number}")
+
+    async def _decide(self, device: Device) -> None:
+        while device.is_undecided:
+            await asyncio.sleep(DECIDE_INTERVAL_S)
+            if self.devices.get(device.link.number) is not device:
+                return
+            self._identify(device)
+
+    def _refuse(self, link: Link, name: str) -> None:
+        self._directory.leave(link.number)
+        self._directory.forget(name)
+        log.warning("link.refused", reason="too many robots are known: unlock those that are locked and not there")
+        link.end(LinkEnd.REFUSED)
+
+    def _accept(self, device: Device, claim: Accepted) -> None:
+        """Put the device into the graph, as the robot that it is."""
+        robots, link, robot = self._parts.robots, device.link, claim.robot
+        if claim.replaces is not None:
+            self._replace(claim.replaces)
+        touched, before = device.names, robots.of_link(link)
+        changed = [] if before is None else [before]
+        if robot is None:
+            robots.vanish(link)
+            device.announce(device.infos, ShownNames())
+        else:
+            own = dataclasses.replace(robot, name=claim.own_name)
+            shown = ShownNames(own, robot.name)
+            device.announce(device.infos, shown, own)
+            known = robots.appear(robot.name, own, link, shown=shown.of_robot(own), is_certain=claim.is_certain)
+            offer_lock(robots, self._parts.services, known)
+            changed.append(known)
+        self._parts.robot_topics.update(changed, touched | device.names)
+        self._tell(link, claim)
+        device.is_undecided = False
+        for message in device.early.take():
+            self._deliver(link, message)
+
+    def _tell(self, link: Link, claim: Accepted) -> None:
+        """Which links are one device's tells a reboot from another board; a number for a name should be no secret."""
+        name = "" if claim.robot is None else claim.robot.name
+        self._parts.diagnoses.identify(link, name, own_name=claim.own_name if claim.is_numbered else "")
+        if claim.is_numbered:
+            log.warning(
+                "robot.numbered",
+                robot=name,
+                own_name=claim.own_name,
+                advice=f'choose its name in hostlink.toml: [robots.NAME] address = "{printable(link.address)}"',
+            )
+
+    def _replace(self, number: int) -> None:
+        """End the old link of a device that came back; if it drove, its zero may still arrive."""
+        old = self.devices.get(number)
+        if old is None:
+            return
+        robot = self._parts.robots.of_link(old.link)
+        is_moving = robot is not None and robot.gate.may_move
+        self.forget(old.link)
+        if is_moving:
+            self._spawn(_end_replaced(old.link), f"end of link {number}")
+        else:
+            old.link.end(LinkEnd.REPLACED)
+
+    def _leave_graph(self, device: Device) -> None:
+        touched, robot = device.names, self._parts.robots.vanish(device.link)
+        device.leave()
+        if robot is not None or touched:
+            self._parts.robot_topics.update([] if robot is None else [robot], touched)
+
+
+async def _end_replaced(link: Link) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(LAST_ZERO_S):
+            await link.drained()
+    link.end(LinkEnd.REPLACED)

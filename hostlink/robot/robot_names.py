@@ -1,0 +1,130 @@
+"""RobotNames: which device has which robot's name. Boards that were flashed alike tell one name; each gets its own."""
+
+import itertools
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+Key = TypeVar("Key")
+
+LONGEST_NAME = 64  # characters; a name goes into logs, paths and labels
+
+
+class Origin(NamedTuple):
+    """What is known of a device before it has a name: what it calls its robot, and where it is."""
+
+    own: str  # the name that it tells
+    address: str
+    peer: str  # the address with its port; of a serial port the path
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A name; `is_certain`: it can be nobody else's, because of the configuration or of an address of its own.
+
+    `is_new_number`: nobody ever had it; the device is one more of those that tell the same.
+    """
+
+    name: str
+    is_certain: bool = False
+    is_new_number: bool = False
+
+
+class RobotNames:
+    """A name is chosen in this order:
+
+    1. the name that it tells, where the configuration gives it to its address;
+    2. the name that the same device had before: one that told the same name from the same address, and best the same
+       port; of several the one that came first;
+    3. a name that the configuration gives to its address: those that nobody ever had first, in their order;
+    4. the name that it tells, unless it is another's: somebody has it now, the configuration gives it to an address, or
+       several were seen who tell it, and it is the one of a device elsewhere;
+    5. that name with a number: robot_0_2, robot_0_3, ...
+
+    A name without a device stays its last owner's until it is forgotten.
+    """
+
+    def __init__(self, addresses: Mapping[str, str | None]) -> None:
+        """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port."""
+        self._configured = {name: address for name, address in addresses.items() if address is not None}
+        self._at: defaultdict[str, list[str]] = defaultdict(list)
+        for name, address in self._configured.items():
+            self._at[address].append(name)
+        self._live: set[str] = set()
+        self._owners: dict[str, Origin] = {}
+        self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
+        self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
+
+    def choose(self, origin: Origin) -> Named:
+        """The name of a device that has none."""
+        here = self._configured_at(origin)
+        free = [name for name in here if name not in self._live]
+        is_only_one = len(here) == 1
+        if origin.own in free:
+            return Named(origin.own, is_only_one)
+        had = self._names_of(origin)
+        before = [name for name in had if name not in self._live]
+        if before:
+            same = next((name for name in before if self._owners[name].peer == origin.peer), None)
+            return Named(same or before[0], same is not None or len(had) == 1)
+        if free:
+            return Named(next((name for name in free if name not in self._owners), free[0]), is_only_one)
+        if self._is_free(origin):
+            return Named(origin.own)
+        return Named(self._numbered(origin.own), is_new_number=True)
+
+    def take(self, name: str, origin: Origin) -> None:
+        """The device has the name from now on."""
+        self.forget(name)
+        self._live.add(name)
+        self._owners[name] = origin
+        self._of_origin[origin.own, origin.address][name] = None
+        self._of_own[origin.own][name] = None
+
+    def leave(self, name: str) -> None:
+        """Its device is gone; the name stays its own."""
+        self._live.discard(name)
+
+    def forget(self, name: str) -> None:
+        """Nobody need have this name again."""
+        self._live.discard(name)
+        owner = self._owners.pop(name, None)
+        if owner is not None:
+            _drop(self._of_origin, owner[:2], name)
+            _drop(self._of_own, owner.own, name)
+
+    def has_twins(self, origin: Origin) -> bool:
+        """Whether several robots were seen there that tell this name."""
+        return len(self._names_of(origin)) > 1
+
+    def is_numbered(self, name: str, origin: Origin) -> bool:
+        """Whether a device was given a number, because nothing told it from another."""
+        return name != origin.own and name not in self._configured_at(origin)
+
+    def _configured_at(self, origin: Origin) -> list[str]:
+        names = self._at.get(origin.peer, [])
+        return names if origin.peer == origin.address else [*names, *self._at.get(origin.address, [])]
+
+    def _names_of(self, origin: Origin) -> list[str]:
+        return list(self._of_origin.get((origin.own, origin.address), ()))
+
+    def _is_free(self, origin: Origin) -> bool:
+        name = origin.own
+        if name in self._live or name in self._configured:
+            return False
+        owner = self._owners.get(name)
+        return owner is None or (owner.own == name and len(self._of_own[name]) == 1)
+
+    def _numbered(self, own: str) -> str:
+        for number in itertools.count(2):
+            name = f"{own[: LONGEST_NAME - len(f'_{number}')]}_{number}"
+            if name not in self._owners and name not in self._configured:
+                return name
+        raise AssertionError  # there is always one more number
+
+
+def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None:
+    names[key].pop(name, None)
+    if not names[key]:
+        del names[key]
