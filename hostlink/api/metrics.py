@@ -93,6 +93,9 @@ class _Graph(Collector):
             "Connections that a fault of hostlink ended",
             value=self._hub.isolation.crashes["link"],
         )
+        yield CounterMetricFamily(
+            "hostlink_messages_unheard", "Messages of devices that were not known in time", value=self._hub.unheard
+        )
         refused = CounterMetricFamily("hostlink_connections_refused", "Devices turned away, by cause", labels=["cause"])
         for cause, count in self._hub.refused.items():
             refused.add_metric([cause], count)

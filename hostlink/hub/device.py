@@ -125,19 +125,20 @@ class EarlyMessages:
     """What a device said while it was not known who it is, to be heard afterwards; of too much the oldest goes."""
 
     def __init__(self) -> None:
-        self.dropped = 0
         self._waiting: deque[MessageReceived] = deque()
         self._bytes = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, message: MessageReceived) -> None:
+    def add(self, message: MessageReceived) -> int:
+        """Returns how many went for it."""
+        before = len(self._waiting)
         self._waiting.append(message)
         self._bytes += len(message.payload)
         while len(self._waiting) > EARLY_MESSAGES or self._bytes > EARLY_BYTES:
             self._bytes -= len(self._waiting.popleft().payload)
-            self.dropped += 1
+        return before + 1 - len(self._waiting)
 
     def take(self) -> list[MessageReceived]:
         """All of them; none is left."""

@@ -154,6 +154,11 @@ class Hub:
         """The live links, oldest first."""
         return [device.link for device in self._devices.values()]
 
+    @property
+    def unheard(self) -> int:
+        """Messages that were lost because it was not known in time which device sent them."""
+        return self._identities.unheard
+
     def shown_name(self, link: Link, name: str) -> str:
         """By which name the graph knows what a device calls so."""
         device = self._devices.get(link.number)
@@ -204,7 +209,7 @@ class Hub:
     def _deliver(self, link: Link, event: events.MessageReceived) -> None:
         device = self._devices[link.number]
         if device.is_undecided:
-            device.early.add(event)
+            self._identities.keep(device, event)
             return
         device.look_at_stamp(event.topic.topic_id, event.payload)
         type_ = device.odometry.get(event.topic.topic_id)
@@ -237,7 +242,7 @@ class Hub:
         """Always answer: a device spins until it hears something."""
         parameter = None
         try:
-            parameter = find_parameter(self.parameters, event.name)
+            parameter = self._find_parameter(link, event.name)
             link.session.answer_parameter(event.name, parameter or Parameter())
         except HostlinkError as error:
             log.warning("parameter.refused", name=printable(event.name), reason=str(error))
@@ -254,6 +259,12 @@ class Hub:
         self._unknown_parameters.move_to_end(name)
         if len(self._unknown_parameters) > MAX_UNKNOWN_PARAMETERS:
             self._unknown_parameters.popitem(last=False)
+
+    def _find_parameter(self, link: Link, name: str) -> Parameter | None:
+        """That of the robot's name here goes before that of the name that all of its kind tell."""
+        shown = self.shown_name(link, name)
+        mine = find_parameter(self.parameters, shown)
+        return find_parameter(self.parameters, name) if mine is None else mine
 
     def _log_for_device(self, link: Link, event: events.DeviceLogged) -> None:
         """Into the daemon's log, and as rosgraph_msgs/Log on /rosout."""
@@ -276,11 +287,17 @@ class Hub:
 
     async def _answer_device(self, link: Link, event: events.ServiceRequested) -> None:
         try:
-            answer = await self.services.answer_device(event.service.name, event.service.type, event.payload)
+            name = self._service_name(link, event.service.name)
+            answer = await self.services.answer_device(name, event.service.type, event.payload)
             link.session.answer(event.service.name, answer)
             link.wake()
         except HostlinkError as error:
             log.warning("service.failed", service=printable(event.service.name), reason=str(error))
+
+    def _service_name(self, link: Link, name: str) -> str:
+        """That of the robot's name here, if anybody offers it; else the name that all of its kind call."""
+        shown = self.shown_name(link, name)
+        return shown if self.services.is_offered(shown) else name
 
     # -- what clients say ---------------------------------------------------------------------------------------------
 

@@ -49,6 +49,7 @@ class Identities:
     ) -> None:
         """`deliver`: what a device said while it was not known who it is."""
         self.devices: dict[int, Device] = {}
+        self.unheard = 0  # messages of devices that left before it was known who they are, or had too many
         self._parts, self._directory = parts, directory
         self._spawn, self._deliver = spawn, deliver
 
@@ -61,10 +62,15 @@ class Identities:
         self.devices[link.number].infos = infos
         self._identify(self.devices[link.number])
 
+    def keep(self, device: Device, message: MessageReceived) -> None:
+        """It is not known yet who the device is: what it says is heard later."""
+        self.unheard += device.early.add(message)
+
     def forget(self, link: Link) -> None:
         """The link has ended, or another took its place."""
         device = self.devices.pop(link.number, None)
         if device is not None:
+            self.unheard += len(device.early)
             self._leave_graph(device)
             self._parts.robots.leave(str(link))  # a device may drive another
             self._directory.leave(link.number)

@@ -154,6 +154,10 @@ class Services:
         """The client's service of that name."""
         return self._providers.get(resolve(name))
 
+    def is_offered(self, name: str) -> bool:
+        """Whether there is a service of that name."""
+        return self.of_device(name) is not None or self.provider(name) is not None
+
     def all(self) -> list[tuple[str, str]]:
         """(name, type) of every service."""
         found = {name: provider.type_name for name, provider in self._providers.items()}

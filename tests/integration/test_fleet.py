@@ -1,0 +1,316 @@
+"""Robots that were flashed alike: each has a name, topics, poses and commands of its own, whatever they tell."""
+
+import asyncio
+import contextlib
+import struct
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import DeviceGone, RobotHeld
+from hostlink.hub.message import Message
+from hostlink.protocol.control import decode_parameter, encode_parameter_request
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
+from hostlink.sim.run import run_fleet
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.rosbridge import client
+from tests.support.waiting import expect
+
+ONE, OTHER = "127.0.0.2", "127.0.0.3"
+SLOW, FAST = Velocity(linear_x_m_s=0.1), Velocity(linear_x_m_s=0.4)
+CONFIGURED = Config(robots={"a": RobotConfig(address=ONE), "b": RobotConfig(address=OTHER)})
+MORE = [
+    topic(Id.SUBSCRIBER, 102, "/robot_0/pid_tune_l", "geometry_msgs/Vector3"),
+    topic(Id.SUBSCRIBER, 103, "/chatter_in", "std_msgs/Bool"),
+    topic(Id.SERVICE_SERVER_PUBLISHER, 126, "/robot_0/reset", "std_srvs/SetBool"),
+    topic(Id.SERVICE_SERVER_SUBSCRIBER, 104, "/robot_0/reset", "std_srvs/SetBool"),
+    topic(Id.PUBLISHER, 127, "/chatter", "std_msgs/Bool"),
+    topic(Id.SERVICE_CLIENT_PUBLISHER, 128, "/robot_0/ask", "std_srvs/SetBool"),
+    topic(Id.SERVICE_CLIENT_SUBSCRIBER, 105, "/robot_0/ask", "std_srvs/SetBool"),
+]
+
+
+@contextlib.asynccontextmanager
+async def talking(device: FakeDevice, x_m: float) -> AsyncIterator[None]:
+    """As every robot: ten poses a second, each with the x that is the device's own."""
+
+    async def talk() -> None:
+        while True:
+            await device.send(pose(x_m))
+            await asyncio.sleep(0.05)
+
+    async with asyncio.TaskGroup() as tasks:
+        talk_task = tasks.create_task(talk())
+        try:
+            yield
+        finally:
+            talk_task.cancel()
+
+
+@contextlib.asynccontextmanager
+async def two_alike(host: Daemon, first: str = ONE, second: str = ONE) -> AsyncIterator[tuple[FakeDevice, FakeDevice]]:
+    """Two devices that tell the same, and talk; the first came first."""
+    async with (
+        fake_device(host.tcp, robot_topics() + MORE, local_host=first) as one,
+        talking(one, 1.0),
+        fake_device(host.tcp, robot_topics() + MORE, local_host=second) as other,
+        talking(other, 2.0),
+    ):
+        await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link is not None]) == 2)
+        yield one, other
+
+
+async def x_of(host: Daemon, name: str) -> float:
+    await expect(lambda: host.hub.robots.find(name).odometry.count > 3)
+    odometry = await host.get(f"/api/robots/{name}/odometry")
+    assert odometry["ignored"] == odometry["restarts"] == 0
+    return float(odometry["pose"]["x_m"])
+
+
+PLACES = pytest.mark.parametrize(
+    ("config", "second", "names"),
+    [
+        (CONFIGURED, OTHER, ("a", "b")),
+        (Config(), ONE, ("robot_0", "robot_0_2")),
+        (Config(), OTHER, ("robot_0", "robot_0_2")),
+        (Config(robots={"left": RobotConfig(address=ONE)}), OTHER, ("left", "robot_0")),
+        (Config(robots={name: RobotConfig(address=ONE) for name in ("left", "right")}), ONE, ("left", "right")),
+    ],
+    ids=["configured by address", "behind one address", "at two addresses", "one configured", "configured by order"],
+)
+
+
+@PLACES
+async def test_each_has_its_own_poses(config: Config, second: str, names: tuple[str, str]) -> None:
+    heard: dict[str, set[float]] = {name: set() for name in names}
+
+    def listen(name: str, message: Message) -> None:
+        heard[name].add(struct.unpack("<3d", message.payload)[0])
+
+    async with daemon(config) as host:
+        for name in names:
+            host.hub.topics.subscribe(f"/{name}/odometry", lambda message, name=name: listen(name, message))
+        async with two_alike(host, second=second):
+            assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == sorted(names)
+            assert [await x_of(host, name) for name in names] == [1.0, 2.0]
+            await expect(lambda: all(heard.values()))
+    assert heard == {names[0]: {1.0}, names[1]: {2.0}}
+
+
+@PLACES
+async def test_each_hears_its_own_commands(config: Config, second: str, names: tuple[str, str]) -> None:
+    async with daemon(config) as host, two_alike(host, second=second) as devices:
+        for device, name, velocity in zip(devices, names, (SLOW, FAST), strict=True):
+            for by in ("velocity_commands", "cmd_vel"):
+                host.hub.publish(f"/{name}/{by}", velocity.to_twist(), source=by)
+                assert await device.velocity_other_than((0.0, 0.0)) == (velocity.linear_x_m_s, 0.0)
+                host.hub.robots.stop(host.hub.robots.find(name))
+                assert await device.velocity_other_than((velocity.linear_x_m_s, 0.0)) == (0.0, 0.0)
+
+
+async def test_their_topics_stand_under_their_names_and_what_is_not_theirs_is_shared() -> None:
+    async with daemon(CONFIGURED) as host, two_alike(host, second=OTHER) as (one, other):
+        names = {shown.name for shown in host.hub.topics.all()}
+        assert {"/a/odometry", "/a/velocity_commands", "/a/pid_tune_l", "/b/odometry", "/b/pid_tune_l"} <= names
+        assert not [name for name in names if name.startswith("/robot_0")]
+        assert len(host.hub.topics.find("/chatter").publishers) == 2
+        host.hub.publish("/chatter_in", {"data": True}, source="test")
+        assert [await device.frame(103) for device in (one, other)] == [b"\x01", b"\x01"]
+        links = (await host.get("/api/links"))["links"]
+        shown = {(each["own_name"], each["name"]) for link in links for each in link["topics"]}
+        assert {("/robot_0/pid_tune_l", f"/{name}/pid_tune_l") for name in "ab"} | {("/chatter", "/chatter")} <= shown
+        robots = (await host.get("/api/robots"))["robots"]
+        assert [robot["velocity_topic"] for robot in robots] == ["/a/velocity_commands", "/b/velocity_commands"]
+
+
+async def test_a_service_of_the_one_is_not_answered_by_the_other() -> None:
+    async def serve(device: FakeDevice, word: str) -> None:
+        await device.frame(104)
+        await device.send(encode(126, b"\x01" + struct.pack("<I", len(word)) + word.encode()))
+
+    async with daemon(CONFIGURED) as host, two_alike(host, second=OTHER) as (one, other):
+        for device, name in ((one, "a"), (other, "b"), (one, "a")):
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(serve(device, name))
+                answer = await host.hub.services.call(f"/{name}/reset", {"data": True})
+            assert answer["message"] == name
+
+
+async def test_a_service_that_each_asks_for_is_that_of_its_name_else_that_of_all() -> None:
+    async def ask(device: FakeDevice) -> bytes:
+        await device.send(encode(128, b"\x01"))
+        return (await device.frame(105))[5:]
+
+    async def offer(program: Any, name: str) -> None:
+        await program.say(op="advertise_service", service=name, type="std_srvs/SetBool")
+        await expect(lambda: host.hub.services.provider(name))
+
+    async def answered(program: Any, device: FakeDevice, word: str) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            asking = tasks.create_task(ask(device))
+            call = await program.hear()
+            values = {"success": True, "message": word}
+            await program.say(op="service_response", service=call["service"], id=call["id"], values=values, result=True)
+        assert asking.result() == word.encode()
+
+    async with daemon(CONFIGURED) as host, two_alike(host, second=OTHER) as (one, other), client(host) as program:
+        await offer(program, "/robot_0/ask")
+        await answered(program, one, "for all")
+        async with client(host) as another:
+            await offer(another, "/b/ask")
+            await answered(another, other, "for b")
+            await answered(program, one, "for all")
+
+
+async def test_a_parameter_is_that_of_its_name_else_that_of_all() -> None:
+    parameters = {"/robot_0/gain": 1, "/b/gain": 2}
+    config = Config(robots=CONFIGURED.robots, parameters=parameters)
+    async with daemon(config) as host, two_alike(host, second=OTHER) as devices:
+        for device, gain in zip(devices, (1, 2), strict=True):
+            await device.send(encode(Id.PARAMETER, encode_parameter_request("/robot_0/gain")))
+            assert decode_parameter(await device.frame(Id.PARAMETER)) == ((gain,), (), ())
+
+
+async def test_limits_hold_for_every_robot_that_tells_the_name() -> None:
+    config = Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.2, odom_topic="/odom")})
+    async with daemon(config) as host, two_alike(host):
+        for name in ("robot_0", "robot_0_2"):
+            robot = host.hub.robots.find(name)
+            assert host.hub.robots.command(robot, FAST, owner="test").linear_x_m_s == 0.2
+        assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
+
+
+async def test_one_that_comes_back_while_its_old_link_looks_alive_has_its_name_and_its_lock() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics(), local_host=ONE) as old,
+        fake_device(host.tcp, robot_topics(), local_host=OTHER) as other,
+        talking(other, 2.0),
+    ):
+        await expect(lambda: host.hub.robots.find("robot_0_2").link)
+        host.hub.robots.lock(host.hub.robots.find("robot_0"), "a person is near")
+        async with fake_device(host.tcp, robot_topics(), local_host=ONE), asyncio.timeout(2.0):
+            await old.closed()
+            await expect(lambda: host.hub.robots.find("robot_0").link)
+            with pytest.raises(RobotHeld, match="a person is near"):
+                host.hub.robots.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
+            host.hub.robots.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+            assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+
+
+async def test_what_the_old_link_was_driven_by_drives_the_new_one_no_more() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as old:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        async with asyncio.TaskGroup() as tasks:
+
+            async def drive() -> None:
+                robot, first = host.hub.robots.find("robot_0"), host.hub.links()[0]
+                while robot.link is first:
+                    host.hub.robots.command(robot, SLOW, owner="test")
+                    await asyncio.sleep(0.02)
+
+            tasks.create_task(drive())
+            async with fake_device(host.tcp, robot_topics()) as new:
+                assert await new.velocity() == (0.0, 0.0)
+                with pytest.raises(TimeoutError):
+                    async with asyncio.timeout(0.3):
+                        await new.velocity_other_than((0.0, 0.0))
+        last = (0.1, 0.0)
+        with contextlib.suppress(EOFError):
+            while True:
+                last = await old.velocity()
+        assert last == (0.0, 0.0)
+
+
+async def test_one_that_may_be_a_locked_one_is_locked() -> None:
+    """It left from an address that no other has now, and comes under another name."""
+    async with daemon() as host:
+        async with fake_device(host.tcp, robot_topics(), local_host=ONE):
+            await expect(lambda: host.hub.robots.find("robot_0").link)
+            host.hub.robots.lock(host.hub.robots.find("robot_0"), "a person is near")
+        async with (
+            fake_device(host.tcp, robot_topics(), local_host=OTHER) as taker,
+            talking(taker, 1.0),
+            fake_device(host.tcp, robot_topics(), local_host="127.0.0.4"),
+        ):
+            await expect(lambda: host.hub.robots.find("robot_0_2").link)
+            for name in ("robot_0", "robot_0_2"):
+                with pytest.raises(RobotHeld, match="a person is near"):
+                    host.hub.robots.command(host.hub.robots.find(name), SLOW, owner="test")
+
+
+async def test_one_that_is_surely_another_is_not_locked() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics(), local_host=ONE) as one,
+        talking(one, 1.0),
+    ):
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        host.hub.robots.lock(host.hub.robots.find("robot_0"), "a person is near")
+        async with fake_device(host.tcp, robot_topics(), local_host=OTHER) as other:
+            await expect(lambda: host.hub.robots.find("robot_0_2").link)
+            host.hub.robots.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+            assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+
+
+async def test_what_a_device_says_while_it_is_not_known_who_it_is_is_heard_later() -> None:
+    heard: list[float] = []
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        host.hub.topics.subscribe(
+            "/robot_0/odometry", lambda message: heard.append(struct.unpack("<3d", message.payload)[0])
+        )
+        async with fake_device(host.tcp, robot_topics()) as back:
+            await back.send(b"".join(pose(x / 10) for x in range(5)))
+            await expect(lambda: len(heard) == 5)
+            assert host.hub.unheard == 0
+    assert heard == [0.0, 0.1, 0.2, 0.3, 0.4]
+
+
+async def test_a_robot_that_drives_and_tells_its_topics_without_its_odometry_is_stopped() -> None:
+    """As when a TopicInfo is lost on the way: nobody could stop it any more."""
+
+    async def drive() -> None:
+        robot = host.hub.robots.find("robot_0")
+        while robot.link is not None:
+            host.hub.robots.command(robot, SLOW, owner="test")
+            await asyncio.sleep(0.02)
+
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, asyncio.TaskGroup() as tasks:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        driving = tasks.create_task(drive())
+        link = host.hub.links()[0]
+        link.session.ask_topics("test")
+        link.wake()
+        await device.announce(robot_topics()[1:])
+        await driving
+        last = (0.1, 0.0)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0.2):
+                while True:
+                    last = await device.velocity()
+        assert last == (0.0, 0.0)
+        with pytest.raises(DeviceGone):
+            host.hub.robots.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
+
+
+async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:
+    async with daemon() as host, asyncio.TaskGroup() as tasks:
+        fleets = [tasks.create_task(run_fleet(*host.tcp, robots=1)) for _ in range(3)]
+        await expect(lambda: len(host.hub.robots.all()) == 3)
+        names = [robot.name for robot in host.hub.robots.all()]
+        assert names == ["robot_0", "robot_0_2", "robot_0_3"]
+        links = [robot.link for robot in host.hub.robots.all()]
+        for name, velocity in zip(names, (SLOW, FAST), strict=False):
+            host.hub.robots.command(host.hub.robots.find(name), velocity, owner="test")
+        await expect(lambda: all(robot.odometry.count > 10 for robot in host.hub.robots.all()))
+        assert [robot.link for robot in host.hub.robots.all()] == links
+        findings = {each.code for link in host.hub.links() for each in host.hub.diagnoses.of(link)}
+        assert "reboots" not in findings
+        assert "flashed_alike" in findings
+        for fleet in fleets:
+            fleet.cancel()
