@@ -1,0 +1,56 @@
+"""ScriptedDevice: a device in memory that tells whatever topics it is given, each time that it is asked for them."""
+
+import asyncio
+import contextlib
+from collections.abc import Sequence
+
+from hostlink.hub.hub import Hub
+from hostlink.link.link import Link
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+from tests.support.memory_transport import memory_pair
+
+
+class ScriptedDevice:
+    """One connection to a hub that runs, in the loop that runs it."""
+
+    def __init__(self, hub: Hub, infos: Sequence[TopicInfo], *, address: str, peer: str | None = None) -> None:
+        host_end, self._end = memory_pair(address=address)
+        if peer is not None:
+            host_end.peer = peer
+        self.infos = list(infos)
+        self.heard: list[tuple[float, Frame]] = []
+        self.link: Link = hub.open(host_end)
+        self._stream = FrameStream()
+        hub.spawn(hub.serve(self.link), name=f"link of {address}")
+        self.task = asyncio.get_running_loop().create_task(self._listen(), name=f"device at {address}")
+
+    def payloads(self, topic_id: int) -> list[bytes]:
+        """What came to one of its topics."""
+        return [frame.payload for _, frame in self.heard if frame.topic_id == topic_id]
+
+    async def send(self, topic_id: int, payload: bytes) -> None:
+        """Send a frame, if the host still takes it."""
+        with contextlib.suppress(OSError):
+            await self._end.send(encode(topic_id, payload))
+
+    async def tell_topics(self) -> None:
+        """Tell them, asked or not."""
+        for info in self.infos:
+            await self.send(info.kind, encode_topic_info(info))
+        await self.send(Id.TIME, bytes(8))
+
+    async def aclose(self) -> None:
+        """Close the connection."""
+        await self._end.aclose()
+        await self.task
+
+    async def _listen(self) -> None:
+        with contextlib.suppress(OSError):
+            while data := await self._end.receive():
+                for frame in self._stream.feed(data):
+                    assert isinstance(frame, Frame)
+                    self.heard.append((asyncio.get_running_loop().time(), frame))
+                    if frame.topic_id == Id.PUBLISHER:
+                        await self.tell_topics()
