@@ -1,5 +1,8 @@
 """Every error that hostlink raises on purpose: what is wrong, with its numbers as attributes."""
 
+import itertools
+from collections.abc import Iterable
+
 
 class HostlinkError(Exception):
     """Base of all: a caller asked for something that cannot be done, and the text says what to do next."""
@@ -16,10 +19,11 @@ class ConfigError(HostlinkError):
 class UnknownTopic(HostlinkError):
     """No topic, service or robot of that name."""
 
-    def __init__(self, kind: str, name: str, known: tuple[str, ...] = ()) -> None:
-        hint = f"; known: {', '.join(sorted(known)[:8])}" if known else ""
+    def __init__(self, kind: str, name: str, known: Iterable[str] = ()) -> None:
+        """Of those that are known some are named: devices may tell any number, and somebody may ask often."""
+        self.kind, self.name, self.known = kind, name, tuple(itertools.islice(known, 64))
+        hint = f"; known: {', '.join(sorted(self.known)[:8])}" if self.known else ""
         super().__init__(f"no {kind} named {name}{hint}")
-        self.kind, self.name, self.known = kind, name, known
 
 
 class WrongType(HostlinkError):

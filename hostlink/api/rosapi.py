@@ -168,8 +168,8 @@ class RosApi:
 
     def _node(self, key: Hashable) -> str:
         """A robot by its name, another device by its link, a client by its number."""
-        robot = next((robot.name for robot in self._hub.robots.all() if robot.link is key), None)
-        return f"/{robot or str(key).split(' (', maxsplit=1)[0].replace(' ', '_')}"
+        robot = self._hub.robots.of_link(key)
+        return f"/{str(key).split(' (', maxsplit=1)[0].replace(' ', '_') if robot is None else robot.name}"
 
     # -- parameters ---------------------------------------------------------------------------------------------------
 

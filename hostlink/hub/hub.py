@@ -22,7 +22,7 @@ from hostlink.hub.parameters import find_parameter
 from hostlink.hub.robot_topics import RobotTopics
 from hostlink.hub.robots import ENDING, PROGRAM_PRIORITY, Robot, Robots
 from hostlink.hub.services import Services
-from hostlink.hub.subscriptions import Topic, TopicGraph
+from hostlink.hub.subscriptions import Topic, TopicGraph, resolve
 from hostlink.link.fair_share import FairShare
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import log_what_is_missing, of_peer, printable
@@ -264,7 +264,8 @@ class Hub:
         """That of the robot's name here goes before that of the name that all of its kind tell."""
         shown = self.shown_name(link, name)
         mine = find_parameter(self.parameters, shown)
-        return find_parameter(self.parameters, name) if mine is None else mine
+        is_renamed = shown != resolve(name)
+        return find_parameter(self.parameters, name) if mine is None and is_renamed else mine
 
     def _log_for_device(self, link: Link, event: events.DeviceLogged) -> None:
         """Into the daemon's log, and as rosgraph_msgs/Log on /rosout."""
@@ -321,7 +322,7 @@ class Hub:
         if known is not None and known.type_name and named is not None and known.type_name != named.name:
             raise WrongType(known.name, known.type_name, named.name)
         if known is None and named is None:
-            raise UnknownTopic("topic", topic, tuple(other.name for other in self.topics.all()))
+            raise UnknownTopic("topic", topic, self.topics.names())
         if isinstance(message, bytes):
             payload = message
         elif type_ is not None:

@@ -5,7 +5,7 @@ import contextlib
 import dataclasses
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -131,7 +131,7 @@ class Robots:
         self._subscribe, self._show = subscribe, show
         self._on_forgotten = on_forgotten
         self._robots: dict[str, Robot] = {}
-        self._of_link: dict[Link, Robot] = {}
+        self._of_link: dict[Hashable, Robot] = {}
         self._away = Away(forget_after_s)  # who may be forgotten
         self._locked: dict[str, Robot] = {}
         self._active: dict[str, Robot] = {}  # whose gate may have something to say
@@ -147,10 +147,10 @@ class Robots:
         """The robot of that name, connected or not."""
         robot = self._robots.get(name.strip("/"))
         if robot is None:
-            raise UnknownTopic("robot", name, tuple(self._robots))
+            raise UnknownTopic("robot", name, self._robots)
         return robot
 
-    def of_link(self, link: Link) -> Robot | None:
+    def of_link(self, link: Hashable) -> Robot | None:
         """The robot whose device has this link."""
         return self._of_link.get(link)
 

@@ -5,6 +5,7 @@ must not be taken for the answer to the next call.
 """
 
 import asyncio
+import itertools
 from collections.abc import Awaitable, Callable, Hashable, Mapping
 
 import structlog
@@ -168,8 +169,8 @@ class Services:
         """The service of that name; UnknownTopic if there is none."""
         found = self.of_device(name) or self.provider(name)
         if found is None:
-            others = tuple(known for known, _ in self.all() if not known.startswith("/rosapi/"))
-            raise UnknownTopic("service", name, others)
+            others = itertools.chain(self._devices, self._providers)
+            raise UnknownTopic("service", name, (known for known in others if not known.startswith("/rosapi/")))
         return found
 
     def type_of(self, name: str) -> ServiceType | None:

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
@@ -45,6 +45,7 @@ class Topic:
         self.publishers: set[Hashable] = set()
         self._subscribers: dict[int, Subscriber] = {}
         self._numbers = itertools.count()
+        self._expected: dict[str, int] = {}  # how many subscribers expect each type
         self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
         self.devices: dict[Hashable, SendToDevice] = {}
         self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for programs that come later
@@ -60,12 +61,23 @@ class Topic:
         """Returns the number by which it is removed."""
         number = next(self._numbers)
         self._subscribers[number], self._snapshot = subscriber, None
+        if subscriber.type_name:
+            self._expected[subscriber.type_name] = self._expected.get(subscriber.type_name, 0) + 1
         return number
 
     def remove_subscriber(self, number: int) -> None:
         """It may be gone already."""
-        self._subscribers.pop(number, None)
+        gone = self._subscribers.pop(number, None)
         self._snapshot = None
+        if gone is not None and gone.type_name:
+            self._expected[gone.type_name] -= 1
+            if not self._expected[gone.type_name]:
+                del self._expected[gone.type_name]
+
+    @property
+    def expected_type(self) -> str:
+        """What those who subscribed take it for, the first who said; empty: nobody did."""
+        return next(iter(self._expected), "")
 
     @property
     def is_used(self) -> bool:
@@ -136,11 +148,15 @@ class TopicGraph:
         """Every topic, by name."""
         return [self._topics[name] for name in sorted(self._topics)]
 
+    def names(self) -> Iterable[str]:
+        """Of every topic, in no order."""
+        return self._topics.keys()
+
     def find(self, name: str) -> Topic:
         """The topic of that name; UnknownTopic if nobody uses one."""
         topic = self.find_or_none(name)
         if topic is None:
-            raise UnknownTopic("topic", name, tuple(self._topics))
+            raise UnknownTopic("topic", name, self._topics)
         return topic
 
     def find_or_none(self, name: str) -> Topic | None:
@@ -235,7 +251,7 @@ class TopicGraph:
         if not topic.is_used:
             del self._topics[topic.name]
         elif not topic.publishers and not topic.devices:
-            wanted = next((other.type_name for other in topic.subscribers if other.type_name), "")
+            wanted = topic.expected_type
             topic.type = self._catalog.message(wanted) if wanted else None
             topic.type_name = wanted if topic.type is None else topic.type.name
 
