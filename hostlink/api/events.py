@@ -70,7 +70,7 @@ class Events:
         unsubscribe = self._hub.topics.subscribe(robot.shown.odometry, lambda _: news.set())
         try:
             async with self._stream(request) as (response, send):
-                while True:
+                while self._hub.robots.is_known(robot):  # one that was forgotten and is back is another
                     odometry = odometry_view(robot)
                     if odometry is not None:
                         await send("odometry", odometry)

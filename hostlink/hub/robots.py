@@ -150,6 +150,10 @@ class Robots:
             raise UnknownTopic("robot", name, self._robots)
         return robot
 
+    def is_known(self, robot: Robot) -> bool:
+        """Whether it is not forgotten."""
+        return self._robots.get(robot.name) is robot
+
     def of_link(self, link: Hashable) -> Robot | None:
         """The robot whose device has this link."""
         return self._of_link.get(link)

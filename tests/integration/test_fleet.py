@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import Config, RobotConfig
+from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import DeviceGone, RobotHeld
 from hostlink.hub.message import Message
 from hostlink.protocol.control import decode_parameter, encode_parameter_request
@@ -296,6 +296,18 @@ async def test_a_robot_that_drives_and_tells_its_topics_without_its_odometry_is_
         assert last == (0.0, 0.0)
         with pytest.raises(DeviceGone):
             host.hub.robots.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
+
+
+async def test_a_host_is_ready_again_when_a_robot_that_left_is_forgotten() -> None:
+    config = Config(link=LinkConfig(forget_robot_after_s=0.3))
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics("robot_1")):
+        async with fake_device(host.tcp, robot_topics("robot_0")):
+            await expect(lambda: len(host.hub.robots.all()) == 2)
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
+        assert (await host.rest("GET", "/readyz"))[0] == 503
+        await expect(lambda: host.hub.robots.forgotten == 1)
+        assert (await host.rest("GET", "/readyz"))[0] == 200
+        assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == ["robot_1"]
 
 
 async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:

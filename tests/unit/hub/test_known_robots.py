@@ -169,6 +169,24 @@ def test_the_first_robot_has_the_plain_frames_and_another_only_when_it_is_forgot
     with_hub(check, Config(link=LinkConfig(forget_robot_after_s=FORGET_S)))
 
 
+def test_a_board_that_reboots_says_nothing_of_another_behind_its_address() -> None:
+    def codes(hub: Hub, device: ScriptedDevice) -> set[str]:
+        return {each.code for each in hub.diagnoses.of(device.link)}
+
+    async def check(hub: Hub) -> None:
+        steady = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
+        for _ in range(4):
+            await visit(hub, robot_topics("robot_1"))
+        rebooting = ScriptedDevice(hub, robot_topics("robot_1"), address="10.0.0.2")
+        await asyncio.sleep(1.5)
+        assert "reboots" in codes(hub, rebooting)
+        assert "reboots" not in codes(hub, steady)
+        for device in (steady, rebooting):
+            await device.aclose()
+
+    with_hub(check)
+
+
 # -- what it costs ----------------------------------------------------------------------------------------------------
 
 

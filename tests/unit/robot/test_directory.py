@@ -477,6 +477,13 @@ def test_the_configuration_names_a_robot_by_its_address() -> None:
     assert accepted(ours, 4, "192.168.4.9", plain_robot()) == ("robot", None)
 
 
+def test_the_configuration_names_a_robot_by_its_address_and_port() -> None:
+    ours = directory({"left": f"{HOME}:5001", "right": f"{HOME}:5002"})
+    assert beside(ours, 1, HOME, plain_robot(), port=5002) == "right"
+    assert beside(ours, 2, HOME, plain_robot(), 1, port=5001) == "left"
+    assert beside(ours, 3, HOME, plain_robot(), 1, 2, port=5003) == "robot"
+
+
 def test_a_configured_serial_port_is_an_address() -> None:
     ours = directory({"due": "/dev/ttyACM0"})
     assert accepted(ours, 1, "/dev/ttyACM0", plain_robot()) == ("due", None)

@@ -1,0 +1,87 @@
+"""The topics of one device: by id, by name, and no more than are allowed."""
+
+from hostlink.protocol import events
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
+from hostlink.protocol.session import Session
+from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
+from tests.support.session_host import LED, ODOMETRY, TIME, Host, check, wire
+
+
+def info(topic_id: int, name: str, kind: Id = Id.PUBLISHER) -> TopicInfo:
+    return TopicInfo(kind, topic_id, name, "std_msgs/Bool", "m", 64)
+
+
+def table(*infos: TopicInfo) -> TopicTable:
+    made = TopicTable()
+    for each in infos:
+        made.add(each, None)
+    return made
+
+
+def test_a_name_is_found_while_it_is_told_and_afterwards() -> None:
+    made = table(info(125, "/a"), info(100, "/a", Id.SUBSCRIBER))
+    for _ in range(2):
+        assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
+        assert made.find("/a", Id.SUBSCRIBER) == info(100, "/a", Id.SUBSCRIBER)
+        assert made.find("/b", Id.PUBLISHER) is None
+        made.finish()
+
+
+def test_the_first_of_two_with_one_name_has_it() -> None:
+    made = table(info(125, "/a"), info(126, "/a"))
+    for _ in range(2):
+        assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
+        made.finish()
+
+
+def test_a_name_that_has_another_id_now_is_found_by_the_new_one() -> None:
+    made = table(info(125, "/a"))
+    made.finish()
+    made.add(info(126, "/a"), None)
+    assert made.find("/a", Id.PUBLISHER) == info(126, "/a")
+    made.finish()
+    assert made.find("/a", Id.PUBLISHER) == info(126, "/a")
+
+
+def test_an_id_that_means_another_name_now_is_not_found_by_the_old_one() -> None:
+    made = table(info(125, "/a"))
+    made.add(info(125, "/b"), None)
+    assert made.find("/a", Id.PUBLISHER) is None
+    assert made.find("/b", Id.PUBLISHER) == info(125, "/b")
+
+
+def many(count: int) -> bytes:
+    return wire(*(info(125 + number, f"/t{number}") for number in range(count)))
+
+
+def test_topics_over_the_bound_are_counted_and_told_once() -> None:
+    host = Host()
+    found = host.hear(TIME + many(MAX_TOPICS + 50) + TIME)
+    assert len(host.session.topics) == MAX_TOPICS
+    assert host.session.counts.excess_topics == 50
+    refused = [event for event in found if isinstance(event, events.TopicRefused)]
+    assert [str(event.reason) for event in refused] == [
+        f"/t{MAX_TOPICS}: one topic more than the {MAX_TOPICS} that [link] max_topics allows"
+    ]
+
+
+def test_a_topic_that_is_told_again_is_none_too_many() -> None:
+    host = Host()
+    host.hear(TIME + many(MAX_TOPICS) + many(MAX_TOPICS) + TIME)
+    host.hear(many(MAX_TOPICS) + TIME)
+    assert host.session.counts.excess_topics == 0
+
+
+def test_the_bound_is_a_setting() -> None:
+    session = Session(check=check, max_topics=1)
+    session.open(now_s=0.0)
+    session.receive(TIME + wire(LED, ODOMETRY) + TIME, now_s=0.1)
+    assert session.topics == (LED,)
+
+
+def test_a_device_is_asked_for_its_topics_when_the_host_wants_to_know_whether_it_lives() -> None:
+    host = Host(LED)
+    host.wait(2.0)
+    host.session.ask_topics("claimed_twice")
+    assert events.TopicsAsked("claimed_twice") in host.wait(0.01)
