@@ -233,6 +233,7 @@ class Hub:
     def _announce(self, link: Link, event: events.TopicsNegotiated) -> None:
         log.info("topics.negotiated", count=len(event.topics), gap_at=event.gap_at, is_changed=event.is_changed)
         if event.is_changed:
+            link.last_frame = b""  # its id may be another's now
             self._identities.announce(link, event.topics)
 
     def _refuse_topic(self, link: Link, event: events.TopicRefused) -> None:  # noqa: ARG002 - the shape of a reaction

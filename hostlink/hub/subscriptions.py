@@ -131,8 +131,13 @@ class Topic:
                 try:
                     subscriber.deliver(message)
                 except Exception as error:  # noqa: BLE001 - a subscriber's crash is neither the device's nor another's
-                    self.subscribers = tuple(other for other in self.subscribers if other is not subscriber)
+                    self._remove(subscriber)
                     self._isolation.crashed("subscriber", error, topic=self.name, subscriber=str(subscriber.key))
+
+    def _remove(self, subscriber: Subscriber) -> None:
+        for number, other in list(self._subscribers.items()):
+            if other is subscriber:
+                self.remove_subscriber(number)
 
 
 class TopicGraph:

@@ -25,7 +25,7 @@ async def goes_on(host: Daemon, device: FakeDevice, *, name: str = "robot_0") ->
     await device.send(pose(3.0))
     await expect(lambda: host.hub.robots.find(name).odometry.count == seen + 1)
     assert (await host.get(f"/api/robots/{name}/odometry"))["pose"]["x_m"] == 3.0
-    assert host.hub.crashes == 0
+    assert not host.hub.isolation.crashes
 
 
 async def test_one_name_in_both_directions_and_of_two_types() -> None:
