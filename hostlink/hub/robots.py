@@ -285,9 +285,10 @@ class Robots:
     def leave(self, owner: str) -> None:
         """A source of commands is gone: what it drives stops."""
         for robot in list(self._active.values()):
-            if robot.gate.holder == owner:
+            is_driving = robot.gate.holder == owner
+            robot.gate.release(owner, now_s=_now_s())  # also what it has claimed without driving now
+            if is_driving:
                 log.info("robot.stopped", robot=robot.name, reason="owner left", owner=owner)
-                robot.gate.release(owner, now_s=_now_s())
                 self._tell(robot)
 
     async def run(self) -> None:
@@ -296,7 +297,7 @@ class Robots:
             for robot in list(self._active.values()):
                 if robot.gate.is_active:
                     self._step(robot)
-                else:
+                elif not robot.gate.is_claimed(_now_s()):
                     self._active.pop(robot.name, None)
             if self._active:
                 await asyncio.sleep(TICK_S)

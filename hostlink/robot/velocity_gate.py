@@ -13,6 +13,7 @@ LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own wa
 ZEROS = 3  # a single stop can be lost on a radio
 LONGEST_STEP_S = 0.1  # a step that comes late must not jump
 _ALL_OF_IT = 1 - 1e-9  # whatever rounding says, a way to zero loses speed to its very end, and a step reaches it
+MAX_CLAIMS = 64  # sources of commands that one robot keeps apart; each has commanded within the last lease
 LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot hears its zero again and again: it may have no watchdog of its own
 
 
@@ -80,6 +81,7 @@ class GateCounts:
     expired: int = 0
     stops: int = 0
     locks: int = 0
+    forgotten_claims: int = 0  # over MAX_CLAIMS; the least important go first
 
 
 class _Lease(NamedTuple):
@@ -102,11 +104,11 @@ class VelocityGate:
     | idle     | zero                                           | stopping | zero, once: nobody wants to drive      |
     | slowing, stopping | zero                                  | as it is | as without it                          |
     | idle, slowing, stopping | command                         | held     | the velocity; after `restart` zero first |
+    | any but locked | command below another's claim, not of the holder | as it is | no change: RobotHeld    |
     | held     | command of the holder                          | held     | the velocity, for a lease from now     |
     | held     | zero of the holder                             | held     | down to zero, for the lease as it was  |
     | held     | zero of another                                | held     | no change: an idle zero is no wish     |
     | held     | command of another, of as high a priority      | held     | the other's, at the same accelerations |
-    | held     | command of another, of a lower priority        | held     | no change: RobotHeld for the other     |
     | held     | lease over, stop, release by the holder        | slowing  | down to zero at the deceleration limit, |
     |          |                                                |          | at once without one                    |
     | held     | release by another                             | held     | no change                              |
@@ -116,6 +118,10 @@ class VelocityGate:
     |          |                                                |          | every LOCKED_ZERO_INTERVAL_S           |
     | locked   | any but unlock                                 | locked   | the same: RobotHeld for each command   |
     | locked   | unlock                                         | stopping | the zeros that are left                |
+
+    Each command claims the robot for its owner, at its priority and for a lease. Nothing ends a claim but that time,
+    the owner's leaving, and a new device: after a stop or a lock the robot is not free for somebody less important,
+    while the owner goes on with his next command.
     """
 
     def __init__(self, robot: str, limits: Limits, *, lease_s: float = LEASE_S) -> None:
@@ -126,6 +132,7 @@ class VelocityGate:
         self.counts = GateCounts()
         self._robot, self._limits = robot, limits
         self._lease: _Lease | None = None
+        self._claims: dict[str, _Lease] = {}  # by owner
         self._target = ZERO
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
@@ -150,6 +157,10 @@ class VelocityGate:
         """Whether `step` has something to say, now or later."""
         return self.may_move or self.lock_reason is not None
 
+    def is_claimed(self, now_s: float) -> bool:
+        """Whether somebody's claim keeps others from driving, though he may not drive himself."""
+        return any(now_s < claim.deadline_s for claim in self._claims.values())
+
     def command(self, owner: str, velocity: Velocity, *, priority: int, now_s: float) -> Velocity:
         """Drive for the length of a lease; returns the velocity within the limits. BadRequest, RobotHeld."""
         if self.lock_reason is not None:
@@ -162,13 +173,12 @@ class VelocityGate:
         lease = self._lease
         if velocity.is_zero and self.holder != owner:
             return self._take_idle_zero()
-        if lease is not None and lease.owner != owner and priority < lease.priority:
-            self.counts.refused += 1
-            raise RobotHeld(self._robot, lease.owner)
+        if not velocity.is_zero and self.holder != owner:
+            self._respect_claims(owner, priority, now_s)
         if lease is None and self.current.is_zero:
             self._stepped_at_s = now_s
         deadline_s = lease.deadline_s if lease is not None and velocity.is_zero else now_s + self.lease_s
-        self._lease = _Lease(owner, priority, deadline_s)
+        self._lease = self._claim(_Lease(owner, priority, deadline_s))
         self._target = self._limits.apply(velocity)
         self._zeros = int(self.is_new_device)
         self.counts.commands += 1
@@ -184,14 +194,35 @@ class VelocityGate:
             self.counts.ignored_zeros += 1
         return ZERO
 
+    def _respect_claims(self, owner: str, priority: int, now_s: float) -> None:
+        """RobotHeld while somebody more important wants to drive."""
+        self._claims = {name: claim for name, claim in self._claims.items() if now_s < claim.deadline_s}
+        others = (claim for name, claim in self._claims.items() if name != owner)
+        strongest = max(others, key=lambda claim: (claim.priority, claim.deadline_s), default=None)
+        if strongest is not None and priority < strongest.priority:
+            self.counts.refused += 1
+            raise RobotHeld(self._robot, strongest.owner)
+
+    def _claim(self, lease: _Lease) -> _Lease:
+        self._claims[lease.owner] = lease
+        if len(self._claims) > MAX_CLAIMS:
+            del self._claims[min(self._claims.values(), key=lambda claim: (claim.priority, claim.deadline_s)).owner]
+            self.counts.forgotten_claims += 1
+        return lease
+
     def release(self, owner: str, *, now_s: float) -> None:
-        """The owner is gone: if it drives, the robot stops."""
+        """The owner is gone: if it drives, the robot stops; whoever is next may drive it."""
         self._expire(now_s)
+        self._claims.pop(owner, None)
         if self.holder == owner:
             self._stop(now_s)
 
     def stop(self, *, now_s: float) -> None:
-        """Anybody may stop a robot, at any time; it brakes as hard as its limits allow."""
+        """Anybody may stop a robot, at any time; it brakes as hard as its limits allow.
+
+        That hands it to nobody: the next command of whoever drove moves it again, and until his lease would have run
+        out nobody less important is heard.
+        """
         self._expire(now_s)
         self.counts.stops += 1
         self._stop(now_s)
@@ -205,6 +236,7 @@ class VelocityGate:
     def restart(self) -> None:
         """The device is new: nothing of before holds but a lock, and its first velocity is zero whatever comes."""
         self.halt()
+        self._claims.clear()
         self.is_new_device = True
 
     def lock(self, reason: str) -> None:

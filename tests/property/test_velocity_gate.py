@@ -118,7 +118,7 @@ class GateHistory(RuleBasedStateMachine):
         self.stepped_at_s = self.now_s
         self.given: Velocity = ZERO  # what the device has
         self.holder: str | None = None
-        self.priority = 0
+        self.commanded: dict[str, tuple[float, int]] = {}  # when and with what priority, by owner who has not left
         self.wanted = ZERO
         self.deadline_s = -math.inf
         self.zeros = 0  # that the gate still owes
@@ -135,19 +135,19 @@ class GateHistory(RuleBasedStateMachine):
     @rule(owner=owners, velocity=movements, priority=priorities)
     def somebody_drives(self, owner: str, velocity: Velocity, priority: int) -> None:
         self.notice_the_end()
-        if self.is_locked or (self.holder not in (None, owner) and priority < self.priority):
+        stronger = self.stronger_than(owner, priority)
+        if self.is_locked or (stronger and self.holder != owner):
             with pytest.raises(RobotHeld) as refusal:
                 self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
-            assert (refusal.value.holder, refusal.value.lock_reason) == (
-                self.holder,
-                "smoke" if self.is_locked else None,
-            )
+            assert refusal.value.lock_reason == ("smoke" if self.is_locked else None)
+            assert self.is_locked or refusal.value.holder in stronger
             return
         limited = self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
         assert limited == self.limits.apply(velocity)
         if self.holder is None and self.given.is_zero:
             self.stepped_at_s = self.now_s
-        self.holder, self.priority, self.wanted = owner, priority, limited
+        self.holder, self.wanted = owner, limited
+        self.commanded[owner] = self.now_s, priority
         self.deadline_s = self.now_s + LEASE_S
         self.zeros = int(self.is_new_device)
         self.step()
@@ -158,7 +158,8 @@ class GateHistory(RuleBasedStateMachine):
         self.notice_the_end()
         assert self.gate.command(owner, ZERO, priority=priority, now_s=self.now_s) == ZERO
         if self.holder == owner:
-            self.priority, self.wanted = priority, ZERO
+            self.commanded[owner] = self.commanded[owner][0], priority
+            self.wanted = ZERO
         elif self.holder is None:
             self.zeros = max(self.zeros, 1)
         self.step()
@@ -173,6 +174,7 @@ class GateHistory(RuleBasedStateMachine):
     def somebody_leaves(self, owner: str) -> None:
         self.notice_the_end()
         self.gate.release(owner, now_s=self.now_s)
+        self.commanded.pop(owner, None)
         if self.holder == owner:
             self.end(self.now_s)
         assert self.gate.holder != owner
@@ -188,6 +190,7 @@ class GateHistory(RuleBasedStateMachine):
     def the_device_restarts(self) -> None:
         self.gate.restart()
         self.halt()
+        self.commanded.clear()
         self.is_new_device = True
 
     @rule()
@@ -272,6 +275,14 @@ class GateHistory(RuleBasedStateMachine):
         assert self.now_s < self.deadline_s
         if (*gains, *losses) == (None,) * 4:
             assert given_ == self.wanted
+
+    def stronger_than(self, owner: str, priority: int) -> set[str]:
+        """The others who have commanded within the last lease, with a higher priority, and have not left."""
+        return {
+            other
+            for other, (at_s, theirs) in self.commanded.items()
+            if other != owner and theirs > priority and self.now_s < at_s + LEASE_S
+        }
 
     def notice_the_end(self) -> None:
         if self.holder is not None and self.now_s >= self.deadline_s:

@@ -2,12 +2,13 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import pytest
 
 from hostlink.errors import BadRequest, ConfigError, RobotHeld
 from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import GateCounts, Limits, VelocityGate
+from hostlink.robot.velocity_gate import MAX_CLAIMS, GateCounts, Limits, VelocityGate
 from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, gate, held, moving, outputs
 
 # -- the life of a lease ----------------------------------------------------------------------------------------------
@@ -92,12 +93,97 @@ def test_a_stop_is_told_to_a_robot_that_stands() -> None:
     assert outputs(ours, 0.0) == STOPPED
 
 
-def test_a_command_after_a_stop_drives_again() -> None:
+@pytest.mark.parametrize(("owner", "priority"), [("ann", 50), ("ann", 0), ("bob", 50), ("bob", 100)])
+def test_after_a_stop_the_holder_and_whoever_is_as_important_may_drive_again(owner: str, priority: int) -> None:
     ours = held()
     ours.stop(now_s=0.1)
     assert ours.step(0.1) == ZERO
+    ours.command(owner, TURN, priority=priority, now_s=0.2)
+    assert (ours.holder, ours.step(0.2)) == (owner, TURN)
+
+
+# -- claims -----------------------------------------------------------------------------------------------------------
+
+INTERRUPTIONS: dict[str, Callable[[VelocityGate], None]] = {
+    "stop": lambda ours: ours.stop(now_s=0.1),
+    "halt": VelocityGate.halt,
+    "lock and unlock": lambda ours: (ours.lock("smoke"), ours.unlock())[-1],
+}
+
+
+@pytest.mark.parametrize("interruption", INTERRUPTIONS)
+def test_no_interruption_hands_the_robot_to_somebody_less_important(interruption: str) -> None:
+    ours = held(priority=100)
+    INTERRUPTIONS[interruption](ours)
+    with pytest.raises(RobotHeld, match="ann drives it with a higher priority"):
+        ours.command("bob", TURN, priority=99, now_s=0.49)
+    assert outputs(ours, 0.49) == STOPPED
+    ours.command("bob", TURN, priority=0, now_s=0.7)
+    assert ours.holder == "bob"
+
+
+def test_a_stop_and_a_publish_thirty_times_a_second_get_no_time_against_a_holder() -> None:
+    ours, given = gate(), list[Velocity | None]()
+    for tick in range(300):  # 30 Hz, for ten seconds
+        now_s = tick / 30
+        if tick % 3 == 0:
+            ours.command("ann", FORWARD, priority=100, now_s=now_s)
+            given.append(ours.step(now_s))
+        ours.stop(now_s=now_s)
+        with pytest.raises(RobotHeld):
+            ours.command("eve", TURN, priority=0, now_s=now_s)
+        given.append(ours.step(now_s))
+    assert (given.count(TURN), given.count(FORWARD)) == (0, 100)
+
+
+def test_a_claim_ends_with_its_owners_leaving_also_while_nobody_drives() -> None:
+    ours = held(priority=100)
+    ours.stop(now_s=0.1)
+    ours.release("ann", now_s=0.2)
     ours.command("bob", TURN, priority=0, now_s=0.2)
-    assert ours.step(0.2) == TURN
+    assert ours.holder == "bob"
+
+
+def test_who_was_taken_over_keeps_his_claim_when_the_other_leaves() -> None:
+    ours = held(priority=100)
+    ours.command("bob", TURN, priority=100, now_s=0.1)
+    ours.release("bob", now_s=0.2)
+    with pytest.raises(RobotHeld, match="ann drives it with a higher priority"):
+        ours.command("eve", TURN, priority=60, now_s=0.3)
+
+
+def test_a_holder_who_lowers_himself_goes_on_and_lets_nobody_in_below_the_others() -> None:
+    ours = held(priority=100)
+    ours.command("bob", TURN, priority=100, now_s=0.1)
+    assert ours.command("bob", TURN, priority=0, now_s=0.2) == TURN
+    with pytest.raises(RobotHeld, match="ann drives it with a higher priority"):
+        ours.command("eve", TURN, priority=60, now_s=0.3)
+    ours.command("eve", TURN, priority=60, now_s=0.5)
+    assert ours.holder == "eve"
+
+
+def test_a_new_device_is_free_for_everybody() -> None:
+    ours = held(priority=100)
+    ours.restart()
+    ours.command("bob", TURN, priority=0, now_s=0.1)
+    assert ours.holder == "bob"
+
+
+def test_a_refused_command_claims_nothing() -> None:
+    ours = held(priority=100)
+    with pytest.raises(RobotHeld):
+        ours.command("bob", TURN, priority=99, now_s=0.4)
+    ours.command("eve", TURN, priority=0, now_s=0.5)
+    assert ours.holder == "eve"
+
+
+def test_the_claims_are_bounded_and_the_most_important_stay() -> None:
+    ours = held(priority=100)
+    for number in range(MAX_CLAIMS + 5):
+        ours.command(f"crowd {number}", TURN, priority=100, now_s=0.1)
+    assert ours.counts.forgotten_claims == 6
+    with pytest.raises(RobotHeld):
+        ours.command("eve", TURN, priority=99, now_s=0.2)
 
 
 # -- a new device -----------------------------------------------------------------------------------------------------

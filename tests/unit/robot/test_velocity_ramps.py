@@ -115,7 +115,7 @@ def test_who_drives_while_it_slows_down_takes_it_from_there() -> None:
     ours = moving(HEAVY)
     ours.stop(now_s=1.0)
     ours.step(1.1)
-    ours.command("bob", FORWARD, priority=0, now_s=1.1)
+    ours.command("bob", FORWARD, priority=50, now_s=1.1)
     assert ours.step(1.15) == pytest.approx(Velocity(0.15))
 
 
