@@ -15,6 +15,8 @@ STORE_NAMES = sorted(name.replace("/msg/", "/") for name in STORE.fielddefs if n
 
 SET_BOOL_REQUEST = "8b94c1b53db61fb6aed406028ad6332a"
 SET_BOOL_RESPONSE = "937c9679a518e3a18d831e57125ea522"
+TWO_INTS, ONE_INT = "36d09b846be0b371c5f190354dd3153e", "b88405221c77b1878a3cbbfff53428d7"
+TEST_INPUT, TEST_OUTPUT = "39e92f1778057359c64c7b8a7d7b19de", "0825d95fdfa2c8f4bbb4e9c74bccd3fd"
 EMPTY = "d41d8cd98f00b204e9800998ecf8427e"
 
 
@@ -67,8 +69,13 @@ def test_every_stored_type_compiles_and_its_defaults_come_back(catalog: Catalog)
         ("geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a"),
         ("geometry_msgs/Vector3", "4a842b65f413084dc2b10fb484ea7f17"),
         ("nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7"),
+        ("rospy_tutorials/Floats", "420cd38b6b071cd49f2970c3e2cee511"),
+        ("rospy_tutorials/HeaderString", "c99a9440709e4d4a9716d55b8270d5e7"),
+        ("rosserial_arduino/Adc", "6d7853a614e2e821319068311f2af25b"),
+        ("rosserial_mbed/Adc", "6d7853a614e2e821319068311f2af25b"),
         ("rosserial_msgs/Log", "11abd731c25933261cd6183bd12d6295"),
         ("rosserial_msgs/TopicInfo", "0ad51f88fc44892f8c10684077646005"),
+        ("rosserial_tivac_tutorials/Buttons", "a78ccaade8fa723d1ebeb7b099042085"),
         ("sensor_msgs/JointState", "3066dcd76a6cfaef579bd0f34173e9fd"),
         ("sensor_msgs/LaserScan", "90c7ef2dc6895d81024acba2ac42f369"),
         ("std_msgs/Empty", EMPTY),
@@ -83,6 +90,12 @@ def test_md5_sums_that_devices_announce(catalog: Catalog, name: str, md5: str) -
 @pytest.mark.parametrize(
     ("name", "md5", "request_md5", "response_md5"),
     [
+        (
+            "diagnostic_msgs/SelfTest",
+            "ac21b1bab7ab17546986536c22eb34e9",
+            EMPTY,
+            "ac21b1bab7ab17546986536c22eb34e9",
+        ),
         ("nav_msgs/GetMap", "6cdd0a18e0aff5b0a3ca2326a89b54ff", EMPTY, "6cdd0a18e0aff5b0a3ca2326a89b54ff"),
         (
             "nav_msgs/GetPlan",
@@ -90,6 +103,13 @@ def test_md5_sums_that_devices_announce(catalog: Catalog, name: str, md5: str) -
             "e25a43e0752bcca599a8c2eef8282df8",
             "0002bc113c0259d71f6cf8cbc9430e18",
         ),
+        ("roscpp/Empty", EMPTY, EMPTY, EMPTY),
+        ("roscpp/GetLoggers", "32e97e85527d4678a8f9279894bb64b0", EMPTY, "32e97e85527d4678a8f9279894bb64b0"),
+        ("roscpp/SetLoggerLevel", "51da076440d78ca1684d36c868df61ea", "51da076440d78ca1684d36c868df61ea", EMPTY),
+        ("roscpp_tutorials/TwoInts", "6a2e34150c00229791cc89ff309fff21", TWO_INTS, ONE_INT),
+        ("rospy_tutorials/AddTwoInts", "6a2e34150c00229791cc89ff309fff21", TWO_INTS, ONE_INT),
+        ("rosserial_arduino/Test", "c63e85f503b805d84df783e71c6bb0d2", TEST_INPUT, TEST_OUTPUT),
+        ("rosserial_mbed/Test", "c63e85f503b805d84df783e71c6bb0d2", TEST_INPUT, TEST_OUTPUT),
         (
             "rosserial_msgs/RequestMessageInfo",
             "6416d80296dfbbdd5f7b2cee839f9316",
