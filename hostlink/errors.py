@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable
+import reprlib
 
 
 class HostlinkError(Exception):
@@ -72,6 +73,14 @@ class ServiceTimeout(HostlinkError):
     def __init__(self, service: str, timeout_s: float) -> None:
         super().__init__(f"{service}: no answer within {timeout_s:g} s")
         self.service, self.timeout_s = service, timeout_s
+
+
+class ServiceFailed(HostlinkError):
+    """A service answered that it failed; `values` is what it answered beside that."""
+
+    def __init__(self, service: str, values: object) -> None:
+        super().__init__(f"{service}: {values if isinstance(values, str) else reprlib.repr(values)}")
+        self.service, self.values = service, values
 
 
 class BadRequest(HostlinkError):

@@ -6,7 +6,7 @@ What it said     topics.asked, topics.negotiated, topic.refused, message.refused
                  parameter.refused, protocol.version_1, subscriber.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
-Services         service.late, service.failed
+Services         service.late, service.failed, service.crashed, service.taken_over, service.unanswerable
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op, client.crowded, client.malformed
 The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
@@ -80,9 +80,9 @@ def _make_printable(_: object, __: str, event: structlog.typing.EventDict) -> st
     return {key: _replace(value) if isinstance(value, str) else value for key, value in event.items()}
 
 
-def printable(text: str) -> str:
+def printable(text: str, max_chars: int = _MAX_PRINTED) -> str:
     """What a peer said, safe for a terminal: printable characters only, and not too many of them."""
-    return _replace(text[:_MAX_PRINTED])
+    return _replace(text[:max_chars])
 
 
 def _keep_budget(

@@ -86,8 +86,7 @@ class Device:
         self._stamped.clear()
         self.names = frozenset()
         self._topics.leave(self.link)
-        for service in self.services.values():
-            self._services.remove_device_service(service)
+        self._services.leave(self.link)
         self.services.clear()
 
     def _add(self, info: TopicInfo) -> None:
@@ -101,8 +100,13 @@ class Device:
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
             type_ = self._catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
+            service.md5_sums = self._md5_sums(info.name)
             self._services.add_device_service(service)
             self.services[info.name] = service
+
+    def _md5_sums(self, service: str) -> tuple[str, str]:
+        sums = {info.kind: info.md5 for info in self.infos if info.name == service}
+        return sums.get(Id.SERVICE_SERVER_SUBSCRIBER, ""), sums.get(Id.SERVICE_SERVER_PUBLISHER, "")
 
     def _add_odometry(self, info: TopicInfo, robot: RobotTopics) -> None:
         type_ = self._catalog.message(info.type)

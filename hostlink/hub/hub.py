@@ -14,6 +14,7 @@ from structlog.contextvars import bound_contextvars
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import DeviceGone, HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
+from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.identities import Identities, Parts
 from hostlink.hub.isolation import Isolation
@@ -57,6 +58,9 @@ class Hub:
         self.isolation = Isolation(reraises=reraises)
         self.topics = TopicGraph(catalog, self.isolation)
         self.services = Services(catalog)
+        self.device_calls = DeviceCalls(
+            self.services, catalog, spawn=self.spawn, give_up=self._give_up, name_of=self._service_name
+        )
         self.diagnoses = Diagnoses(self.isolation)
         self.robots = Robots(
             config.robots,
@@ -91,7 +95,7 @@ class Hub:
             events.TopicsNegotiated: self._announce,
             events.TopicRefused: self._refuse_topic,
             events.TopicsAsked: _log_ask,
-            events.ServiceRequested: self._serve_device,
+            events.ServiceRequested: self.device_calls.take,
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
             events.DeviceLogged: self._log_for_device,
@@ -193,6 +197,7 @@ class Hub:
 
     def _forget(self, link: Link) -> None:
         self._identities.forget(link)
+        self.device_calls.leave(link)
 
     def _forget_robot(self, robot: Robot) -> None:
         self._identities.forget_robot(robot)
@@ -284,17 +289,17 @@ class Hub:
         if service is None or not service.answered(event.payload):
             log.warning("service.late", service=printable(event.service.name))
 
-    def _serve_device(self, link: Link, event: events.ServiceRequested) -> None:
-        self.spawn(self._answer_device(link, event), name=f"service call of link {link.number}")
-
-    async def _answer_device(self, link: Link, event: events.ServiceRequested) -> None:
-        try:
-            name = self._service_name(link, event.service.name)
-            answer = await self.services.answer_device(name, event.service.type, event.payload)
-            link.session.answer(event.service.name, answer)
-            link.wake()
-        except HostlinkError as error:
-            log.warning("service.failed", service=printable(event.service.name), reason=str(error))
+    async def _give_up(self, link: Link) -> None:
+        """End the link of a device that waits for an answer which it cannot take; it stands, and waits no more."""
+        robot = self.robots.of_link(link)
+        if robot is not None:
+            self.robots.halt(robot)
+        link.session.stop()
+        link.wake()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(FAREWELL_TIMEOUT_S):
+                await link.drained()
+        link.end(LinkEnd.UNANSWERABLE)
 
     def _service_name(self, link: Link, name: str) -> str:
         """That of the robot's name here, if anybody offers it; else the name that all of its kind call."""

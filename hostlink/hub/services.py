@@ -6,11 +6,22 @@ must not be taken for the answer to the next call.
 
 import asyncio
 import itertools
+from collections import defaultdict
 from collections.abc import Awaitable, Callable, Hashable, Mapping
+from typing import TypeVar
 
 import structlog
 
-from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, HostlinkError, ServiceTimeout, UnknownTopic, WrongType
+from hostlink.errors import (
+    BadRequest,
+    DeviceBusy,
+    DeviceGone,
+    HostlinkError,
+    ServiceFailed,
+    ServiceTimeout,
+    UnknownTopic,
+    WrongType,
+)
 from hostlink.hub.subscriptions import DAEMON, resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -20,9 +31,12 @@ log = structlog.get_logger()
 
 DEVICE_TIMEOUT_S = 5.0
 PROGRAM_TIMEOUT_S = 60.0  # a program may do something that takes its time, and rosbridge would wait for ever
-MAX_WAITING = 8  # calls for one service; more mean that the device cannot keep up
+LONGEST_TURN_S = 60.0  # of one call at a device, whatever its caller would wait: a request may be lost on the way
+MAX_WAITING = 256  # calls for one service of a device, each within its own deadline
 Send = Callable[[bytes], None]
 Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
+Notify = Callable[[str], None]
+_Offer = TypeVar("_Offer")
 
 
 class DeviceService:
@@ -30,6 +44,7 @@ class DeviceService:
 
     def __init__(self, name: str, type_name: str, type_: ServiceType | None, key: Hashable, send: Send) -> None:
         self.name, self.type_name, self.type, self.key = name, type_name, type_, key
+        self.md5_sums = ("", "")  # of requests and responses, as the device told them
         self.late_answers = 0
         self._send = send
         self._calls = 0
@@ -44,8 +59,7 @@ class DeviceService:
         self._calls += 1
         try:
             async with asyncio.timeout(timeout_s), self._turn:
-                await self._settle(timeout_s / 2)  # the other half is for the call itself
-                return await self._exchange(payload)
+                return await self._take_turn(payload, min(timeout_s, LONGEST_TURN_S))
         except TimeoutError:
             raise ServiceTimeout(self.name, timeout_s) from None
         finally:
@@ -69,6 +83,14 @@ class DeviceService:
         if self._late is not None and not self._late.done():
             self._late.set_result(None)
 
+    async def _take_turn(self, payload: bytes, turn_s: float) -> bytes:
+        try:
+            async with asyncio.timeout(turn_s):
+                await self._settle(turn_s / 2)  # the other half is for the call itself
+                return await self._exchange(payload)
+        except TimeoutError:
+            raise ServiceTimeout(self.name, turn_s) from None
+
     async def _exchange(self, payload: bytes) -> bytes:
         self._answer = asyncio.get_running_loop().create_future()
         try:
@@ -91,69 +113,90 @@ class DeviceService:
 
 
 class Provider:
-    """Somebody who answers calls of devices: a client of the API, or a device through its DeviceService."""
+    """Somebody else who answers calls: a client of the API, or the daemon itself."""
 
-    def __init__(self, name: str, type_name: str, key: Hashable, answer: Answer) -> None:
+    def __init__(self, name: str, type_name: str, key: Hashable, answer: Answer, notify: Notify | None = None) -> None:
+        """`notify` hears, as a text, that somebody else gets the calls now."""
         self.name, self.type_name, self.key, self.answer = name, type_name, key, answer
+        self.notify: Notify = _ignore if notify is None else notify
 
 
 class Services:
-    """Every service by name; one name has one provider, the newest."""
+    """Every service by name, and whoever offers it by key.
+
+    A service of the daemon's own goes before one of a device's, that before one of a program's; of several of a kind
+    the newest gets the calls, and when it goes the one before it does again.
+    """
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._devices: dict[str, DeviceService] = {}
-        self._providers: dict[str, Provider] = {}
+        self._devices: dict[str, dict[Hashable, DeviceService]] = {}
+        self._providers: dict[str, dict[Hashable, Provider]] = {}
+        self._names: defaultdict[Hashable, set[str]] = defaultdict(set)  # what a key offers
 
     def add_device_service(self, service: DeviceService) -> None:
-        """A device offers a service; it replaces one of that name. BadRequest for a name of the daemon's own."""
-        provider = self._providers.get(service.name)
-        if provider is not None and provider.key == DAEMON:
+        """A device offers a service. BadRequest for a name of the daemon's own."""
+        program = self.provider(service.name)
+        if program is not None and program.key == DAEMON:
             raise BadRequest(f"{service.name} is a service of hostlink's own")
-        before = self._devices.get(service.name)
+        offers = self._devices.setdefault(service.name, {})
+        before = offers.pop(service.key, None)
         if before is not None:
             before.close()
-        self._devices[service.name] = service
-
-    def remove_device_service(self, service: DeviceService) -> None:
-        """The device offers it no more."""
-        service.close()
-        if self._devices.get(service.name) is service:
-            del self._devices[service.name]
+        if program is not None:
+            self._take_over(service.name, service.key, program)
+        elif offers:
+            log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
+        offers[service.key] = service
+        self._names[service.key].add(service.name)
 
     def provide(self, provider: Provider) -> None:
-        """A client offers a service; BadRequest for a name of the daemon's own."""
-        before = self._providers.get(provider.name)
+        """A program offers a service; BadRequest for a name of the daemon's own."""
+        name = provider.name
+        before = self.provider(name)
         if before is not None and before.key == DAEMON != provider.key:
-            raise BadRequest(f"{provider.name} is a service of hostlink's own")
-        squatter = self._devices.get(provider.name)
-        if provider.key == DAEMON and squatter is not None:  # the emergency stop is nobody else's
-            self.remove_device_service(squatter)
-        self._providers[provider.name] = provider
+            raise BadRequest(f"{name} is a service of hostlink's own")
+        if provider.key == DAEMON:  # the emergency stop is nobody else's
+            self._remove_device_services(name)
+        elif self.of_device(name) is not None:
+            provider.notify(f"{name} is a service of a device's, which gets the calls")
+        elif before is not None and before.key != provider.key:
+            self._take_over(name, provider.key, before)
+        offers = self._providers.setdefault(name, {})
+        offers.pop(provider.key, None)
+        offers[provider.key] = provider
+        self._names[provider.key].add(name)
+
+    def _remove_device_services(self, name: str) -> None:
+        for key, service in self._devices.pop(name, {}).items():
+            service.close()
+            self._names[key].discard(name)
 
     def withdraw(self, name: str, key: Hashable) -> None:
-        """A client offers it no more."""
-        provider = self._providers.get(resolve(name))
-        if provider is not None and provider.key == key:
-            del self._providers[provider.name]
+        """A program offers it no more."""
+        name = resolve(name)
+        if _remove(self._providers, name, key) is not None:
+            self._names[key].discard(name)
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone with all that it offered."""
-        for name, service in list(self._devices.items()):
-            if service.key == key:
+        for name in self._names.pop(key, set()):
+            service = _remove(self._devices, name, key)
+            if service is not None:
                 service.close()
-                del self._devices[name]
-        for name, provider in list(self._providers.items()):
-            if provider.key == key:
-                del self._providers[name]
+            _remove(self._providers, name, key)
 
     def of_device(self, name: str) -> DeviceService | None:
-        """The device's service of that name."""
-        return self._devices.get(resolve(name))
+        """The device's service of that name, of several the newest."""
+        return _newest(self._devices, resolve(name))
+
+    def of_link(self, name: str, key: Hashable) -> DeviceService | None:
+        """The service of that name of one device."""
+        return self._devices.get(resolve(name), {}).get(key)
 
     def provider(self, name: str) -> Provider | None:
-        """The client's service of that name."""
-        return self._providers.get(resolve(name))
+        """The service of that name of a program or of the daemon, of several the newest."""
+        return _newest(self._providers, resolve(name))
 
     def is_offered(self, name: str) -> bool:
         """Whether there is a service of that name."""
@@ -161,13 +204,14 @@ class Services:
 
     def all(self) -> list[tuple[str, str]]:
         """(name, type) of every service."""
-        found = {name: provider.type_name for name, provider in self._providers.items()}
-        found |= {name: service.type_name for name, service in self._devices.items()}
-        return sorted(found.items())
+        return sorted((name, self.find(name).type_name) for name in self._providers.keys() | self._devices.keys())
 
     def find(self, name: str) -> DeviceService | Provider:
-        """The service of that name; UnknownTopic if there is none."""
-        found = self.of_device(name) or self.provider(name)
+        """Who gets the calls of that name; UnknownTopic if nobody offers it."""
+        program = self.provider(name)
+        if program is not None and program.key == DAEMON:
+            return program
+        found = self.of_device(name) or program
         if found is None:
             others = itertools.chain(self._devices, self._providers)
             raise UnknownTopic("service", name, (known for known in others if not known.startswith("/rosapi/")))
@@ -181,34 +225,52 @@ class Services:
     async def call(
         self, name: str, request: Mapping[str, object], *, timeout_s: float | None = None
     ) -> Mapping[str, object]:
-        """Call a service, whoever offers it. UnknownTopic, WrongType, BadRequest, or what DeviceService.call raises."""
+        """Call a service, whoever offers it.
+
+        Raises:
+            UnknownTopic: nobody offers it.
+            WrongType, BadRequest, BadPayload: the request or the answer is not of its type.
+            ServiceFailed, ServiceTimeout, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
+        """
         service = self.find(name)
         if isinstance(service, Provider):
-            timeout_s = PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s
-            try:
-                async with asyncio.timeout(timeout_s):
-                    return await service.answer(request)
-            except TimeoutError:
-                raise ServiceTimeout(service.name, timeout_s) from None
+            return await _ask(service, request, PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s)
         if service.type is None:
             raise WrongType(service.name, "a service type with a definition", service.type_name)
         timeout_s = DEVICE_TIMEOUT_S if timeout_s is None else timeout_s
         answer = await service.call(service.type.request.encode(request), timeout_s=timeout_s)
         return service.type.response.decode(answer)
 
-    async def answer_device(self, name: str, type_name: str, payload: bytes) -> bytes:
-        """The response to a device that calls a service.
+    def _take_over(self, name: str, key: Hashable, before: Provider) -> None:
+        log.warning("service.taken_over", service=printable(name), by=str(key), before=str(before.key))
+        before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
 
-        The protocol has no way to say that a call failed, and a device waits for an answer without end. So a failure is
-        an answer of defaults (success: false), with the reason in `message` where the type has one.
-        """
-        type_ = self._catalog.service(type_name)
-        if type_ is None:
-            raise WrongType(name, "a service type with a definition", type_name)
-        try:
-            answer = await self.call(name, type_.request.decode(payload), timeout_s=DEVICE_TIMEOUT_S)
-        except HostlinkError as error:
-            log.warning("service.failed", service=printable(name), reason=str(error))
-            has_message = any(field.name == "message" and field.type == "string" for field in type_.response.fields)
-            answer = {"message": str(error)} if has_message else {}
-        return type_.response.encode(answer)
+
+async def _ask(provider: Provider, request: Mapping[str, object], timeout_s: float) -> Mapping[str, object]:
+    try:
+        async with asyncio.timeout(timeout_s):
+            return await provider.answer(request)
+    except TimeoutError:
+        raise ServiceTimeout(provider.name, timeout_s) from None
+    except HostlinkError:
+        raise
+    except Exception as error:  # a bug in one service must not reach who calls it, nor anybody else
+        log.exception("service.crashed", service=printable(provider.name))
+        raise ServiceFailed(provider.name, f"{type(error).__name__}: {error}") from error
+
+
+def _newest(offers: Mapping[str, dict[Hashable, _Offer]], name: str) -> _Offer | None:
+    of_name = offers.get(name)
+    return next(reversed(of_name.values())) if of_name else None
+
+
+def _remove(offers: dict[str, dict[Hashable, _Offer]], name: str, key: Hashable) -> _Offer | None:
+    of_name = offers.get(name, {})
+    found = of_name.pop(key, None)
+    if not of_name:
+        offers.pop(name, None)
+    return found
+
+
+def _ignore(text: str) -> None:
+    """Nobody wants to hear it."""

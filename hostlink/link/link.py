@@ -39,6 +39,7 @@ class LinkEnd(Enum):
     STOPPED = "stopped"
     BROKEN = "broken"
     CRASHED = "crashed"
+    UNANSWERABLE = "unanswerable"  # the device waits for an answer that it could not take
 
 
 class Link:

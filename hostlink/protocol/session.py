@@ -37,7 +37,7 @@ NEGOTIATION_QUIET_S = 0.5  # a device tells its topics without a pause; WiFi may
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
 DEFAULT_BUFFER_BYTES = 512  # rosserial's
 
-_KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER, Id.SERVICE_CLIENT_PUBLISHER)
+_KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER)  # and those of service clients
 
 
 @dataclass(slots=True)
@@ -223,6 +223,29 @@ class Session:
         info = self._endpoint("service", service, Id.SERVICE_CLIENT_SUBSCRIBER)
         self._outbox.put_reply(service, self._encode(info, payload))
 
+    def response_endpoint(self, request: TopicInfo) -> TopicInfo:
+        """Where the device takes the response to a request of this endpoint; UnknownTopic."""
+        found = self._topics.response_to(request)
+        if found is None:
+            raise UnknownTopic("endpoint for responses", request.name)
+        return found
+
+    def is_refused(self, info: TopicInfo) -> bool:
+        """Whether the type of this endpoint is not what it is known as here."""
+        return info.topic_id in self._refused
+
+    def respond(self, response: TopicInfo, payload: bytes | None) -> None:
+        """Queue a response to a request of the device's; FrameTooLarge, DeviceBusy.
+
+        None: nobody here knows the layout. Zeros are empty texts and lists, and numbers of zero, in any; with fewer
+        bytes than its layout takes a device would read on in what its buffer held before.
+        """
+        if payload is None:
+            room_bytes = min(_buffer_bytes(response), DEFAULT_BUFFER_BYTES) - OVERHEAD_BYTES
+            payload = bytes(self._topics.fixed_bytes.get(response.topic_id, max(room_bytes, 0)))
+        frame = self._fitting(response.name, response.topic_id, payload, _buffer_bytes(response))
+        self._outbox.put_reply(response.name, frame)
+
     def answer_parameter(self, name: str, parameter: Parameter) -> None:
         """Queue the answer to a parameter request; an empty one says that there is none."""
         what = f"parameter {name}"
@@ -268,14 +291,14 @@ class Session:
             self.counts.unknown_ids += 1
             self._clock.wish("unknown_id", about=frame.topic_id)
             yield events.UnknownTopicUsed(frame.topic_id)
+        elif info.kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a type that was refused: the device waits
+            yield events.ServiceRequested(info, frame.payload)
         elif info.topic_id in self._refused or info.kind not in _KINDS_FROM_DEVICE:
             self.counts.refused_frames += 1
         elif info.kind is Id.PUBLISHER:
             yield events.MessageReceived(info, frame.payload)
-        elif info.kind is Id.SERVICE_SERVER_PUBLISHER:
-            yield events.ServiceResponded(info, frame.payload)
         else:
-            yield events.ServiceRequested(info, frame.payload)
+            yield events.ServiceResponded(info, frame.payload)
 
     def _take_control(self, frame: Frame, now_s: float) -> Iterator[events.Event]:
         if frame.topic_id == Id.TIME:
@@ -318,6 +341,8 @@ class Session:
         except HostlinkError as reason:
             self._refused[info.topic_id] = reason
             yield events.TopicRefused(info, reason)
+        if info.kind is Id.SERVICE_CLIENT_PUBLISHER:
+            fixed_bytes = None  # who asks is answered, whatever he asks
         self._topics.add(info, fixed_bytes)
         if not info.is_to_device:
             self._stream.limit_bytes = max(self._stream.limit_bytes, info.buffer_bytes)
@@ -381,6 +406,11 @@ class Session:
         if self._outbox.robot_moves and len(frame) > self._outbox.prompt_bytes:
             raise FrameTooLarge(info.name, len(frame), int(self._outbox.prompt_bytes), when="while the robot moves")
         return frame
+
+
+def response_bytes(response: TopicInfo) -> int:
+    """How long the payload of a response to the device may be."""
+    return _buffer_bytes(response) - OVERHEAD_BYTES
 
 
 def _buffer_bytes(info: TopicInfo) -> int:

@@ -1,7 +1,7 @@
 """TopicTable: what one device announced, by id; one negotiation replaces the one before it."""
 
 from hostlink.protocol.control import IS_TO_DEVICE, TopicInfo
-from hostlink.protocol.frame import FIRST_TOPIC_ID
+from hostlink.protocol.frame import FIRST_TOPIC_ID, Id
 
 MAX_TOPICS = 256  # ten times what rosserial's own library allows by default
 
@@ -59,6 +59,15 @@ class TopicTable:
     def find(self, name: str, kind: int) -> TopicInfo | None:
         """The endpoint of that name and kind."""
         return self._by_name.get((name, kind))
+
+    def response_to(self, request: TopicInfo) -> TopicInfo | None:
+        """Where responses to the requests of this endpoint go. A device may have several clients of one service; it
+        numbers both ends of each in one order."""
+        mine = [info for info in self.all() if info.name == request.name]
+        requests = [info.topic_id for info in mine if info.kind is Id.SERVICE_CLIENT_PUBLISHER]
+        responses = [info for info in mine if info.kind is Id.SERVICE_CLIENT_SUBSCRIBER]
+        place = requests.index(request.topic_id) if request.topic_id in requests else len(responses)
+        return responses[place] if place < len(responses) else None
 
     def all(self) -> tuple[TopicInfo, ...]:
         """Every endpoint, in the order of the ids."""

@@ -1,0 +1,247 @@
+"""DeviceCalls: the calls of services that devices make. Each is answered with what the device can take, in time.
+
+ros_lib's `ServiceClient::call` waits for its answer without end, and the device does nothing else meanwhile; the
+protocol has no way to say that a call failed. So a failure is a response of zeros and empty texts (success: false),
+with the reason in `message` where the type has one, and a device that cannot even be told that loses its link.
+"""
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from typing import Any, Protocol
+
+import structlog
+
+from hostlink.errors import (
+    BadRequest,
+    DeviceBusy,
+    DeviceGone,
+    FrameTooLarge,
+    HostlinkError,
+    ServiceFailed,
+    ServiceTimeout,
+    UnknownTopic,
+    WrongType,
+)
+from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
+from hostlink.link.link import Link
+from hostlink.logs import printable
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.fitting import encode_within
+from hostlink.messages.message_type import MessageType
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.events import ServiceRequested
+from hostlink.protocol.frame import OVERHEAD_BYTES
+from hostlink.protocol.session import response_bytes
+
+log = structlog.get_logger()
+
+MAX_CALLS = 16  # of one device, under way and waiting; ros_lib makes one and stands still
+MAX_WAITING = 4  # of them for one service, behind the one that is under way
+RETRY_S = 0.05  # between looks for room among the replies
+MAX_REASON = 256  # characters of a reason in the log; names of devices stand in it
+LAST_S = 1.0  # for an answer that is late already to find room in the queue of the replies
+
+_Outcome = Mapping[str, object] | bytes | HostlinkError
+
+
+class Spawn(Protocol):
+    """Run something for a device beside everything else."""
+
+    def __call__(self, work: Coroutine[Any, Any, object], *, name: str) -> None: ...
+
+
+class _Call:
+    """A request of a device, until it is answered."""
+
+    def __init__(self, link: Link, event: ServiceRequested, now_s: float) -> None:
+        self.link, self.endpoint, self.payload = link, event.service, event.payload
+        self.negotiations = link.session.counts.negotiations  # when it came
+        self.deadline_s = now_s + DEVICE_TIMEOUT_S
+        self.is_over = False  # nobody waits for the answer any more
+        self._timeout: asyncio.Timeout | None = None
+
+    @contextlib.asynccontextmanager
+    async def until(self, deadline_s: float) -> AsyncIterator[None]:
+        """The block has until then, or until the call is over; then TimeoutError."""
+        async with asyncio.timeout_at(deadline_s) as timeout:
+            self._timeout = timeout
+            try:
+                yield
+            finally:
+                self._timeout = None
+
+    def drop(self) -> None:
+        """Nobody waits for the answer any more."""
+        self.is_over = True
+        if self._timeout is not None:
+            self._timeout.reschedule(asyncio.get_running_loop().time())
+
+
+class DeviceCalls:
+    """One call of an endpoint after another; bounded for each device, and what is over the bound fails at once."""
+
+    def __init__(
+        self,
+        services: Services,
+        catalog: Catalog,
+        *,
+        spawn: Spawn,
+        give_up: Callable[[Link], Coroutine[Any, Any, None]],
+        name_of: Callable[[Link, str], str],
+    ) -> None:
+        """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
+        self.refused = 0  # over a bound
+        self._services, self._catalog = services, catalog
+        self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
+        self._calls: dict[int, dict[int, deque[_Call]]] = {}  # by link, by endpoint
+
+    def take(self, link: Link, event: ServiceRequested) -> None:
+        """A device calls a service, and waits from now on."""
+        call = _Call(link, event, asyncio.get_running_loop().time())
+        of_link = self._calls.setdefault(link.number, {})
+        waiting = of_link.get(event.service.topic_id)
+        if waiting is None and _count(of_link) < MAX_CALLS:
+            of_link[event.service.topic_id] = deque([call])
+            self._spawn(self._work(of_link, event.service.topic_id), name=f"service calls of link {link.number}")
+            return
+        for older in waiting or ():
+            if older.negotiations < call.negotiations:  # asked for its topics, ros_lib gives a call up
+                older.drop()
+        if waiting is None or len(waiting) > MAX_WAITING or _count(of_link) >= MAX_CALLS:
+            self._refuse(call, is_only=waiting is None)
+        else:
+            waiting.append(call)
+
+    def leave(self, link: Link) -> None:
+        """The device is gone, and waits for nothing."""
+        for waiting in self._calls.pop(link.number, {}).values():
+            for call in waiting:
+                call.drop()
+
+    def _refuse(self, call: _Call, *, is_only: bool) -> None:
+        """Fail at once; what finds no room among the replies is answered by those that are there, unless none is."""
+        self.refused += 1
+        try:
+            self._respond(call, DeviceBusy(call.endpoint.name, MAX_CALLS))
+        except HostlinkError as error:
+            if is_only:
+                self._spawn(self._end(call, error), name=f"end of link {call.link.number}")
+
+    async def _work(self, of_link: dict[int, deque[_Call]], topic_id: int) -> None:
+        waiting = of_link[topic_id]
+        try:
+            while waiting:
+                await self._finish(waiting[0])
+                waiting.popleft()
+        except Exception:  # a bug here must not leave a device waiting
+            log.exception("service.crashed", service=printable(waiting[0].endpoint.name))
+            await self._give_up(waiting[0].link)
+        finally:
+            del of_link[topic_id]
+
+    async def _finish(self, call: _Call) -> None:
+        outcome: _Outcome = ServiceTimeout(call.endpoint.name, DEVICE_TIMEOUT_S)
+        with contextlib.suppress(TimeoutError):
+            async with call.until(call.deadline_s):
+                outcome = await self._outcome(call)
+        last_s = max(call.deadline_s, asyncio.get_running_loop().time() + LAST_S)
+        try:
+            async with call.until(last_s):
+                await self._deliver(call, outcome)
+        except (TimeoutError, HostlinkError) as error:
+            await self._end(call, error)
+
+    async def _outcome(self, call: _Call) -> _Outcome:
+        """What the service answers, or why it does not."""
+        if call.is_over:
+            return DeviceGone(call.endpoint.name)
+        type_ = self._catalog.service(call.endpoint.type)
+        try:
+            if type_ is None or call.link.session.is_refused(call.endpoint):
+                return await self._pass_on(call)
+            request = type_.request.decode(call.payload)
+            name = self._name_of(call.link, call.endpoint.name)
+            return await self._services.call(name, request, timeout_s=DEVICE_TIMEOUT_S)
+        except ServiceFailed as error:
+            return error.values if isinstance(error.values, Mapping) else error
+        except HostlinkError as error:
+            return error
+
+    async def _pass_on(self, call: _Call) -> bytes:
+        """Let another device answer whose program was built from the same definition: nobody else need know it."""
+        service = self._services.of_device(self._name_of(call.link, call.endpoint.name))
+        sums = (call.endpoint.md5, call.link.session.response_endpoint(call.endpoint).md5)
+        if service is not None and service.md5_sums == sums:
+            return await service.call(call.payload, timeout_s=DEVICE_TIMEOUT_S)
+        raise WrongType(call.endpoint.name, "a service type with a definition", call.endpoint.type)
+
+    async def _deliver(self, call: _Call, outcome: _Outcome) -> None:
+        """Queue the answer as soon as there is room, and the device has said where it goes."""
+        if isinstance(outcome, HostlinkError) and not call.is_over:
+            log.warning(
+                "service.failed", service=printable(call.endpoint.name), reason=printable(str(outcome), MAX_REASON)
+            )
+        while not call.is_over:
+            try:
+                self._respond(call, outcome)
+            except (DeviceBusy, UnknownTopic):
+                await asyncio.sleep(RETRY_S)
+            else:
+                return
+
+    def _respond(self, call: _Call, outcome: _Outcome) -> None:
+        session = call.link.session
+        response = session.response_endpoint(call.endpoint)
+        known = None if session.is_refused(response) else self._catalog.service(response.type)
+        payload = encode_response(None if known is None else known.response, outcome, response)
+        session.respond(response, payload)
+        call.link.wake()
+
+    async def _end(self, call: _Call, error: Exception) -> None:
+        """A device that would wait without end begins anew instead."""
+        if not call.is_over:
+            reason = printable(str(error), MAX_REASON) or "no room for the answer"
+            log.error("service.unanswerable", service=printable(call.endpoint.name), reason=reason)
+            await self._give_up(call.link)
+
+
+def encode_response(type_: MessageType | None, outcome: _Outcome, response: TopicInfo) -> bytes | None:
+    """The payload that says most of what the device can take; None: only zeros do, for the layout is unknown.
+
+    Raises:
+        FrameTooLarge: the device's buffer is smaller than the shortest response.
+    """
+    limit_bytes = response_bytes(response)
+    if isinstance(outcome, bytes):
+        return outcome if len(outcome) <= limit_bytes else None
+    if type_ is None:
+        return None
+    if not isinstance(outcome, HostlinkError):
+        payload, outcome = _encode_answer(type_, outcome, response)
+        if payload is not None:
+            return payload
+    has_message = any(field.name == "message" and field.type_text == "string" for field in type_.fields)
+    payload = encode_within(type_, {"message": str(outcome)} if has_message else {}, limit_bytes)
+    if payload is None:
+        least_bytes = type_.layout.minimum_bytes
+        raise FrameTooLarge(response.name, least_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
+    return payload
+
+
+def _encode_answer(
+    type_: MessageType, answer: Mapping[str, object], response: TopicInfo
+) -> tuple[bytes | None, HostlinkError]:
+    """The payload, or None and why the answer cannot be sent."""
+    limit_bytes = response_bytes(response)
+    try:
+        payload = encode_within(type_, answer, limit_bytes)
+        size_bytes = len(type_.encode(answer)) if payload is None else len(payload)
+    except BadRequest as error:
+        return None, error
+    return payload, FrameTooLarge(response.name, size_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
+
+
+def _count(of_link: Mapping[int, deque[_Call]]) -> int:
+    return sum(map(len, of_link.values()))

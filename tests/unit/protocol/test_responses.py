@@ -1,0 +1,78 @@
+"""Where the response to a device's request goes, and what may be in it."""
+
+import pytest
+
+from hostlink.errors import DeviceBusy, FrameTooLarge, UnknownTopic
+from hostlink.protocol import events
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.protocol.outbox import MAX_REPLIES
+from hostlink.protocol.session import response_bytes
+from tests.support.session_host import LED, Host
+
+REQUESTS = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 125, "/ask", "my_srvs/Mine", "m", 512)
+RESPONSES = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 100, "/ask", "my_srvs/Mine", "m", 64)
+
+
+def second(info: TopicInfo) -> TopicInfo:
+    return info._replace(topic_id=info.topic_id + 1)
+
+
+def test_several_clients_of_one_service_are_told_apart_by_their_order() -> None:
+    host = Host(second(REQUESTS), RESPONSES, REQUESTS, second(RESPONSES))
+    assert host.session.response_endpoint(REQUESTS) == RESPONSES
+    assert host.session.response_endpoint(second(REQUESTS)) == second(RESPONSES)
+
+
+def test_a_device_that_did_not_say_where_responses_go_cannot_be_answered() -> None:
+    host = Host(REQUESTS, second(REQUESTS), RESPONSES)
+    for request in (second(REQUESTS), REQUESTS._replace(topic_id=130), REQUESTS._replace(name="/other")):
+        with pytest.raises(UnknownTopic, match=f"no endpoint for responses named {request.name}"):
+            host.session.response_endpoint(request)
+
+
+@pytest.mark.parametrize(("buffer_bytes", "room_bytes"), [(64, 56), (0, 504), (-1, 504), (70000, 504), (8, 0)])
+def test_where_nobody_knows_the_layout_zeros_fill_the_devices_buffer(buffer_bytes: int, room_bytes: int) -> None:
+    """A frame of 512 bytes at the most: on a slow line a stop would wait behind a longer one."""
+    response = RESPONSES._replace(buffer_bytes=buffer_bytes)
+    host = Host(REQUESTS, response)
+    host.session.respond(response, None)
+    assert host.sent() == [Frame(100, bytes(room_bytes))]
+    assert response_bytes(response) >= room_bytes
+
+
+def test_zeros_have_the_size_of_a_type_that_has_one() -> None:
+    response = RESPONSES._replace(type="std_msgs/Bool")
+    host = Host(REQUESTS, response)
+    host.session.respond(response, None)
+    assert host.sent() == [Frame(100, bytes(1))]
+
+
+def test_no_response_is_longer_than_the_devices_buffer() -> None:
+    host = Host(REQUESTS, RESPONSES)
+    host.session.respond(RESPONSES, bytes(64 - OVERHEAD_BYTES))
+    with pytest.raises(FrameTooLarge, match="/ask: frame of 65 bytes, the device takes 64"):
+        host.session.respond(RESPONSES, bytes(65 - OVERHEAD_BYTES))
+    with pytest.raises(FrameTooLarge, match="/ask: frame of 8 bytes, the device takes 7"):
+        host.session.respond(RESPONSES._replace(buffer_bytes=7), None)
+    assert len(host.sent()) == 1
+
+
+def test_responses_are_bounded() -> None:
+    host = Host(REQUESTS, RESPONSES)
+    for _ in range(MAX_REPLIES):
+        host.session.respond(RESPONSES, b"")
+    with pytest.raises(DeviceBusy):
+        host.session.respond(RESPONSES, b"")
+
+
+def test_a_request_counts_whatever_its_type_and_its_size_are_known_as() -> None:
+    """The device waits for its answer: one that was refused, or not understood, must not be passed over."""
+    refused = REQUESTS._replace(md5="wrong")
+    sized = second(REQUESTS)._replace(type="std_msgs/Bool")
+    host = Host(LED, refused, sized)
+    assert host.hear(encode(125, b"what") + encode(126, b"ever")) == [
+        events.ServiceRequested(refused, b"what"),
+        events.ServiceRequested(sized, b"ever"),
+    ]
+    assert (host.session.is_refused(refused), host.session.is_refused(sized)) == (True, False)
