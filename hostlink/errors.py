@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterable
-import reprlib
 
 
 class HostlinkError(Exception):
@@ -76,11 +75,11 @@ class ServiceTimeout(HostlinkError):
 
 
 class ServiceFailed(HostlinkError):
-    """A service answered that it failed; `values` is what it answered beside that."""
+    """A service says that it could not do what it was asked for."""
 
-    def __init__(self, service: str, values: object) -> None:
-        super().__init__(f"{service}: {values if isinstance(values, str) else reprlib.repr(values)}")
-        self.service, self.values = service, values
+    def __init__(self, service: str, reason: str) -> None:
+        super().__init__(f"{service}: {reason}")
+        self.service, self.reason = service, reason
 
 
 class BadRequest(HostlinkError):

@@ -3,29 +3,55 @@
 import asyncio
 import itertools
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import msgspec
 
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.request import Request
-from hostlink.errors import BadRequest, UnknownTopic
+from hostlink.errors import BadRequest, ServiceFailed, UnknownTopic
 from hostlink.hub.services import Provider, Services
 from hostlink.hub.subscriptions import resolve
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import ServiceType
 
 MAX_SERVICES = 64
-_Answer = asyncio.Future[Mapping[str, object]]
+Values = Mapping[str, object]
+
+
+class _Call(NamedTuple):
+    """A call that the client has not answered yet."""
+
+    service: str  # as the client spells it
+    type: ServiceType | None
+    answer: asyncio.Future[Values]
+
+    def succeed(self, values: Values) -> None:
+        if not self.answer.done():
+            self.answer.set_result(values)
+
+    def fail(self, error: Exception) -> None:
+        if not self.answer.done():
+            self.answer.set_exception(error)
+
+    def completed(self, values: Values) -> Values:
+        """As the type of the service has it, as through ROS; BadRequest for what does not fit."""
+        return values if self.type is None else self.type.response.decode(self.type.response.encode(values))
 
 
 class ClientServices:
-    """Offered, called and answered; when the client leaves, every call that waits for it fails at once."""
+    """Offered, called and answered; what is offered no more fails every call that waits for it at once."""
 
-    def __init__(self, client: str, services: Services, catalog: Catalog, queue: ClientQueue) -> None:
+    def __init__(
+        self, client: str, services: Services, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
+    ) -> None:
+        """`warn` tells the client what is no error of its own."""
         self._client, self._services, self._catalog, self._queue = client, services, catalog, queue
+        self._warn = warn
         self._numbers = itertools.count(1)
         self._names: set[str] = set()
-        self._waiting: dict[str, tuple[str, _Answer]] = {}
+        self._waiting: dict[str, _Call] = {}
 
     @property
     def names(self) -> list[str]:
@@ -39,10 +65,10 @@ class ClientServices:
         if len(self._names | {resolved}) > MAX_SERVICES:
             raise BadRequest(f"more than {MAX_SERVICES} services")
 
-        async def answer(arguments: Mapping[str, object]) -> Mapping[str, object]:
+        async def answer(arguments: Values) -> Values:
             return await self._ask(name, type_name, arguments)
 
-        self._services.provide(Provider(resolved, type_name, self._client, answer))
+        self._services.provide(Provider(resolved, type_name, self._client, answer, self._warn))
         self._names.add(resolved)
 
     def unadvertise(self, request: Request) -> None:
@@ -50,42 +76,58 @@ class ClientServices:
         self._withdraw(resolve(request.text("service")))
 
     def respond(self, request: Request) -> None:
-        """Take the client's `service_response`; one that nobody waits for is late, and harmless."""
-        name, answer = self._waiting.get(str(request.id), ("", None))
-        if answer is None or answer.done():
+        """Take the client's `service_response`; one that nobody waits for is late, and harmless.
+
+        Raises:
+            BadRequest: it is none, and the call has failed.
+        """
+        call = self._waiting.get(str(request.id))
+        if call is None or call.answer.done():
+            self._warn("service_response: no call waits for an answer with this id (any more)")
             return
-        values = request.fields.get("values")
-        if request.fields.get("result", True) is False:
-            answer.set_exception(BadRequest(f"{name}: {values if isinstance(values, str) else reprlib.repr(values)}"))
-        elif isinstance(values, dict | None):
-            answer.set_result(values or {})
-        else:
-            answer.set_exception(BadRequest(f"{name}: its answer is no object"))
+        try:
+            self._take(call, request)
+        except BadRequest as error:
+            call.fail(error)
+            raise
 
     def close(self) -> None:
         """The client is gone."""
         for name in self.names:
             self._withdraw(name)
-        for name, answer in self._waiting.values():
-            if not answer.done():
-                answer.set_exception(UnknownTopic("service", name))
+
+    def _take(self, call: _Call, request: Request) -> None:
+        """As rosbridge does, an object goes to the caller whatever `result` says: whether it is a success stands in it.
+
+        Only what could be no answer of the service's is a failure.
+        """
+        values, is_right = request.fields.get("values"), request.fields.get("result")
+        if is_right not in (True, False, None):  # roslibpy sends null where its function returns nothing
+            raise BadRequest(f"{call.service}: result must be true or false")
+        if is_right is False and not isinstance(values, dict):
+            call.fail(ServiceFailed(call.service, values if isinstance(values, str) else reprlib.repr(values)))
+        elif isinstance(values, dict | None):
+            call.succeed(call.completed(values or {}))
+        else:
+            raise BadRequest(f"{call.service}: its answer is no object")
 
     def _withdraw(self, name: str) -> None:
         self._services.withdraw(name, self._client)
         self._names.discard(name)
+        for call in self._waiting.values():
+            if resolve(call.service) == name:
+                call.fail(UnknownTopic("service", call.service))
 
-    async def _ask(self, name: str, type_name: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
+    async def _ask(self, name: str, type_name: str, arguments: Values) -> Values:
         """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""
         type_ = self._catalog.service(type_name)
         if type_ is not None:
             arguments = type_.request.decode(type_.request.encode(arguments))
         key = f"{self._client} {next(self._numbers)}"
-        answer: _Answer = asyncio.get_running_loop().create_future()
-        self._waiting[key] = (name, answer)
-        call = {"op": "call_service", "id": key, "service": name, "args": arguments}
-        self._queue.put_result(msgspec.json.encode(call))
+        call = self._waiting[key] = _Call(name, type_, asyncio.get_running_loop().create_future())
+        request = {"op": "call_service", "id": key, "service": name, "args": arguments}
         try:
-            values = await answer
+            self._queue.put_result(msgspec.json.encode(request))
+            return await call.answer
         finally:
             del self._waiting[key]
-        return values if type_ is None else type_.response.decode(type_.response.encode(values))

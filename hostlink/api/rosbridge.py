@@ -47,7 +47,7 @@ class RosbridgeClient:
         self.name = name
         self._is_read_only = is_read_only
         self.topics = ClientTopics(name, hub.topics, hub.catalog)
-        self.services = ClientServices(name, hub.services, hub.catalog, queue)
+        self.services = ClientServices(name, hub.services, hub.catalog, queue, self._warn)
         self.subscriptions = ClientSubscriptions(name, hub.topics, queue, self._warn)
         self._hub = hub
         self._queue = queue

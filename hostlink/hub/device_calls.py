@@ -19,7 +19,6 @@ from hostlink.errors import (
     DeviceGone,
     FrameTooLarge,
     HostlinkError,
-    ServiceFailed,
     ServiceTimeout,
     UnknownTopic,
     WrongType,
@@ -164,8 +163,6 @@ class DeviceCalls:
             request = type_.request.decode(call.payload)
             name = self._name_of(call.link, call.endpoint.name)
             return await self._services.call(name, request, timeout_s=DEVICE_TIMEOUT_S)
-        except ServiceFailed as error:
-            return error.values if isinstance(error.values, Mapping) else error
         except HostlinkError as error:
             return error
 

@@ -1,10 +1,12 @@
 """Services by rosbridge: called, and offered by programs."""
 
 import asyncio
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
 
+from hostlink.hub.services import Provider
 from tests.support.rosbridge_memory import call, offered, world
 from tests.support.virtual_loop import run_virtual
 
@@ -63,6 +65,115 @@ async def test_a_failure_has_its_reason_in_values(answer: dict[str, Any], reason
         (heard,) = await caller.answers()
         assert heard["result"] is False
         assert reason in heard["values"]
+
+
+@pytest.mark.parametrize("result", [False, None, True])
+async def test_what_a_service_answers_is_delivered_whatever_it_calls_its_result(result: bool | None) -> None:
+    """As rosbridge does: whether the service succeeded stands in its answer."""
+    async with world() as here:
+        server, caller = await offered(here), here.client()
+        caller.say(op="call_service", id=7, service="/switch")
+        (asked,) = await server.answers()
+        values = {"success": False, "message": "the door is open"}
+        server.say(op="service_response", id=asked["id"], service="switch", values=values, result=result)
+        (heard,) = await caller.answers()
+        assert (heard["values"], heard["result"]) == (values, True)
+        assert server.heard() == []
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ({"values": [1], "result": True}, "switch: its answer is no object"),
+        ({"values": "ok"}, "switch: its answer is no object"),
+        ({"values": {"sucess": True}, "result": True}, "no field 'sucess'"),
+        ({"values": {"sucess": True}, "result": False}, "no field 'sucess'"),
+        ({"values": {"success": True}, "result": "yes"}, "switch: result must be true or false"),
+        ({"values": {}, "result": [True]}, "switch: result must be true or false"),
+    ],
+)
+async def test_an_answer_that_is_none_fails_the_call_at_once_and_is_told_to_who_sent_it(
+    answer: dict[str, Any], reason: str
+) -> None:
+    async with world() as here:
+        server, caller = await offered(here), here.client()
+        caller.say(op="call_service", id=7, service="/switch")
+        (asked,) = await server.answers()
+        server.say(op="service_response", id=asked["id"], service="switch", **answer)
+        (heard,) = await caller.answers()
+        (status,) = server.heard()
+        assert (heard["result"], status["level"], status["id"]) == (False, "error", asked["id"])
+        assert reason in heard["values"]
+        assert reason in status["msg"]
+
+
+async def test_an_answer_that_nobody_waits_for_is_told_and_harmless() -> None:
+    async with world() as here:
+        server = await offered(here)
+        for more in ({"id": "client 1 7"}, {}, {"id": 3}):
+            server.say(op="service_response", service="switch", values={}, result=True, **more)
+        assert (
+            server.heard()
+            == [
+                {
+                    "op": "status",
+                    "level": "warning",
+                    "msg": "service_response: no call waits for an answer with this id (any more)",
+                }
+            ]
+            * 3
+        )
+
+
+async def test_what_is_offered_no_more_fails_the_calls_that_wait_for_it_and_no_others() -> None:
+    async with world() as here:
+        server, caller = await offered(here), here.client()
+        server.say(op="advertise_service", service="/other", type="std_srvs/Trigger")
+        caller.say(op="call_service", id=1, service="/switch")
+        caller.say(op="call_service", id=2, service="/other")
+        asked = await server.answers()
+        server.say(op="unadvertise_service", service="/switch")
+        (heard,) = await caller.answers()
+        assert (heard["id"], heard["result"], heard["values"]) == (1, False, "no service named switch")
+        server.say(op="service_response", id=asked[1]["id"], service="/other", values={"success": True}, result=True)
+        assert [answer["id"] for answer in await caller.answers()] == [2]
+
+
+async def test_the_newest_offer_gets_the_calls_and_who_had_them_is_told_and_has_them_again() -> None:
+    async with world() as here:
+        first, caller = await offered(here), here.client()
+        caller.say(op="call_service", id=1, service="/switch")
+        (asked,) = await first.answers()
+        second = await offered(here)
+        told = f"/switch: {second.client.name} offers it too and gets the calls, as long as it is there"
+        assert statuses(first.heard()) == [told]
+        first.say(op="service_response", id=asked["id"], service="switch", values={"message": "first"}, result=True)
+        assert (await caller.answers())[0]["values"]["message"] == "first"
+        caller.say(op="call_service", id=2, service="/switch")
+        assert (len(await second.answers()), first.heard()) == (1, [])
+        second.client.close()
+        caller.say(op="call_service", id=3, service="/switch")
+        assert [asked["op"] for asked in await first.answers()] == ["call_service"]
+
+
+async def test_who_offers_a_service_again_is_told_nothing() -> None:
+    async with world() as here:
+        server = await offered(here)
+        server.say(op="advertise_service", service="/switch", type="std_srvs/SetBool")
+        assert server.heard() == []
+
+
+async def test_a_service_with_a_bug_fails_its_call_and_nothing_else() -> None:
+    async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
+        raise ZeroDivisionError("a bug")
+
+    async with world() as here:
+        caller = here.client()
+        here.hub.services.provide(Provider("/odd", "std_srvs/Trigger", "it", answer))
+        caller.say(op="call_service", id=7, service="/odd")
+        (heard,) = await caller.answers()
+        assert (heard["result"], heard["values"]) == (False, "/odd: ZeroDivisionError: a bug")
+        assert (await call(caller, "/rosapi/get_param", ["/none", "8"])) == {"value": "8"}
 
 
 async def test_a_type_that_nobody_defines_passes_as_it_is() -> None:
