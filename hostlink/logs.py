@@ -6,7 +6,7 @@ What it said     topics.asked, topics.negotiated, topic.refused, message.refused
                  parameter.refused, protocol.version_1, subscriber.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
-Services         service.late, service.failed, service.crashed, service.taken_over, service.unanswerable
+Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op, client.crowded, client.malformed
 The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,

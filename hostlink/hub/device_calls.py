@@ -192,8 +192,13 @@ class DeviceCalls:
         session = call.link.session
         response = session.response_endpoint(call.endpoint)
         known = None if session.is_refused(response) else self._catalog.service(response.type)
-        payload = encode_response(None if known is None else known.response, outcome, response)
+        payload, problem = encode_response(None if known is None else known.response, outcome, response)
         session.respond(response, payload)
+        if problem is not None:
+            is_cut = isinstance(problem, FrameTooLarge)
+            event = "service.cut" if is_cut else "service.failed"
+            log.warning(event, service=printable(response.name), reason=printable(str(problem), MAX_REASON))
+            session.too_large = str(problem) if is_cut else session.too_large  # the diagnosis knows what to do
         call.link.wake()
 
     async def _end(self, call: _Call, error: Exception) -> None:
@@ -204,40 +209,47 @@ class DeviceCalls:
             await self._give_up(call.link)
 
 
-def encode_response(type_: MessageType | None, outcome: _Outcome, response: TopicInfo) -> bytes | None:
-    """The payload that says most of what the device can take; None: only zeros do, for the layout is unknown.
+def encode_response(
+    type_: MessageType | None, outcome: _Outcome, response: TopicInfo
+) -> tuple[bytes | None, HostlinkError | None]:
+    """The payload that says most of what the device can take, and what is wrong with an answer that it is not.
+
+    None for a payload: only zeros do, for nobody here knows the layout.
 
     Raises:
         FrameTooLarge: the device's buffer is smaller than the shortest response.
     """
     limit_bytes = response_bytes(response)
     if isinstance(outcome, bytes):
-        return outcome if len(outcome) <= limit_bytes else None
+        is_right = len(outcome) <= limit_bytes
+        return (outcome, None) if is_right else (None, _too_large(response, len(outcome)))
     if type_ is None:
-        return None
-    if not isinstance(outcome, HostlinkError):
-        payload, outcome = _encode_answer(type_, outcome, response)
-        if payload is not None:
-            return payload
+        return None, None
+    if isinstance(outcome, HostlinkError):
+        return _encode_failure(type_, outcome, response), None
+    try:
+        whole_bytes = len(type_.encode(outcome))
+        payload = encode_within(type_, outcome, limit_bytes)
+    except BadRequest as error:
+        return _encode_failure(type_, error, response), error
+    problem = None if whole_bytes <= limit_bytes else _too_large(response, whole_bytes)
+    if payload is None and problem is not None:
+        payload = _encode_failure(type_, problem, response)
+    return payload, problem
+
+
+def _encode_failure(type_: MessageType, reason: HostlinkError, response: TopicInfo) -> bytes:
+    """Defaults, and the reason as far as there is room for it."""
     has_message = any(field.name == "message" and field.type_text == "string" for field in type_.fields)
-    payload = encode_within(type_, {"message": str(outcome)} if has_message else {}, limit_bytes)
+    payload = encode_within(type_, {"message": str(reason)} if has_message else {}, response_bytes(response))
     if payload is None:
-        least_bytes = type_.layout.minimum_bytes
-        raise FrameTooLarge(response.name, least_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
+        raise _too_large(response, type_.layout.minimum_bytes)
     return payload
 
 
-def _encode_answer(
-    type_: MessageType, answer: Mapping[str, object], response: TopicInfo
-) -> tuple[bytes | None, HostlinkError]:
-    """The payload, or None and why the answer cannot be sent."""
+def _too_large(response: TopicInfo, payload_bytes: int) -> FrameTooLarge:
     limit_bytes = response_bytes(response)
-    try:
-        payload = encode_within(type_, answer, limit_bytes)
-        size_bytes = len(type_.encode(answer)) if payload is None else len(payload)
-    except BadRequest as error:
-        return None, error
-    return payload, FrameTooLarge(response.name, size_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
+    return FrameTooLarge(response.name, payload_bytes + OVERHEAD_BYTES, limit_bytes + OVERHEAD_BYTES)
 
 
 def _count(of_link: Mapping[int, deque[_Call]]) -> int:

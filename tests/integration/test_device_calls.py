@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.config import Config
 from hostlink.hub.device_calls import LAST_S, MAX_CALLS, MAX_WAITING
@@ -121,8 +122,13 @@ def test_a_reason_that_is_longer_than_the_devices_buffer_is_cut() -> None:
 
 def test_a_programs_text_that_is_longer_than_the_devices_buffer_is_cut() -> None:
     long = answering({"success": True, "message": "x" * 1000})
-    found, _, end = outcome(trigger(buffer_bytes=60), TRIGGER_RESPONSE, Provider("/go", "std_srvs/Trigger", "it", long))
+    provider = Provider("/go", "std_srvs/Trigger", "it", long)
+    with capture_logs() as logged:
+        found, _, end = outcome(trigger(buffer_bytes=60), TRIGGER_RESPONSE, provider)
     assert (found, end) == ({"success": True, "message": "x" * 47}, None)
+    cuts = [line["reason"] for line in logged if line["event"] == "service.cut"]
+    assert cuts == ["/go: frame of 1013 bytes, the device takes 60"]
+    assert any(line["event"] == "link.diagnosed" and line["code"] == "buffer_too_small" for line in logged)
 
 
 def test_a_list_that_is_longer_than_the_devices_buffer_is_a_failure_and_not_half_a_list() -> None:

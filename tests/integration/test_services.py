@@ -7,10 +7,11 @@ from collections.abc import Mapping
 import pytest
 
 from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceTimeout, UnknownTopic
-from hostlink.hub.services import MAX_WAITING, Provider
+from hostlink.hub.services import MAX_WAITING, DeviceService, Provider
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
-from tests.support.fake_device import fake_device, topic
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.virtual_loop import run_virtual
 from tests.support.waiting import expect
 
 SET_LED = [
@@ -97,6 +98,66 @@ async def test_too_many_calls_are_refused() -> None:
         calls = [tasks.create_task(outcome()) for _ in range(MAX_WAITING + 2)]
         outcomes = [await call for call in calls]
     assert outcomes == ["ServiceTimeout"] * (MAX_WAITING + 1) + ["DeviceBusy"]
+
+
+async def test_many_calls_wait_for_their_turn() -> None:
+    """Nine were once the most."""
+    count = 60
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device, asyncio.TaskGroup() as tasks:
+        calls = [tasks.create_task(host.hub.services.call("/set_led", {"data": True})) for _ in range(count)]
+        for number in range(count):
+            await device.frame(100)
+            await device.send(encode(125, answer(f"{number}")))
+        assert [(await call)["message"] for call in calls] == [f"{number}" for number in range(count)]
+
+
+async def test_of_two_devices_with_one_service_the_newest_is_called_as_long_as_it_is_there() -> None:
+    async def echo(device: FakeDevice, text: str) -> None:
+        assert await device.frame(100) == b"\x01"
+        await device.send(encode(125, answer(text)))
+
+    async def called(device: FakeDevice, text: str) -> object:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(echo(device, text))
+            return (await host.hub.services.call("/set_led", {"data": True}))["message"]
+
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as first:
+        async with fake_device(host.tcp, SET_LED, local_host="127.0.0.2") as second:
+            await expect(lambda: len(host.hub.links()) == 2)
+            assert await called(second, "second") == "second"
+        await expect(lambda: len(host.hub.links()) == 1)
+        assert await called(first, "first") == "first"
+
+
+async def test_a_device_cannot_take_hostlinks_own_services_over() -> None:
+    lock = [info._replace(name="/robot_0/lock", type="std_srvs/SetBool") for info in SET_LED]
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, lock) as thief:
+        await expect(lambda: host.hub.services.of_device("/robot_0/lock"))
+        await host.hub.services.call("/robot_0/lock", {})
+        assert host.hub.robots.find("robot_0").gate.lock_reason is not None
+        await thief.send(encode(125, answer("unasked")))
+
+
+def test_a_call_holds_a_device_for_a_minute_at_the_most() -> None:
+    """Its request may be lost on the way, and others wait."""
+    sent: list[float] = []
+
+    async def run() -> list[str]:
+        async def outcome(timeout_s: float) -> str:
+            try:
+                await service.call(b"", timeout_s=timeout_s)
+            except ServiceTimeout as error:
+                return str(error)
+            return "answered"
+
+        service = DeviceService("/led", "std_srvs/Empty", None, "it", lambda _: sent.append(now_s()))
+        now_s = asyncio.get_running_loop().time
+        async with asyncio.TaskGroup() as tasks:
+            calls = [tasks.create_task(outcome(timeout_s)) for timeout_s in (1e9, 100.0)]
+            return [await call for call in calls]
+
+    assert run_virtual(run()) == ["/led: no answer within 60 s", "/led: no answer within 100 s"]
+    assert sent == [0.0, pytest.approx(90.0)]  # half of the turn of the second waits for a late answer to the first
 
 
 async def test_a_request_that_does_not_fit_is_refused_before_it_is_sent() -> None:

@@ -1,0 +1,84 @@
+"""Services between programs: whatever they offer, take back, answer, or leave, each call is answered exactly once."""
+
+import asyncio
+import json
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.support.rosbridge_memory import Peer, world
+from tests.support.virtual_loop import run_virtual
+
+PEERS = 3
+services = st.sampled_from(["/switch", "switch", "/other"])
+types = st.sampled_from(["std_srvs/SetBool", "std_srvs/Empty", "my_srvs/Mine"])
+values = st.sampled_from([{}, {"success": True}, {"success": "no"}, {"x": [1]}, [1], "text", None, 7])
+results = st.sampled_from([True, False, None, 3, "yes"])
+actions = st.one_of(
+    st.tuples(st.just("offer"), services, types),
+    st.tuples(st.just("take back"), services, st.none()),
+    st.tuples(st.just("call"), services, st.sampled_from([None, 0.5, 3.0])),
+    st.tuples(st.just("answer"), values, results),
+    st.tuples(st.just("answer"), values, results),
+    st.tuples(st.just("wait"), st.sampled_from([0.0, 1.0]), st.none()),
+    st.tuples(st.just("leave"), st.none(), st.none()),
+)
+
+
+class Program:
+    """One client, and what it was asked."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        self.is_there = True
+        self.asked: list[Any] = []
+        self.calls: list[int] = []
+        self.answers: list[Any] = []
+
+    def read(self) -> None:
+        for heard in self.peer.heard():
+            if heard["op"] == "call_service":
+                self.asked.append(heard)
+            elif heard["op"] == "service_response":
+                self.answers.append(heard["id"])
+
+    def act(self, action: tuple[str, Any, Any], number: int) -> None:
+        kind, what, more = action
+        match kind:
+            case "offer":
+                self.peer.say(op="advertise_service", service=what, type=more)
+            case "take back":
+                self.peer.say(op="unadvertise_service", service=what)
+            case "call":
+                self.calls.append(number)
+                self.peer.say(op="call_service", id=number, service=what, timeout=more)
+            case "answer" if self.asked:
+                asked = self.asked.pop(0)
+                said = {"op": "service_response", "id": asked["id"], "service": asked["service"]}
+                self.peer.client.receive(json.dumps(said | {"values": what, "result": more}))
+            case "leave":
+                self.is_there = False
+                self.peer.client.close()
+
+
+@given(st.lists(st.tuples(st.integers(0, PEERS - 1), actions), max_size=40))
+def test_every_call_is_answered_exactly_once(said: list[tuple[int, tuple[str, Any, Any]]]) -> None:
+    async def run() -> None:
+        async with world() as here:
+            programs = [Program(here.client()) for _ in range(PEERS)]
+            for number, (who, action) in enumerate(said):
+                if programs[who].is_there:
+                    programs[who].act(action, number)
+                await asyncio.sleep(action[1] if action[0] == "wait" else 0)
+                for program in programs:
+                    program.read()
+            await asyncio.sleep(100)  # virtual: every deadline is over
+            for program in programs:
+                program.read()
+                if program.is_there:
+                    assert sorted(program.answers) == program.calls
+                    program.peer.client.close()
+            assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
+
+    run_virtual(run())
