@@ -132,7 +132,8 @@ async def test_of_two_devices_with_one_service_the_newest_is_called_as_long_as_i
 async def test_a_device_cannot_take_hostlinks_own_services_over() -> None:
     lock = [info._replace(name="/robot_0/lock", type="std_srvs/SetBool") for info in SET_LED]
     async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, lock) as thief:
-        await expect(lambda: host.hub.services.of_device("/robot_0/lock"))
+        await expect(lambda: len([link for link in host.hub.links() if link.session.counts.negotiations]) == 2)
+        assert host.hub.services.of_device("/robot_0/lock") is None
         await host.hub.services.call("/robot_0/lock", {})
         assert host.hub.robots.find("robot_0").gate.lock_reason is not None
         await thief.send(encode(125, answer("unasked")))
