@@ -245,15 +245,12 @@ def test_two_devices_of_one_definition_need_none_here() -> None:
 
 
 def test_two_clients_of_one_service_in_one_device_get_their_own_answers() -> None:
-    async def numbered(_: Mapping[str, object]) -> Mapping[str, object]:
-        return {"success": True}
-
     async def run() -> list[dict[str, Any]]:
         async with (
             running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
             ros_lib_device(hub, trigger(count=2), TRIGGER_RESPONSE) as connected,
         ):
-            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", numbered))
+            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", answering({"success": True})))
             return [await connected.device.call(b"", client=client) for client in (1, 0, 1)]
 
     assert run_virtual(run()) == [{"success": True, "message": ""}] * 3
