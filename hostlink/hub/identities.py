@@ -101,9 +101,9 @@ class Identities:
 
     def _wait(self, device: Device, claim: Undecided) -> None:
         """Another link may be the same device, silent or dead: ask that, and claim again soon."""
-        for number in claim.ask:
+        for number in claim.probe:
             rival = self.devices[number].link
-            rival.session.ask_topics("claimed_twice")
+            rival.session.request_topics("claimed_twice")
             rival.wake()
         if not device.is_undecided:
             device.is_undecided = True
@@ -141,12 +141,12 @@ class Identities:
             offer_lock(robots, self._parts.services, known)
             changed.append(known)
         self._parts.robot_topics.update(changed, touched | device.names)
-        self._tell(link, claim)
+        self._log_name(link, claim)
         device.is_undecided = False
         for message in device.early.take():
             self._deliver(link, message)
 
-    def _tell(self, link: Link, claim: Accepted) -> None:
+    def _log_name(self, link: Link, claim: Accepted) -> None:
         """Which links are one device's tells a reboot from another board; a number for a name should be no secret."""
         name = "" if claim.robot is None else claim.robot.name
         self._parts.diagnoses.identify(link, name, own_name=claim.own_name if claim.is_numbered else "")

@@ -36,7 +36,7 @@ class _Offer:
     robot: Robot
     frames: Frames
     odom: Topic | None = None
-    is_telling_tf: bool = False
+    publishes_tf: bool = False
     commands: dict[str, str] = field(default_factory=dict)  # topic -> type
     wanted: frozenset[str] = frozenset()  # every name that it has, or would have if it were nobody else's
     seen: int = 0  # poses
@@ -104,7 +104,7 @@ class RobotTopics:
         if offer is None or robot.odometry.count == offer.seen:  # what was seen was no pose
             return
         offer.seen = robot.odometry.count
-        tf = self._tf if offer.is_telling_tf else None
+        tf = self._tf if offer.publishes_tf else None
         wanted = ((offer.odom, ODOMETRY_TYPE), (tf, TF_TYPE))
         heard = [(topic, type_name) for topic, type_name in wanted if topic is not None and topic.is_heard]
         view = robot.odometry.snapshot(asyncio.get_running_loop().time()) if heard else None
@@ -132,8 +132,8 @@ class RobotTopics:
         for name in offer.wanted:
             self._wanting[name][robot.name] = None
         offer.odom = self._advertise(_odom(robot), ODOMETRY_TYPE, robot.shown.odometry)
-        offer.is_telling_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
-        if offer.is_telling_tf and self._tf is None:
+        offer.publishes_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
+        if offer.publishes_tf and self._tf is None:
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
         for topic, type_name in _command_topics(robot).items():
             if self._take(topic, type_name):
@@ -154,7 +154,7 @@ class RobotTopics:
     def _reopen_tf(self) -> None:
         """A device has begun or ceased to use it: the type may be another."""
         self._close_tf()
-        if any(offer.is_telling_tf for offer in self._offers.values()):
+        if any(offer.publishes_tf for offer in self._offers.values()):
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
 
     def _close_tf(self) -> None:

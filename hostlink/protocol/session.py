@@ -258,7 +258,7 @@ class Session:
             name, self._fitting(what, Id.PARAMETER, payload, min(buffers_bytes, default=DEFAULT_BUFFER_BYTES))
         )
 
-    def ask_topics(self, reason: str) -> None:
+    def request_topics(self, reason: str) -> None:
         """Ask for the topics as soon as that may be: a device that lives answers."""
         self._clock.request(reason)
 

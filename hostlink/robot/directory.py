@@ -57,9 +57,12 @@ class Accepted:
 
 @dataclass(frozen=True, slots=True)
 class Undecided:
-    """Another link of the same robot is silent, but maybe not dead: claim again soon. `ask`: links to be asked now."""
+    """Another link of the same robot is silent, but maybe not dead: claim again soon.
 
-    ask: tuple[int, ...]
+    `probe`: the links whose devices are to be asked for their topics now.
+    """
+
+    probe: tuple[int, ...]
 
 
 @dataclass(slots=True)
@@ -134,10 +137,10 @@ class Directory:
         if not entry.is_settled:
             gone, unclear = self._rivals(entry, now_s)
             if gone is None and unclear:
-                return Undecided(ask=tuple(unclear) if is_new else ())
+                return Undecided(probe=tuple(unclear) if is_new else ())
             named = None if robot is None else self._name(entry, gone, now_s)
             if robot is not None and named is None:
-                return Undecided(ask=())
+                return Undecided(probe=())
             replaces = gone
             self._settle(link, entry, named, replaces)
         if robot is None or entry.name is None:

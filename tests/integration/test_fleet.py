@@ -284,7 +284,7 @@ async def test_a_robot_that_drives_and_tells_its_topics_without_its_odometry_is_
         await expect(lambda: host.hub.robots.find("robot_0").link)
         driving = tasks.create_task(drive())
         link = host.hub.links()[0]
-        link.session.ask_topics("test")
+        link.session.request_topics("test")
         link.wake()
         await device.announce(robot_topics()[1:])
         await driving

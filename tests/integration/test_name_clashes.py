@@ -60,8 +60,8 @@ async def test_another_device_publishes_another_type_on_a_robots_topic(name: str
             fake_device(host.tcp, announcements[0]) as first,
             fake_device(host.tcp, announcements[1]) as second,
         ):
-            stranger, robot = (first, second) if is_first else (second, first)
-            await stranger.send(encode(125, type_.encode({})))
+            intruder, robot = (first, second) if is_first else (second, first)
+            await intruder.send(encode(125, type_.encode({})))
             await goes_on(host, robot)
 
 

@@ -136,10 +136,10 @@ class Clashes(RuleBasedStateMachine):
 
     @precondition(lambda self: self.others)
     @rule(data=st.data(), told=announcements)
-    def tell_other_topics(self, data: st.DataObject, told: list[TopicInfo]) -> None:
+    def announce_other_topics(self, data: st.DataObject, told: list[TopicInfo]) -> None:
         async def act() -> None:
             device.infos = told
-            await device.tell_topics()
+            await device.announce()
 
         device = data.draw(st.sampled_from(self.others))
         self.now(act())

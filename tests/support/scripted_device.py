@@ -35,7 +35,7 @@ class ScriptedDevice:
         with contextlib.suppress(OSError):
             await self._end.send(encode(topic_id, payload))
 
-    async def tell_topics(self) -> None:
+    async def announce(self) -> None:
         """Tell them, asked or not."""
         for info in self.infos:
             await self.send(info.kind, encode_topic_info(info))
@@ -53,4 +53,4 @@ class ScriptedDevice:
                     assert isinstance(frame, Frame)
                     self.heard.append((asyncio.get_running_loop().time(), frame))
                     if frame.topic_id == Id.PUBLISHER:
-                        await self.tell_topics()
+                        await self.announce()

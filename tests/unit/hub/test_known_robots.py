@@ -93,7 +93,7 @@ def test_one_device_with_many_names_leaves_as_little() -> None:
         device = ScriptedDevice(hub, [], address="10.0.0.2")
         for number in range(300):
             device.infos = robot_topics(f"name_{number}")
-            await device.tell_topics()
+            await device.announce()
             await asyncio.sleep(0.01)
         assert len(known(hub)) == MAX_AWAY + 1
         await device.aclose()

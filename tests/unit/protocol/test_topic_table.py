@@ -83,6 +83,6 @@ def test_the_bound_is_a_setting() -> None:
 def test_a_device_is_asked_for_its_topics_when_the_host_wants_to_know_whether_it_lives() -> None:
     host = Host(LED)
     host.wait(2.0)
-    host.session.ask_topics("claimed_twice")
+    host.session.request_topics("claimed_twice")
     assert host.session.deadline_s() <= host.now_s
     assert host.session.tick(now_s=host.now_s) == [events.TopicsAsked("claimed_twice")]

@@ -252,9 +252,9 @@ def test_two_robots_that_talk_at_once_are_two() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.talk(1)
-    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=(1,))
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
     ours.talk(2, seconds=0.1)
-    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=())
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=())
     ours.talk(1, 2, seconds=0.2)
     claim = ours.claim(2, HOME, paper_robot())
     assert isinstance(claim, Accepted)
@@ -266,7 +266,7 @@ def test_who_speaks_seldom_is_asked_and_lives_if_it_answers() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.now_s += 2.4  # all but the time between two of its requests for the time
-    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=(1,))
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
     ours.now_s += 0.3
     ours.directory.hear(1, ours.now_s)
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
@@ -276,7 +276,7 @@ def test_who_does_not_answer_is_gone() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.now_s += 0.1
-    assert ours.claim(2, HOME, paper_robot()) == Undecided(ask=(1,))
+    assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
     ours.now_s += ANSWER_S
     claim = ours.claim(2, HOME, paper_robot())
     assert isinstance(claim, Accepted)
@@ -328,7 +328,7 @@ def test_a_sensor_beside_one_of_the_same_topics_is_another() -> None:
     ours = directory()
     accepted(ours, 1, HOME, SENSOR)
     ours.talk(1)
-    assert ours.claim(2, HOME, SENSOR) == Undecided(ask=(1,))
+    assert ours.claim(2, HOME, SENSOR) == Undecided(probe=(1,))
     ours.talk(1, seconds=0.2)
     assert ours.claim(2, HOME, SENSOR) == Accepted(None, None)
 
