@@ -24,6 +24,10 @@ class Transport(Protocol):
         """How long the network takes there and back, as it measures by itself; None: it does not."""
         ...
 
+    def descriptor(self) -> int | None:
+        """What another process can be given a duplicate of; None: it is closed, or there is none."""
+        ...
+
     async def aclose(self) -> None:
         """Close within CLOSE_TIMEOUT_S, then abort; once is enough."""
         ...

@@ -73,6 +73,10 @@ class KeyedTransport:
         """As the transport below."""
         return self._transport.round_trip_s()
 
+    def descriptor(self) -> int | None:
+        """As the transport below."""
+        return self._transport.descriptor()
+
     async def aclose(self) -> None:
         """As the transport below."""
         await self._transport.aclose()

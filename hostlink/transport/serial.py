@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import errno
+import fcntl
 import os
 import termios
 from typing import Protocol
@@ -110,6 +111,9 @@ class SerialTransport(StreamTransport):
         if self._port.write_error is not None:
             raise self._port.write_error
 
+    def _open_descriptor(self) -> int | None:
+        return self._port.fileno() if self._port.is_open else None
+
     async def _leave(self) -> None:
         await self._connection.drain()
         while self._port.is_open and self._port.waiting_bytes():  # noqa: ASYNC110 - the kernel tells nobody
@@ -179,6 +183,10 @@ class _Port:
                 self._port.reset_output_buffer()
 
     def close(self) -> None:
+        """Another process may hold a duplicate for a moment longer, and with it pyserial's lock."""
+        if self.is_open:
+            with contextlib.suppress(OSError):  # a port that has vanished is locked for nobody
+                fcntl.flock(self.fileno(), fcntl.LOCK_UN)
         self._port.close()
 
 

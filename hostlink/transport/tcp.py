@@ -63,6 +63,24 @@ class TcpTransport(StreamTransport):
             return 0
         return int(struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0])
 
+    async def _leave(self) -> None:
+        await self._writer.drain()
+        self._shut_down()
+
+    def _abort(self) -> None:
+        self._shut_down()
+        super()._abort()
+
+    def _shut_down(self) -> None:
+        """Tell the peer of the end, also while another process holds a duplicate: closing this one would not."""
+        number = None if self._writer.transport.is_closing() else self._open_descriptor()
+        if number is None:
+            return
+        connection = socket.socket(fileno=number)
+        with contextlib.suppress(OSError):  # the peer was first
+            connection.shutdown(socket.SHUT_RDWR)
+        connection.detach()
+
     def round_trip_s(self) -> float | None:
         """What the kernel makes of its acknowledgements; None where it has no TCP_INFO, or the connection is gone."""
         connection = self._open_socket()

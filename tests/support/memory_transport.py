@@ -85,6 +85,10 @@ class MemoryTransport:
         """There is no network."""
         return None
 
+    def descriptor(self) -> int | None:
+        """There is no operating system."""
+        return None
+
     async def aclose(self) -> None:
         """End both directions."""
         self._from_peer.end()
