@@ -144,6 +144,7 @@ class Config:
     robots: dict[str, RobotConfig] = field(default_factory=dict)
     parameters: dict[str, ParameterValue] = field(default_factory=dict)
     message_folders: tuple[Path, ...] = ()
+    guardian: bool = True  # a process of its own that stops the robots when the daemon's has ended without doing so
 
 
 def load(path: Path) -> Config:

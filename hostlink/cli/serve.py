@@ -26,7 +26,9 @@ from hostlink.cli.output import complain, say
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
+from hostlink.guardian.guardian import guarded
 from hostlink.hub.door import Door
+from hostlink.hub.guard import Guard
 from hostlink.hub.hub import Hub
 from hostlink.hub.serial_port import serve_serial
 from hostlink.messages.catalog import Catalog
@@ -48,12 +50,12 @@ class Addresses:
 
 
 @contextlib.asynccontextmanager
-async def running(config: Config) -> AsyncIterator[tuple[Hub, Addresses]]:
+async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterator[tuple[Hub, Addresses]]:
     """The whole daemon for the length of a block.
 
     However the block is left, first every robot is stopped and every device told; then the rest may take its time.
     """
-    hub = Hub(config, Catalog(config.message_folders))
+    hub = Hub(config, Catalog(config.message_folders), guard=guard)
     try:
         async with complaints_logged(hub.refused), _hub_running(hub), _ways_in(hub, config) as addresses:
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
@@ -162,8 +164,8 @@ def shorten_pauses() -> None:
 
 
 async def _serve(config: Config, notifier: Notifier) -> None:
-    with stop_signals() as ending:
-        async with running(config) as (hub, _):
+    with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian:
+        async with running(config, guard=guardian) as (hub, _):
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             hub.spawn(collect_while_idle(hub.robots), name="garbage collector")

@@ -16,6 +16,7 @@ from hostlink.errors import DeviceGone, HostlinkError, UnknownTopic, WrongType
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.diagnoses import Diagnoses
+from hostlink.hub.guard import Guard
 from hostlink.hub.identities import Identities, Parts
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
@@ -53,7 +54,7 @@ class Hub:
     `reraises`: a crash of one link brings the hub down, as tests want it, instead of being logged and counted.
     """
 
-    def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False) -> None:
+    def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False, guard: Guard | None = None) -> None:
         self.catalog = catalog
         self.isolation = Isolation(reraises=reraises)
         self.topics = TopicGraph(catalog, self.isolation)
@@ -70,6 +71,7 @@ class Hub:
             show=self._show,
             forget_after_s=config.link.forget_robot_after_s,
             on_forgotten=self._forget_robot,
+            guard=guard,
         )
         self.robot_topics = RobotTopics(config.robots, self.topics, catalog)
         self.is_running = asyncio.Event()  # once set, it can `spawn`

@@ -13,6 +13,7 @@ import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
+from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.shown_names import ShownNames
@@ -116,6 +117,7 @@ class Robots:
         show: Callable[[Robot, bytes], None],
         forget_after_s: float = math.inf,
         on_forgotten: Callable[[Robot], None] = lambda _: None,
+        guard: Guard | None = None,
     ) -> None:
         """`subscribe` notes who reads the odometry; `show` is told what was sent."""
         twist = catalog.message("geometry_msgs/Twist")
@@ -128,7 +130,7 @@ class Robots:
         self._configs = configs
         for config in configs.values():
             _limits(config)  # a ConfigError belongs to the start, not to the robot's first connection
-        self._subscribe, self._show = subscribe, show
+        self._subscribe, self._show, self._guard = subscribe, show, guard
         self._on_forgotten = on_forgotten
         self._robots: dict[str, Robot] = {}
         self._of_link: dict[Hashable, Robot] = {}
@@ -200,8 +202,7 @@ class Robots:
             self._by_reset_topic[shown.reset][name] = robot
         robot.unsubscribe = self._subscribe(shown.odometry, _read_by_link)
         robot.gate.restart()
-        with contextlib.suppress(HostlinkError):  # a device that takes no velocity needs no zero
-            link.last_frame = link.session.frame_to(topics.velocity, self.twist.encode(ZERO.to_twist()))
+        self._guard_link(robot, link)
         self._activate(robot)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
         if not is_certain and before is not robot:
@@ -210,6 +211,8 @@ class Robots:
 
     def vanish(self, link: Link) -> Robot | None:
         """A link has no robot any more: the one that it had is told to stop, and stands without a device."""
+        if self._guard is not None:
+            self._guard.release(link.number)
         robot = self._of_link.pop(link, None)
         if robot is None:
             return None
@@ -323,7 +326,8 @@ class Robots:
             link = other.link
             is_surely_another = link is not None and link is other.locked_link and link.heard_at_s > _now_s() - SURE_S
             if other.topics.name == robot.topics.name and not is_surely_another:
-                self.lock(robot, f"it may be {other.name}: {other.gate.lock_reason}")
+                with contextlib.suppress(HostlinkError):  # locked it is; a device that takes no zero moves for nobody
+                    self.lock(robot, f"it may be {other.name}: {other.gate.lock_reason}")
                 return
 
     def _send_last_zero(self, robot: Robot, link: Link) -> None:
@@ -351,6 +355,15 @@ class Robots:
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
             self._on_forgotten(robot)
+
+    def _guard_link(self, robot: Robot, link: Link) -> None:
+        """Let link and guard stop this robot when nobody else can; one that takes no velocity cannot be driven."""
+        with contextlib.suppress(HostlinkError):
+            link.last_frame = link.session.frame_to(robot.topics.velocity, self.twist.encode(ZERO.to_twist()))
+            if self._guard is not None:
+                topic_id = link.session.topic_id(robot.topics.velocity)
+                longest = link.session.longest_to_device_bytes
+                self._guard.watch(link.number, link.descriptor, topic_id=topic_id, claim_bytes=longest)
 
     def _forget_topics(self, robot: Robot) -> None:
         for robots, topic in (

@@ -128,6 +128,10 @@ class Link:
         """Wait until everything that was queued has left."""
         await self._is_drained.wait()
 
+    def descriptor(self) -> int | None:
+        """The connection's, as long as it is open; None where it has none."""
+        return self._transport.descriptor()
+
     def facts(self) -> dict[str, object]:
         """What the link has seen so far: for its last log line and for the API."""
         now_s = asyncio.get_running_loop().time()

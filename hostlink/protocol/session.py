@@ -150,6 +150,11 @@ class Session:
         return self._known
 
     @property
+    def longest_to_device_bytes(self) -> int:
+        """The longest frame that may have been sent to the device."""
+        return max((_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES)
+
+    @property
     def is_asking_time(self) -> bool:
         """Whether the device asks for the time as often as a rosserial client does; its silence then says something."""
         return self._clock.is_asking_time
@@ -212,6 +217,10 @@ class Session:
     def frame_to(self, topic: str, payload: bytes) -> bytes:
         """The frame of a message to the device, as `publish` would queue it; the same errors."""
         return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)
+
+    def topic_id(self, topic: str) -> int:
+        """Of what `publish` sends to the device under this name; UnknownTopic."""
+        return self._endpoint("topic", topic, Id.SUBSCRIBER).topic_id
 
     def call(self, service: str, payload: bytes) -> None:
         """Queue a request to a service of the device's."""

@@ -1,0 +1,121 @@
+"""A duplicate of one robot's connection in the guardian's process, and how it is written when the daemon is gone."""
+
+import _socket
+import fcntl
+import os
+import select
+import sys
+import termios
+
+from hostlink.guardian.frames import StopWriter
+
+STALE_BYTES = 128  # a turn of a robot's loop at 38400 baud: what the daemon's pacing may leave in a serial port
+READ_BYTES = 65536
+_GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
+
+
+class Connection:
+    """TCP or serial. Nothing is read or written before the first `step`: until then the daemon does that."""
+
+    def __init__(self, descriptor: int, topic_id: int, claim_bytes: int) -> None:
+        self.descriptor = descriptor
+        self.is_open = True
+        self._is_serial = os.isatty(descriptor)
+        self._writer = StopWriter(topic_id, claim_bytes)
+        self._is_readable = True  # until its end has come
+        self._is_begun = self._is_finished = False
+
+    def close(self) -> None:
+        """Close the duplicate; another process's descriptor of the same connection stays as it is."""
+        if self.is_open:
+            self.is_open = False
+            try:  # noqa: SIM105 - contextlib is not small
+                os.close(self.descriptor)
+            except OSError:
+                pass  # the port has vanished; it is closed all the same
+
+    def events(self, now_s: float) -> int:
+        """What poll() should wait for."""
+        wanted = select.POLLIN if self._is_readable else 0
+        return wanted | select.POLLOUT if self._writer.take_due(now_s) else wanted
+
+    def next_s(self) -> float | None:
+        """When there is more to write; None: never."""
+        return self._writer.next_s()
+
+    def step(self, events: int, now_s: float) -> None:
+        """Write what is due and has room, discard what came; what goes wrong here ends this connection alone."""
+        try:
+            if not self._is_begun:
+                self._begin()
+            if events & _GONE and not events & select.POLLIN:
+                self.close()
+                return
+            self._write(now_s)
+            if events & select.POLLIN:
+                self._discard()
+            if self.is_open and self._writer.is_done():
+                self._finish()
+        except (OSError, termios.error):  # the second is none of the first
+            self.close()
+
+    def abandon(self) -> None:
+        """The time is over: what has not left now never will, and close() would wait for it."""
+        try:
+            if self.is_open and self._is_serial:
+                termios.tcflush(self.descriptor, termios.TCOFLUSH)
+        except termios.error:
+            self.close()
+        self.close()
+
+    def _begin(self) -> None:
+        """The daemon is gone: the connection is this process's alone."""
+        self._is_begun = True
+        os.set_blocking(self.descriptor, False)
+        if self._is_serial and self._unsent_bytes() > STALE_BYTES:  # old commands would take too long
+            termios.tcflush(self.descriptor, termios.TCOFLUSH)
+
+    def _write(self, now_s: float) -> None:
+        try:
+            while waiting := self._writer.take_due(now_s):
+                self._writer.written(os.write(self.descriptor, waiting))
+        except BlockingIOError:
+            return  # poll() says when there is room
+
+    def _discard(self) -> None:
+        """A device whose bytes nobody takes may stop reading; closing a connection with unread bytes resets it."""
+        try:
+            self._is_readable = bool(os.read(self.descriptor, READ_BYTES))
+        except BlockingIOError:
+            return
+        if self._is_serial and not self._is_readable:
+            self.close()  # it hung up
+
+    def _finish(self) -> None:
+        """All is written: a serial port is closed when it has sent that, a TCP connection when its peer closes too."""
+        if self._is_serial:
+            if not self._unsent_bytes():
+                self.close()
+            return
+        if not self._is_finished:
+            self._is_finished = True
+            _end_sending(self.descriptor)
+        if not self._is_readable:
+            self.close()
+
+    def _unsent_bytes(self) -> int:
+        """What a serial port still holds; 0 where the driver does not say."""
+        try:
+            count = fcntl.ioctl(self.descriptor, termios.TIOCOUTQ, bytes(4))
+        except OSError:
+            return 0
+        return int.from_bytes(count, sys.byteorder)
+
+
+def _end_sending(descriptor: int) -> None:
+    """The peer reads to the end of what was written, then its end."""
+    connection = _socket.socket(fileno=descriptor)
+    try:
+        connection.shutdown(_socket.SHUT_WR)
+    finally:
+        connection.detach()

@@ -1,0 +1,71 @@
+"""Roster: which connections the guardian should hold, and what it must still be told. Pure.
+
+It is bounded by the daemon's own links: one entry each, and one for each that the guardian holds without need.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hostlink.guardian.records import encode_release, encode_watch
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """How one robot is stopped."""
+
+    connection: Callable[[], int | None]  # its descriptor, as long as it is open
+    topic_id: int
+    claim_bytes: int
+
+
+class Roster:
+    """Links by number. What changes twice before it was told is told once."""
+
+    def __init__(self) -> None:
+        self._wanted: dict[int, Watched] = {}
+        self._held: set[int] = set()  # as far as the guardian was told
+        self._untold: dict[int, None] = {}  # the oldest first
+
+    @property
+    def held(self) -> int:
+        """How many connections the guardian holds, if it could take all that it was given."""
+        return len(self._held)
+
+    def watch(self, number: int, watched: Watched) -> None:
+        """Give the guardian this link, or this link's new velocity topic."""
+        self._wanted[number] = watched
+        self._untold[number] = None
+
+    def release(self, number: int) -> None:
+        """The guardian needs this link no more."""
+        self._wanted.pop(number, None)
+        self._untold.pop(number, None)
+        if number in self._held:
+            self._untold[number] = None
+
+    def next(self) -> tuple[bytes, int | None] | None:
+        """The record to send next, and the descriptor to go with it; None: the guardian knows all."""
+        while self._untold:
+            number = next(iter(self._untold))
+            watched = self._wanted.get(number)
+            descriptor = None if watched is None else watched.connection()
+            if watched is not None and descriptor is not None:
+                return encode_watch(number, watched.topic_id, watched.claim_bytes), descriptor
+            if number in self._held:
+                return encode_release(number), None
+            del self._untold[number]  # it closed before it was handed over
+        return None
+
+    def told(self, *, is_held: bool) -> None:
+        """The record that `next` gave was sent; `is_held`: with a descriptor."""
+        number = next(iter(self._untold))
+        del self._untold[number]
+        if is_held:
+            self._held.add(number)
+        else:
+            self._held.discard(number)
+
+    def forget(self) -> None:
+        """The guardian has ended: another will have to be told everything."""
+        self._held.clear()
+        self._untold = dict.fromkeys(self._wanted)
