@@ -6,7 +6,9 @@ delays nothing and ends nothing.
 
 import asyncio
 import contextlib
+import fcntl
 import resource
+import signal
 import socket
 import subprocess
 import sys
@@ -27,6 +29,7 @@ GOODBYE_S = 0.2  # a guardian that does not end by itself is killed; it has noth
 WRITING_S = 1.0  # longer than a guardian stops robots
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 30.0  # before another is started; doubled each time that one ends at once
 SETTLED_S = 60.0  # one that has lived so long did not end at once
+_STDERR = 2
 ROOT = Path(__file__).resolve().parents[2]
 CODE = (  # -I and -S leave no other way to find it; behind the standard library, so that nothing shadows that
     "import sys; sys.path.append(sys.argv[1]); from hostlink.guardian.process import main; main(int(sys.argv[2]))"
@@ -68,8 +71,9 @@ class Guardian:
     | over     | `goodbye`, `abandon`                                   |                                        |
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, ping_s: float = PING_S, answer_s: float = ANSWER_S) -> None:
         self.restarts = 0
+        self._ping_s, self._answer_s = ping_s, answer_s
         self._roster = Roster()
         self._process: subprocess.Popen[bytes] | None = None
         self._channel: socket.socket | None = None
@@ -104,7 +108,7 @@ class Guardian:
         self._started_at_s = loop.time()
         log.info("guardian.started", pid=self._process.pid)
         loop.add_reader(self._channel, self._hear)
-        self._later(PING_S, self._check)
+        self._later(self._ping_s, self._check)
         self._tell()
 
     def goodbye(self) -> None:
@@ -163,14 +167,14 @@ class Guardian:
         """Ask whether it lives; replace it when it has not answered the last time."""
         assert self._channel is not None  # noqa: S101 - the timer is replaced with the channel
         now_s = asyncio.get_running_loop().time()
-        if self._asked is not None and now_s >= self._asked[0] + ANSWER_S:
+        if self._asked is not None and now_s >= self._asked[0] + self._answer_s:
             self._lose("stuck")
             return
         if self._asked is None:
             self._asked = (now_s, self._roster.held)
             with contextlib.suppress(OSError):  # no room: no answer will come
                 self._channel.send(encode_ping())
-        self._later(PING_S, self._check)
+        self._later(self._ping_s, self._check)
 
     def _lose(self, reason: str) -> None:
         self._close_channel()
@@ -229,21 +233,40 @@ class Guardian:
 
 
 def _spawn() -> tuple[socket.socket, "subprocess.Popen[bytes]"]:
-    """A session of its own: Ctrl-C in the daemon's terminal is not for it. An OSError where it cannot be."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    """The process and the way to it. An OSError where it cannot be."""
+    ours, theirs = map(_above_stdio, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
     with theirs, contextlib.ExitStack() as undo:
         undo.callback(ours.close)
-        process = subprocess.Popen(  # noqa: S603 - every argument is our own
-            [sys.executable, "-I", "-S", "-c", CODE, str(ROOT), str(theirs.fileno())],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=(theirs.fileno(),),
-            start_new_session=True,
-        )
+        with _signals_blocked():
+            process = subprocess.Popen(  # noqa: S603 - every argument is our own
+                [sys.executable, "-I", "-S", "-c", CODE, str(ROOT), str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+                start_new_session=True,
+            )
         undo.pop_all()
     ours.setblocking(False)
     return ours, process
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """What is started meanwhile has them blocked for ever: those to the daemon's terminal or service are not for it."""
+    before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _above_stdio(end: socket.socket) -> socket.socket:
+    """A daemon that was started without stdin has its number free, and the process gets a stdin of its own there."""
+    if end.fileno() > _STDERR:
+        return end
+    with end:
+        return socket.socket(fileno=fcntl.fcntl(end.fileno(), fcntl.F_DUPFD_CLOEXEC, _STDERR + 1))
 
 
 def _send(channel: socket.socket, record: bytes, descriptor: int | None) -> None:

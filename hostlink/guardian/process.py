@@ -1,9 +1,8 @@
 """The guardian's process: it holds a duplicate of each robot's connection, and stops them all when the daemon is gone.
 
-The standard library only, and of that what is small: `socket` and `signal` import enum, which alone takes 0.6 MiB.
+The standard library only, and of that what is small: `socket` imports enum, which alone takes 0.6 MiB.
 """
 
-import _signal
 import _socket
 import os
 import resource
@@ -26,7 +25,6 @@ from hostlink.guardian.records import (
 LINGER_S = 0.5  # after the last byte: a device may take all of it before its connection is closed
 END_S = ZEROS * INTERVAL_S + LINGER_S
 LOOK_S = 0.01  # whether a serial port has sent all: the kernel tells nobody
-IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGABRT", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGTSTP")
 OOM_SCORE = b"-1000"  # the kernel ends others first; needs a privilege
 NAME = b"guardian"  # in ps and top
 _ANCILLARY_BYTES = _socket.CMSG_SPACE(DESCRIPTOR_BYTES)
@@ -43,9 +41,7 @@ def main(descriptor: int) -> None:
 
 
 def prepare() -> None:
-    """Live on where the daemon is ended: signals to both are the daemon's."""
-    for name in IGNORED:
-        _signal.signal(getattr(_signal, name), _signal.SIG_IGN)
+    """Be the last that the system ends, and in nobody's way. Signals are blocked: it was started so."""
     os.chdir("/")
     write("/proc/self/oom_score_adj", OOM_SCORE)
     write("/proc/self/comm", NAME)

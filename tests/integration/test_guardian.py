@@ -1,0 +1,326 @@
+"""The guardian's process with a daemon's side in the test: what it holds, what it writes, when it does not."""
+
+import asyncio
+import contextlib
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.guardian.frames import STOP_REQUEST, stop_sequence, zero_frame
+from hostlink.guardian.guardian import CODE, Guardian, _spawn
+from hostlink.guardian.records import encode_goodbye, encode_ping, encode_watch
+from tests.support.fork_server import is_running
+from tests.support.pty_pair import pty_pair
+from tests.support.waiting import expect
+
+SEQUENCE = b"".join(part for _, part in stop_sequence(100, 0))
+ROBOTS = 200
+MOST_KIB = 10 * 1024
+SIGNALS = signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}
+
+
+class Peer:
+    """The device's end of a connection that the daemon has."""
+
+    def __init__(self, ours: socket.socket, theirs: socket.socket) -> None:
+        self.ours, self.theirs = ours, theirs
+
+    def read_all(self) -> tuple[bytes, float]:
+        """All that comes until the end, and how long the first byte took."""
+        self.theirs.settimeout(5)
+        data, began_s, first_s = b"", time.monotonic(), float("inf")
+        while part := self.theirs.recv(65536):
+            first_s = min(first_s, time.monotonic() - began_s)
+            data += part
+        return data, first_s
+
+
+@contextlib.contextmanager
+def connections(count: int = 1) -> Iterator[list[Peer]]:
+    """TCP connections: the daemon's ends and the devices'."""
+    with contextlib.ExitStack() as ends:
+        listener = ends.enter_context(socket.create_server(("127.0.0.1", 0), backlog=count))
+        peers = []
+        for _ in range(count):
+            theirs = ends.enter_context(socket.create_connection(listener.getsockname()))
+            ours = ends.enter_context(listener.accept()[0])
+            ours.setblocking(False)
+            peers.append(Peer(ours, theirs))
+        yield peers
+
+
+@contextlib.asynccontextmanager
+async def guardian(**times: float) -> AsyncIterator[Guardian]:
+    """A running one; it is said goodbye to at the end, if it is not over."""
+    ours = Guardian(**times)
+    ours.start()
+    try:
+        yield ours
+    finally:
+        ours.goodbye()
+
+
+def pid(ours: Guardian) -> int:
+    assert ours._process is not None
+    return ours._process.pid
+
+
+def watch(ours: Guardian, peers: list[Peer]) -> None:
+    for number, peer in enumerate(peers):
+        ours.watch(number, lambda peer=peer: peer.ours.fileno(), topic_id=100, claim_bytes=0)
+
+
+def descriptors(number: int) -> list[str]:
+    return sorted(str(link.readlink()).split(":")[0] for link in Path(f"/proc/{number}/fd").iterdir())
+
+
+def memory_kib(number: int) -> dict[str, int]:
+    lines = Path(f"/proc/{number}/smaps_rollup").read_text().splitlines()
+    return {line.split(":")[0]: int(line.split()[1]) for line in lines if line.endswith("kB")}
+
+
+def held(ours: Guardian) -> int:
+    """How many connections it holds; -1 while it starts."""
+    return held_by(pid(ours))
+
+
+def held_by(number: int) -> int:
+    is_ready = Path(f"/proc/{number}/comm").read_text() == "guardian\n"
+    return len(list(Path(f"/proc/{number}/fd").iterdir())) - 4 if is_ready else -1
+
+
+async def test_a_daemon_that_is_gone_leaves_zeros_then_id_11_then_the_end() -> None:
+    with connections() as (peer,):
+        async with guardian() as ours:
+            watch(ours, [peer])
+            peer.ours.close()
+            ours.abandon()
+        assert peer.read_all()[0] == SEQUENCE
+        assert 3 * zero_frame(100) + STOP_REQUEST == SEQUENCE
+
+
+async def test_a_serial_port_gets_the_same_and_is_free_afterwards() -> None:
+    with pty_pair() as (device, path):
+        port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        async with guardian() as ours:
+            ours.watch(1, lambda: port, topic_id=100, claim_bytes=0)
+            began_s = time.monotonic()
+            ours.abandon()
+            assert time.monotonic() - began_s < 0.4  # it waits for no peer to close
+        os.close(port)
+        assert os.read(device, 1000) == SEQUENCE
+
+
+async def test_after_a_goodbye_nothing_is_written() -> None:
+    with connections() as (peer,):
+        async with guardian() as ours:
+            watch(ours, [peer])
+            number = pid(ours)
+        assert not is_running(number)
+        peer.ours.close()
+        assert peer.read_all()[0] == b""
+
+
+async def test_a_released_connection_is_closed_and_nothing_is_written_to_it() -> None:
+    with connections(2) as peers:
+        async with guardian() as ours:
+            watch(ours, peers)
+            await expect(lambda: held(ours) == 2)
+            ours.release(0)
+            peers[0].ours.close()
+            assert peers[0].read_all()[0] == b""  # its end came, so nobody holds it
+            ours.abandon()
+        assert peers[1].read_all()[0] == SEQUENCE
+
+
+async def test_a_link_that_gets_another_velocity_topic_is_stopped_by_that_one() -> None:
+    with connections() as (peer,):
+        async with guardian() as ours:
+            watch(ours, [peer])
+            ours.watch(0, peer.ours.fileno, topic_id=107, claim_bytes=0)
+            peer.ours.close()
+            ours.abandon()
+        assert peer.read_all()[0] == 3 * zero_frame(107) + STOP_REQUEST
+
+
+async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays_none() -> None:
+    with connections(ROBOTS) as peers:
+        async with guardian() as ours:
+            watch(ours, peers)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    peers[0].ours.send(bytes(65536))
+            await expect(lambda: held(ours) == ROBOTS, timeout_s=20)
+            for peer in peers:
+                peer.ours.close()
+            assert ours._channel is not None
+            began_s = time.monotonic()
+            ours._channel.shutdown(socket.SHUT_RDWR)  # as the kernel does when the daemon is gone
+            for peer in peers[1:]:
+                peer.theirs.settimeout(5)
+                assert peer.theirs.recv(56) == zero_frame(100)
+            assert time.monotonic() - began_s < 0.2
+            for peer in peers[1:]:
+                assert peer.read_all()[0] == SEQUENCE[56:]
+
+
+async def test_what_a_device_goes_on_sending_does_not_reset_its_connection_before_it_has_read_all() -> None:
+    with connections() as (peer,):
+        peer.theirs.sendall(bytes(100_000))
+        async with guardian() as ours:
+            watch(ours, [peer])
+            peer.ours.close()
+            ours.abandon()
+        assert peer.read_all()[0] == SEQUENCE
+
+
+async def test_a_guardian_that_is_killed_is_replaced_by_one_that_holds_everything_again() -> None:
+    with connections(3) as peers, capture_logs() as lines:
+        async with guardian() as ours:
+            watch(ours, peers)
+            await expect(lambda: held(ours) == 3)
+            first = pid(ours)
+            os.kill(first, signal.SIGKILL)
+            await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) == 2)
+            assert pid(ours) != first
+            for peer in peers:
+                peer.ours.setblocking(False)
+            await expect(lambda: held(ours) == 3)
+            for peer in peers:
+                peer.ours.close()
+            ours.abandon()
+        assert [peer.read_all()[0] for peer in peers] == [SEQUENCE] * 3
+    ended = next(line for line in lines if line["event"] == "guardian.ended")
+    assert (ended["status"], ended["reason"], ended["restarts"]) == (-signal.SIGKILL, "ended", 1)
+
+
+async def test_a_guardian_that_does_not_answer_is_replaced() -> None:
+    with connections() as (peer,), capture_logs() as lines:
+        async with guardian(ping_s=0.02, answer_s=0.3) as ours:
+            os.kill(pid(ours), signal.SIGSTOP)
+            watch(ours, [peer])
+            await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) == 2)
+            await expect(lambda: held(ours) == 1)
+    assert next(line for line in lines if line["event"] == "guardian.ended")["reason"] == "stuck"
+
+
+async def test_a_stopped_guardian_delays_no_hand_over_and_no_goodbye() -> None:
+    with connections() as (peer,):
+        async with guardian() as ours:
+            number = pid(ours)
+            os.kill(number, signal.SIGSTOP)
+            began_s = time.monotonic()
+            for turn in range(5000):  # more than its queue takes
+                ours.watch(turn, peer.ours.fileno, topic_id=100, claim_bytes=0)
+                ours.release(turn)
+            assert time.monotonic() - began_s < 2.0
+            ours.goodbye()
+            assert not is_running(number)
+            peer.ours.close()
+            assert peer.read_all()[0] == b""
+
+
+async def test_a_guardian_without_descriptors_says_so_and_stops_those_that_it_has() -> None:
+    with connections(3) as peers, capture_logs() as lines:
+        async with guardian(ping_s=0.02) as ours:
+            await expect(lambda: held(ours) == 0)
+            watch(ours, peers[:1])
+            await expect(lambda: held(ours) == 1)
+            resource.prlimit(pid(ours), resource.RLIMIT_NOFILE, (5, 5))  # numbers 3 and 4
+            watch(ours, peers)
+            await expect(lambda: any(line["event"] == "guardian.incomplete" for line in lines))
+            for peer in peers:
+                peer.ours.close()
+            ours.abandon()
+        assert peers[0].read_all()[0] == SEQUENCE
+    incomplete = [line for line in lines if line["event"] == "guardian.incomplete"]
+    assert [(line["held"], line["robots"]) for line in incomplete] == [(2, 3)]
+
+
+async def test_a_daemon_without_descriptors_starts_its_guardian_when_it_has_some() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with connections() as (peer,), capture_logs() as lines:
+        ours = Guardian()
+        watch(ours, [peer])
+        resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+        try:
+            ours.start()
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        assert [line["event"] for line in lines] == ["guardian.missing"]
+        await expect(lambda: any(line["event"] == "guardian.started" for line in lines))
+        await expect(lambda: held(ours) == 1)
+        ours.goodbye()
+
+
+@pytest.mark.parametrize("says_goodbye", [True, False])
+async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*, says_goodbye: bool) -> None:
+    """The kernel tells of them before it gives out what still waits: ECONNRESET."""
+    with connections() as (peer,):
+        channel, process = _spawn()
+        with channel:
+            socket.send_fds(channel, [encode_watch(1, 100, 0)], [peer.ours.fileno()])
+            channel.send(encode_ping())
+            await expect(lambda: held_by(process.pid) == 1)
+            await asyncio.sleep(0.05)  # the answer waits
+            os.kill(process.pid, signal.SIGSTOP)
+            if says_goodbye:
+                channel.send(encode_goodbye())
+        peer.ours.close()
+        os.kill(process.pid, signal.SIGCONT)
+        assert peer.read_all()[0] == (b"" if says_goodbye else SEQUENCE)
+        assert process.wait(5) == 0
+
+
+async def test_signals_to_the_whole_group_or_service_do_not_end_it() -> None:
+    with connections() as (peer,):
+        async with guardian() as ours:
+            watch(ours, [peer])  # it has just been started
+            for number in SIGNALS:
+                os.kill(pid(ours), number)
+            assert os.getsid(pid(ours)) == pid(ours)
+            peer.ours.close()
+            ours.abandon()
+        assert peer.read_all()[0] == SEQUENCE
+
+
+async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
+    async with guardian() as ours:
+        await expect(lambda: held(ours) == 0)
+        assert descriptors(pid(ours)) == ["/dev/null", "/dev/null", "/dev/null", "socket"]
+        sizes = memory_kib(pid(ours))
+        print(f"resident {sizes['Rss']} KiB, of that its share {sizes['Pss']} KiB")  # noqa: T201
+        assert sizes["Rss"] < MOST_KIB
+
+
+def test_its_program_needs_the_standard_library_alone() -> None:
+    """-I and -S: no site-packages; the modules that are there afterwards are few."""
+    listing = "; import sys; sys.stdout.write(' '.join(sys.modules))"
+    code = CODE.replace("main(int(sys.argv[2]))", "pass") + listing
+    root = Path(__file__).parents[2]
+    python = [sys.executable, "-I", "-S", "-c", code, str(root)]
+    modules = set(subprocess.run(python, capture_output=True, text=True, check=True).stdout.split())
+    assert not modules & {
+        "socket",
+        "signal",
+        "enum",
+        "asyncio",
+        "logging",
+        "typing",
+        "dataclasses",
+        "numpy",
+        "structlog",
+    }
+    assert {name for name in modules if name.startswith("hostlink.")} == {
+        "hostlink.guardian",
+        *(f"hostlink.guardian.{part}" for part in ("process", "connection", "frames", "records")),
+    }

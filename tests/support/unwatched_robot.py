@@ -1,0 +1,147 @@
+"""A robot without a watchdog: it obeys the last velocity that it was sent, for ever, and says when each came.
+
+Over TCP or on one end of a pseudo terminal. It reads as ros_lib does, as much at a time and as often as the test says.
+"""
+
+import asyncio
+import contextlib
+import errno
+import os
+import socket
+import struct
+import termios
+import time
+import tty
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import robot_topics, topic
+from tests.support.ros_lib_reader import RosLibReader
+from tests.support.waiting import expect
+
+ZERO = (0.0, 0.0)
+BLOB_ID = 102
+BLOB_BUFFER_BYTES = 32768
+TURN_S = 0.002
+TIMEOUT_S = 10.0
+
+
+@dataclass
+class Reading:
+    """How the robot reads: so many bytes, so often; frames that stop coming are dropped, or not."""
+
+    bytes_a_turn: int = 65536
+    turn_s: float = TURN_S
+    gives_up: bool = True
+    with_blobs: bool = False  # it also takes long messages
+
+
+@dataclass
+class UnwatchedRobot:
+    """What it has heard."""
+
+    name: str
+    reading: Reading
+    velocities: list[tuple[float, tuple[float, float]]] = field(default_factory=list)  # (time.monotonic, m/s and rad/s)
+    stops: list[float] = field(default_factory=list)  # when id 11 came
+    ended_at_s: float | None = None  # when the connection did
+    reader: RosLibReader = field(init=False)
+    _descriptor: int = -1
+
+    def __post_init__(self) -> None:
+        self.reader = RosLibReader(self._take, gives_up=self.reading.gives_up)
+
+    def topics(self) -> list[TopicInfo]:
+        """What it announces."""
+        blob = topic(
+            Id.SUBSCRIBER, BLOB_ID, f"/{self.name}/blob", "std_msgs/UInt8MultiArray", buffer_bytes=BLOB_BUFFER_BYTES
+        )
+        return [*robot_topics(self.name), *([blob] if self.reading.with_blobs else [])]
+
+    async def driven(self) -> None:
+        """Wait until it moves."""
+        await expect(lambda: self.velocities and self.velocities[-1][1] != ZERO, timeout_s=TIMEOUT_S)
+
+    async def stood(self, timeout_s: float = TIMEOUT_S) -> None:
+        """Wait until id 11 has come, or the connection has ended."""
+        await expect(lambda: self.stops or self.ended_at_s is not None, timeout_s=timeout_s)
+
+    async def ended(self) -> None:
+        """Wait for the connection's end."""
+        await expect(lambda: self.ended_at_s is not None, timeout_s=TIMEOUT_S)
+
+    def stood_after_s(self, since_s: float) -> float:
+        """From then until the zero after which it did not move any more; infinite if it still does."""
+        moving = [index for index, (_, velocity) in enumerate(self.velocities) if velocity != ZERO]
+        last = moving[-1] if moving else -1
+        return self.velocities[last + 1][0] - since_s if last + 1 < len(self.velocities) else float("inf")
+
+    async def read(self, descriptor: int) -> None:
+        """Serve a connection until it ends."""
+        self._descriptor = descriptor
+        while self.ended_at_s is None:
+            try:
+                data = os.read(descriptor, self.reading.bytes_a_turn)
+                if not data:
+                    self.ended_at_s = time.monotonic()
+                self.reader.turn(data, time.monotonic())
+            except BlockingIOError:
+                self.reader.turn(b"", time.monotonic())
+            except OSError as error:
+                if error.errno not in (errno.EIO, errno.ECONNRESET, errno.EPIPE):
+                    raise
+                self.ended_at_s = time.monotonic()
+            await asyncio.sleep(self.reading.turn_s)
+
+    def _take(self, topic_id: int, payload: bytes) -> None:
+        if topic_id == Id.PUBLISHER:
+            infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self.topics())
+            os.write(self._descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))
+        elif topic_id == Id.STOP:
+            self.stops.append(time.monotonic())
+        elif topic_id == 100:
+            twist = struct.unpack("<6d", payload)
+            self.velocities.append((time.monotonic(), (twist[0], twist[5])))
+
+
+@contextlib.asynccontextmanager
+async def robot_on_tcp(
+    address: tuple[str, int], name: str, reading: Reading | None = None
+) -> AsyncIterator[UnwatchedRobot]:
+    """Connected for the length of the block."""
+    reading = reading or Reading()
+    robot = UnwatchedRobot(name, reading)
+    with socket.socket() as connection:
+        if reading.with_blobs:  # a small window, so that the daemon often stands in the middle of a frame
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.connect(address)
+        connection.setblocking(False)
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(robot.read(connection.fileno()))
+            try:
+                yield robot
+            finally:
+                task.cancel()
+
+
+@contextlib.asynccontextmanager
+async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
+    """(robot, path of its port) for the length of the block; the port vanishes at its end."""
+    robot = UnwatchedRobot(name, reading or Reading())
+    ours, theirs = os.openpty()
+    for end in (ours, theirs):
+        tty.setraw(end, termios.TCSANOW)
+    os.set_blocking(ours, False)
+    path = os.ttyname(theirs)
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(robot.read(ours))
+            try:
+                yield robot, path
+            finally:
+                task.cancel()
+    finally:
+        os.close(ours)
+        os.close(theirs)

@@ -1,0 +1,130 @@
+"""What the guardian is told: all that it must know, in as few words as can be."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.guardian import records
+from hostlink.guardian.roster import Roster, Watched
+
+STEPS = st.lists(st.tuples(st.sampled_from(["watch", "release", "close", "tell", "forget"]), st.integers(1, 4)))
+
+
+class Guardian:
+    """What a guardian would hold of what it is told."""
+
+    def __init__(self, roster: Roster) -> None:
+        self.roster = roster
+        self.held: dict[int, int] = {}  # number -> topic id
+        self.told = 0
+
+    def hear_one(self) -> bool:
+        found = self.roster.next()
+        if found is None:
+            return False
+        record, descriptor = found
+        kind, number, topic_id, _ = records.decode(record)
+        if kind == records.WATCH:
+            assert descriptor is not None
+            self.held[number] = topic_id
+        else:
+            assert descriptor is None
+            del self.held[number]
+        self.roster.told(is_held=descriptor is not None)
+        self.told += 1
+        return True
+
+    def hear_all(self) -> None:
+        while self.hear_one():
+            pass
+
+
+def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
+    return Watched(lambda: descriptor, topic_id, 512)
+
+
+def test_a_link_is_told_with_its_descriptor_then_released() -> None:
+    roster = Roster()
+    roster.watch(3, watched())
+    assert roster.next() == (records.encode_watch(3, 100, 512), 7)
+    roster.told(is_held=True)
+    assert (roster.next(), roster.held) == (None, 1)
+    roster.release(3)
+    assert roster.next() == (records.encode_release(3), None)
+    roster.told(is_held=False)
+    assert (roster.next(), roster.held) == (None, 0)
+
+
+def test_a_link_that_came_and_went_before_it_was_told_is_not_told() -> None:
+    roster = Roster()
+    roster.watch(3, watched())
+    roster.release(3)
+    assert roster.next() is None
+
+
+def test_a_connection_that_closed_meanwhile_is_not_handed_over() -> None:
+    roster = Roster()
+    roster.watch(3, watched(descriptor=None))
+    assert roster.next() is None
+    roster.release(3)
+    assert roster.next() is None
+
+
+def test_a_new_velocity_topic_replaces_the_old_one() -> None:
+    roster = Roster()
+    guardian = Guardian(roster)
+    for topic_id in (100, 104):
+        roster.watch(3, watched(topic_id))
+        guardian.hear_all()
+    assert guardian.held == {3: 104}
+
+
+def test_a_new_guardian_is_told_everything() -> None:
+    roster = Roster()
+    first = Guardian(roster)
+    for number in (1, 2, 3):
+        roster.watch(number, watched())
+    first.hear_all()
+    roster.release(2)
+    roster.forget()
+    second = Guardian(roster)
+    second.hear_all()
+    assert set(second.held) == {1, 3}
+
+
+def test_nothing_piles_up_for_a_guardian_that_does_not_listen() -> None:
+    roster = Roster()
+    for number in range(10_000):
+        roster.watch(number, watched())
+        roster.release(number)
+    assert len(roster._untold) == 0
+    for _ in range(10_000):
+        roster.watch(1, watched())
+    assert len(roster._untold) == 1
+
+
+@given(STEPS)
+def test_in_the_end_the_guardian_holds_what_is_open_and_wanted(steps: list[tuple[str, int]]) -> None:
+    roster = Roster()
+    guardian = Guardian(roster)
+    wanted: dict[int, int] = {}
+    closed: set[int] = set()
+    for number_of_step, (step, number) in enumerate(steps):
+        if step == "watch":
+            closed.discard(number)
+            wanted[number] = 100 + number_of_step
+            roster.watch(number, Watched(lambda number=number: None if number in closed else 7, wanted[number], 512))
+        elif step == "release":
+            wanted.pop(number, None)
+            roster.release(number)
+        elif step == "close":
+            closed.add(number)
+        elif step == "tell":
+            guardian.hear_one()
+        else:
+            guardian = Guardian(roster)
+            roster.forget()
+    guardian.hear_all()
+    assert guardian.held.keys() >= wanted.keys() - closed
+    assert guardian.held.keys() <= wanted.keys()
+    assert all(guardian.held[number] == wanted[number] for number in wanted.keys() - closed)
+    assert roster.held == len(guardian.held)
