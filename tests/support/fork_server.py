@@ -5,6 +5,7 @@ As a program it reads a line of JSON for each daemon, `{"arguments": [...], "log
 
 import asyncio
 import contextlib
+import io
 import json
 import os
 import signal
@@ -110,9 +111,13 @@ async def fork_server(folder: Path) -> AsyncIterator[ForkServer]:
 
 def main() -> None:
     """Fork a daemon for each line."""
-    from hostlink.cli import serve  # noqa: F401, PLC0415 - what takes the time
     from hostlink.cli.main import main as hostlink  # noqa: PLC0415
+    from hostlink.messages.catalog import Catalog  # noqa: PLC0415
 
+    Catalog()
+    sys.argv[1:] = ["serve", "--example", "config"]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+        hostlink()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system buries the daemons
     for line in sys.stdin:
         wanted = json.loads(line)

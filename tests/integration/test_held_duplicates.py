@@ -1,0 +1,140 @@
+"""Connections whose descriptor another process holds too: their end is an end all the same."""
+
+import asyncio
+import contextlib
+import os
+import socket
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+
+from hostlink.config import SerialConfig, TcpConfig
+from hostlink.transport.base import CLOSE_TIMEOUT_S, Transport
+from hostlink.transport.keyed import KeyedTransport
+from hostlink.transport.serial import open_serial
+from hostlink.transport.tcp import serve_tcp
+from tests.support.memory_transport import memory_pair
+from tests.support.pty_pair import pty_pair
+
+AT_ONCE_S = 0.5  # on a loaded machine
+TOO_MUCH_BYTES = 50_000_000
+
+
+@contextlib.asynccontextmanager
+async def tcp() -> AsyncIterator[tuple[Transport, socket.socket]]:
+    """A transport and the device's end of it."""
+    came: asyncio.Queue[Transport] = asyncio.Queue()
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), came.put_nowait) as listener:
+        with socket.socket() as peer:
+            peer.connect(listener.address)
+            peer.setblocking(False)
+            transport = await came.get()
+            try:
+                yield transport, peer
+            finally:
+                await transport.aclose()
+
+
+@contextlib.contextmanager
+def held(transport: Transport) -> Iterator[int]:
+    """A duplicate, as another process has it."""
+    descriptor = transport.descriptor()
+    assert descriptor is not None
+    duplicate = os.dup(descriptor)
+    try:
+        yield duplicate
+    finally:
+        os.close(duplicate)
+
+
+async def read_to_end(peer: socket.socket) -> bytes:
+    data = b""
+    async with asyncio.timeout(AT_ONCE_S):
+        while part := await asyncio.get_running_loop().sock_recv(peer, 65536):
+            data += part
+    return data
+
+
+async def send_without_end(peer: socket.socket) -> None:
+    async with asyncio.timeout(AT_ONCE_S):
+        while True:
+            await asyncio.get_running_loop().sock_sendall(peer, b"pose")
+            await asyncio.sleep(0.001)
+
+
+async def test_a_device_hears_of_the_end_at_once() -> None:
+    async with tcp() as (transport, peer):
+        with held(transport):
+            await transport.send(b"last words")
+            await transport.aclose()
+            assert await read_to_end(peer) == b"last words"
+
+
+async def test_also_when_it_took_nothing_and_the_connection_is_aborted() -> None:
+    async with tcp() as (transport, peer):
+        with held(transport):
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(0.1):
+                    await transport.send(bytes(TOO_MUCH_BYTES))
+            async with asyncio.timeout(CLOSE_TIMEOUT_S + AT_ONCE_S):
+                await transport.aclose()
+            assert 0 < len(await read_to_end(peer)) < TOO_MUCH_BYTES
+
+
+async def test_what_a_device_sends_after_the_end_is_refused() -> None:
+    async with tcp() as (transport, peer):
+        with held(transport):
+            await transport.aclose()
+            assert await read_to_end(peer) == b""
+            with pytest.raises(ConnectionError):
+                await send_without_end(peer)
+
+
+async def test_a_serial_port_can_be_opened_again() -> None:
+    with pty_pair() as (device, path):
+        config = SerialConfig(path=path)
+        transport = await open_serial(config)
+        with held(transport):
+            await transport.aclose()
+            again = await open_serial(config)
+            try:
+                await again.send(b"hello")
+                assert os.read(device, 100) == b"hello"
+                with pytest.raises(OSError, match="another program has it open"):
+                    await open_serial(config)
+            finally:
+                await again.aclose()
+
+
+async def test_a_transport_has_a_descriptor_until_it_is_closed() -> None:
+    async with tcp() as (transport, peer):
+        keyed = KeyedTransport(transport, b"0123456789abcdef", on_refused=lambda _: None)
+        descriptor = transport.descriptor()
+        assert descriptor is not None
+        assert keyed.descriptor() == descriptor
+        with socket.socket(fileno=os.dup(descriptor)) as same:
+            assert same.getpeername() == peer.getsockname()
+        await transport.aclose()
+        assert (transport.descriptor(), keyed.descriptor()) == (None, None)
+
+
+async def test_so_has_a_serial_port_and_one_in_memory_has_none() -> None:
+    with pty_pair() as (_, path):
+        transport = await open_serial(SerialConfig(path=path))
+        descriptor = transport.descriptor()
+        assert descriptor is not None
+        assert os.ttyname(descriptor) == path
+        await transport.aclose()
+        assert transport.descriptor() is None
+    assert memory_pair()[0].descriptor() is None
+
+
+async def test_a_connection_that_broke_has_none() -> None:
+    async with tcp() as (transport, peer):
+        peer.close()
+        with contextlib.suppress(OSError):
+            while await transport.receive():
+                pass
+            while True:
+                await transport.send(bytes(1000))
+        assert transport.descriptor() is None

@@ -1,0 +1,213 @@
+"""The daemon with its guardian as processes: every end of the one, every mishap of the other."""
+
+import asyncio
+import contextlib
+import fcntl
+import os
+import resource
+import signal
+import subprocess
+import termios
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.fork_server import Forked, ForkServer, fork_server, is_running
+from tests.support.killing import LIMIT_S, Drive, driving, end_at, killer
+from tests.support.process import HOSTLINK
+from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
+from tests.support.waiting import expect
+
+WITHOUT = "guardian = false\n"
+IDLE = "[link]\nidle_timeout_s = 0.6\nsilence_timeout_s = 0.6\n"
+
+
+@pytest.fixture
+async def server(tmp_path: Path) -> AsyncIterator[ForkServer]:
+    async with fork_server(tmp_path) as ready:
+        yield ready
+
+
+def guardian_of(daemon: Forked) -> int:
+    """The pid of the guardian that was started last."""
+    return int(daemon.log("guardian.started")[-1]["pid"])
+
+
+def held_by(guardian: int) -> int:
+    """How many connections it holds, beside stdio and its way to the daemon."""
+    return len(list(Path(f"/proc/{guardian}/fd").iterdir())) - 4
+
+
+def children_of(pid: int) -> str:
+    return Path(f"/proc/{pid}/task/{pid}/children").read_text()
+
+
+async def wait_for_guardian(drive: Drive) -> None:
+    """Until it holds both robots' connections."""
+    await expect(lambda: held_by(guardian_of(drive.daemon)) == 2)
+
+
+async def test_without_a_guardian_a_killed_daemons_robot_moves_on(server: ForkServer, tmp_path: Path) -> None:
+    """So the robots of these tests do not stop by themselves."""
+    file = tmp_path / "hostlink.toml"
+    file.write_text(WITHOUT)
+    async with driving(server, Reading(), "--config", str(file)) as drive:
+        assert drive.daemon.log("guardian.started") == []
+        assert children_of(drive.daemon.pid) == ""
+        assert await end_at(drive, 0.0, killer(signal.SIGKILL)) == float("inf")
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE])
+async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(
+    server: ForkServer, number: signal.Signals
+) -> None:
+    async with driving(server, Reading()) as drive:
+        assert resource.prlimit(drive.daemon.pid, resource.RLIMIT_CORE)[0] == 1
+        assert await end_at(drive, 0.1, killer(number)) <= LIMIT_S
+        assert not is_running(drive.daemon.pid)
+
+
+async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving(server: ForkServer) -> None:
+    """`ulimit -v`: whether the MemoryErrors end it, or the kernel does, as when memory runs out: the robots stand."""
+    async with driving(server, Reading(with_blobs=True)) as drive:
+        resource.prlimit(drive.daemon.pid, resource.RLIMIT_AS, (2**20, 2**20))
+        with contextlib.suppress(TimeoutError):
+            await expect(lambda: not drive.daemon.is_running(), timeout_s=0.5)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(drive.daemon.pid, signal.SIGKILL)
+        ended_s = time.monotonic()
+        for robot in drive.robots:
+            await robot.stood()
+        assert drive.stood_after_s(ended_s) <= LIMIT_S
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing(
+    server: ForkServer, number: signal.Signals
+) -> None:
+    async with driving(server, Reading()) as drive:
+        guardian = guardian_of(drive.daemon)
+        os.kill(drive.daemon.pid, number)
+        await drive.daemon.ended()
+        ended_s = time.monotonic()
+        await asyncio.sleep(0.3)  # as long as a guardian would write
+        assert not is_running(guardian)
+        robot = drive.robots[1]
+        assert len(robot.stops) == 1
+        assert robot.velocities[-1][0] <= robot.stops[0] < ended_s
+
+
+async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(server: ForkServer) -> None:
+    async with driving(server, Reading()) as drive:
+        os.kill(guardian_of(drive.daemon), signal.SIGKILL)
+        ended = await drive.daemon.logged("guardian.ended")
+        assert (ended["level"], ended["status"]) == ("warning", -signal.SIGKILL)
+        await drive.daemon.logged("guardian.started", 2)
+        await wait_for_guardian(drive)
+        for robot in drive.robots:
+            assert robot.velocities[-1][1] != ZERO  # nobody has noticed
+        assert await end_at(drive, 0.0, killer(signal.SIGKILL)) <= LIMIT_S
+
+
+async def test_a_stopped_guardian_harms_nobody(server: ForkServer) -> None:
+    async with driving(server, Reading()) as drive:
+        os.kill(guardian_of(drive.daemon), signal.SIGSTOP)
+        seen = [len(robot.velocities) for robot in drive.robots]
+        await expect(
+            lambda: all(len(robot.velocities) > was + 20 for robot, was in zip(drive.robots, seen, strict=True))
+        )
+        began_s = time.monotonic()
+        os.kill(drive.daemon.pid, signal.SIGTERM)
+        await drive.robots[1].ended()
+        await drive.daemon.ended()
+        assert time.monotonic() - began_s < 1.5
+        assert not is_running(guardian_of(drive.daemon))
+
+
+async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped_guardian(
+    server: ForkServer, tmp_path: Path
+) -> None:
+    file = tmp_path / "hostlink.toml"
+    file.write_text(IDLE)
+    async with (
+        server.serve("--config", str(file)) as daemon,
+        robot_on_tcp(daemon.tcp, "robot_0") as robot,
+    ):
+        await daemon.logged("robot.appeared")
+        await expect(lambda: held_by(guardian_of(daemon)) == 1)
+        os.kill(guardian_of(daemon), signal.SIGSTOP)
+        await daemon.logged("link.closed")
+        closed_s = time.monotonic()
+        await robot.ended()
+        assert robot.ended_at_s is not None
+        assert robot.ended_at_s < closed_s + 0.1
+        assert held_by(guardian_of(daemon)) == 1  # it still does
+
+
+@contextlib.contextmanager
+def serving_in_terminal(log: Path) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """(the terminal's other end, the daemon), which is the terminal's foreground process as in a shell."""
+    terminal, theirs = os.openpty()
+    with log.open("wb") as stderr:
+        started = subprocess.Popen(
+            [HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0"],
+            stdin=theirs, stdout=theirs, stderr=stderr, start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509 - nothing else takes a terminal
+        )  # fmt: skip
+    os.close(theirs)
+    try:
+        yield terminal, started
+    finally:
+        started.kill()
+        started.wait()
+        os.close(terminal)
+
+
+async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None:
+    """The daemon stops the robot, and the guardian, which is of another session, has nothing to write."""
+    with serving_in_terminal(tmp_path / "log") as (terminal, started):
+        daemon = Forked(started.pid, tmp_path / "log")
+        host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")
+        async with robot_on_tcp((host, int(port)), "robot_0") as robot:
+            await expect(lambda: robot.velocities)
+            os.write(terminal, b"\x03")
+            assert await asyncio.to_thread(started.wait, 5) == 0
+            ended_s = time.monotonic()
+            await robot.ended()
+        assert len(robot.stops) == 1
+        assert robot.stops[0] <= ended_s
+        assert robot.velocities[-1][0] <= robot.stops[0]
+        assert not is_running(guardian_of(daemon))
+
+
+async def test_a_lost_terminal_does_not_take_the_guardian_along(tmp_path: Path) -> None:
+    """SIGHUP goes to all of the session; the daemon is killed before it can act on it."""
+    with serving_in_terminal(tmp_path / "log") as (_, started):
+        daemon = Forked(started.pid, tmp_path / "log")
+        host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")
+        async with robot_on_tcp((host, int(port)), "robot_0") as robot:
+            await expect(lambda: robot.velocities)
+            os.killpg(started.pid, signal.SIGKILL)
+            await robot.stood()
+        assert len(robot.stops) == 1
+
+
+async def test_a_daemon_without_stdin_has_a_guardian_too(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    script = f"exec {HOSTLINK} serve --listen 127.0.0.1:0 --api 127.0.0.1:0 <&- 2>{log}"
+    child = await asyncio.create_subprocess_exec("sh", "-c", script)
+    daemon = Forked(child.pid, log)
+    try:
+        started = await daemon.logged("daemon.started")
+        host, _, port = started["tcp"].rpartition(":")
+        async with robot_on_tcp((host, int(port)), "robot_0") as robot:
+            await daemon.logged("robot.appeared")
+            child.kill()
+            await robot.stood()
+            assert robot.stops
+    finally:
+        if child.returncode is None:
+            child.kill()
+        await child.wait()
