@@ -19,32 +19,37 @@ def zero_frame(topic_id: int) -> bytes:
 def stop_sequence(topic_id: int, claim_bytes: int) -> list[tuple[float, bytes]]:
     """What is due after so many seconds. `claim_bytes`: the longest frame that the device may have been sent.
 
-    The daemon may have ended in the middle of a frame; a device takes what comes next for the rest of it.
+    The daemon may have ended in the middle of a frame; a device takes what comes next for the rest of it. So the first
+    zero is repeated over the length of any claim: wherever that ends, or is given up, the next zero is whole.
 
-    | the device                                             | obeys                                             |
-    |--------------------------------------------------------|---------------------------------------------------|
-    | waits for nothing                                      | the first zero                                    |
-    | is inside a velocity                                   | the second: the first completed that frame        |
-    | is inside a longer frame, gives it up (20 ms, ros_lib) | the second, 50 ms after the first                 |
-    | is inside a longer frame, never gives up, or was busy  | the third: before it stand as many bytes as any   |
-    | elsewhere and reads all of this at once                | frame can claim; outside a frame a 00 means nothing |
+    | the device                                              | obeys                                                  |
+    |---------------------------------------------------------|--------------------------------------------------------|
+    | waits for nothing                                       | the first zero                                         |
+    | is inside a frame, and never gives it up                | the second one behind the frame's claimed end          |
+    | is inside a frame, and gives it up (20 ms, ros_lib)     | that, or the first one after it gave up: within 50 ms  |
+    | lost bytes, because it or its radio was busy            | those after 50 and 100 ms                              |
     """
     zero = zero_frame(topic_id)
-    parts = [zero] * ZEROS
-    parts[-2] += bytes(max(0, claim_bytes - (ZEROS - 1) * len(zero)))
-    due = [(number * INTERVAL_S, part) for number, part in enumerate(parts)]
-    return [*due, (ZEROS * INTERVAL_S, STOP_REQUEST)]
+    again = b"\0" + zero  # a 00 means nothing between frames; without it one that ends with FF would hide the next
+    first = zero + again * (1 + -(-claim_bytes // len(again))) if claim_bytes else zero
+    parts = [first, *[zero] * (ZEROS - 1), STOP_REQUEST]
+    return [(number * INTERVAL_S, part) for number, part in enumerate(parts)]
 
 
 class StopWriter:
     """What one device is still owed of its stop sequence."""
 
     def __init__(self, topic_id: int, claim_bytes: int) -> None:
-        self._due = stop_sequence(topic_id, claim_bytes)
+        self._topic_id, self._claim_bytes = topic_id, claim_bytes
+        self._due: list[tuple[float, bytes]] = []
         self._waiting = b""
+        self._is_begun = False
 
     def take_due(self, now_s: float) -> bytes:
         """What should be written by now, `now_s` after the daemon's end, and was not."""
+        if not self._is_begun:  # not before: a sequence may be long, and connections many
+            self._is_begun = True
+            self._due = stop_sequence(self._topic_id, self._claim_bytes)
         while self._due and self._due[0][0] <= now_s:
             self._waiting += self._due.pop(0)[1]
         return self._waiting
@@ -54,9 +59,9 @@ class StopWriter:
         self._waiting = self._waiting[count:]
 
     def next_s(self) -> float | None:
-        """When there is more to write; None: never."""
+        """When there is more to write, once it has begun; None: never."""
         return self._due[0][0] if self._due else None
 
     def is_done(self) -> bool:
         """Whether all has been written."""
-        return not self._due and not self._waiting
+        return self._is_begun and not self._due and not self._waiting

@@ -298,6 +298,13 @@ async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
         await expect(lambda: held(ours) == 0)
         assert descriptors(pid(ours)) == ["/dev/null", "/dev/null", "/dev/null", "socket"]
         sizes = memory_kib(pid(ours))
+        with connections(ROBOTS) as peers:  # more memory for more robots, and for longer frames, would be too much
+            for number, peer in enumerate(peers):
+                ours.watch(number, peer.ours.fileno, topic_id=100 + number, claim_bytes=65543)
+            await expect(lambda: held(ours) == ROBOTS)
+            with_robots = memory_kib(pid(ours))
+        assert with_robots["Rss"] < MOST_KIB
+        print(f"with {ROBOTS} robots {with_robots['Rss']} KiB")  # noqa: T201
         print(f"resident {sizes['Rss']} KiB, of that its share {sizes['Pss']} KiB")  # noqa: T201
         assert sizes["Rss"] < MOST_KIB
 
