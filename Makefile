@@ -103,6 +103,7 @@ soak: $(VENV)/.dev
 	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
 	$(BIN)/python tools/soak_link.py --seconds 600
 	$(BIN)/python tools/measure_damage.py --frames 10000000
+	HOSTLINK_KILLS=1000 $(BIN)/python -m pytest -s tests/system/test_guardian_kills.py
 
 netns: $(VENV)/.hostlink
 	@tools/require.sh iproute2
