@@ -39,7 +39,7 @@ def test_the_simulated_robots_device_does_too() -> None:
         heard: list[bytes] = []
         device = SimulatedDevice(baud=None, retries=False)
         device.subscribe("/cmd_vel", twist.name, twist.md5, heard.append)
-        device.subscribe("/long", twist.name, twist.md5, lambda _: None)  # one cut in 256 has a right checksum by chance
+        device.subscribe("/long", twist.name, twist.md5, lambda _: None)  # 1 of 256 passes by chance
         device.from_host.send(VELOCITY + LONG[:cut], 1.0)
         device.spin(1.0)
         waiting = stop_sequence(100, BUFFER_BYTES)
