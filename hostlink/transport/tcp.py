@@ -64,7 +64,7 @@ class TcpTransport(StreamTransport):
         return int(struct.unpack("=i", fcntl.ioctl(connection.fileno(), termios.TIOCOUTQ, bytes(4)))[0])
 
     async def _leave(self) -> None:
-        await self._writer.drain()
+        await self._connection.drain()
         self._shut_down()
 
     def _abort(self) -> None:
@@ -73,7 +73,7 @@ class TcpTransport(StreamTransport):
 
     def _shut_down(self) -> None:
         """Tell the peer of the end, also while another process holds a duplicate: closing this one would not."""
-        number = None if self._writer.transport.is_closing() else self._open_descriptor()
+        number = None if self._connection.transport.is_closing() else self._open_descriptor()
         if number is None:
             return
         connection = socket.socket(fileno=number)
@@ -92,6 +92,10 @@ class TcpTransport(StreamTransport):
             return None
         rtt_us: int = struct.unpack_from("=I", info, _RTT_AT)[0]
         return rtt_us / 1e6
+
+    def _open_descriptor(self) -> int | None:
+        found = self._open_socket()
+        return None if found is None else found.fileno()
 
     def _open_socket(self) -> socket.socket | None:
         """None when it is closed: asyncio's own has no descriptor then, and uvloop's fails at any question."""
