@@ -6,6 +6,7 @@ import socket
 import ssl
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Iterator
+from typing import cast
 
 import structlog
 
@@ -154,8 +155,7 @@ class _Watched(asyncio.Protocol):
         self._inner, self._listener, self._connection = inner, listener, connection
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)  # noqa: S101 - for the type: what a stream has
-        self._listener.opened(self._connection, transport)
+        self._listener.opened(self._connection, cast("asyncio.Transport", transport))  # uvloop's is no subclass of it
         self._inner.connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
