@@ -1,0 +1,1 @@
+"""Chaos against a real daemon: a seeded generator of devices and programs, one honest robot, invariants that hold."""

@@ -1,0 +1,124 @@
+"""Connection: one TCP connection of somebody hostile, and the ways to leave it."""
+
+import asyncio
+import contextlib
+import random
+import socket
+import struct
+from collections.abc import AsyncIterator, Iterator
+
+DIAL_S = 3.0
+WAYS = ("fin", "reset", "half_close", "silent")
+RESET_AT_CLOSE = struct.pack("ii", 1, 0)
+READ_BYTES = 256 * 1024
+
+
+class Room:
+    """Bounds on what this generator itself holds, and those connections that stay until everybody leaves."""
+
+    def __init__(self, **most: int) -> None:
+        self._left = dict(most)
+        self._staying: list[Connection] = []
+
+    def take(self, kind: str, count: int) -> int:
+        """As many of them as there is room for."""
+        taken = min(count, self._left[kind])
+        self._left[kind] -= taken
+        return taken
+
+    def give_back(self, kind: str, count: int) -> None:
+        self._left[kind] += count
+
+    def keep(self, connection: "Connection") -> None:
+        """Let it stay, silent."""
+        self._staying.append(connection)
+
+    def clear(self, dice: random.Random) -> None:
+        """Everybody who stayed leaves."""
+        for connection in self._staying:
+            connection.close(dice.choice(("fin", "reset")))
+            self.give_back(connection.kind, 1)
+        self._staying.clear()
+
+
+class Connection:
+    """A socket that does not block."""
+
+    def __init__(self, made: socket.socket, kind: str) -> None:
+        self.kind = kind
+        self._socket = made
+
+    @classmethod
+    async def dial(cls, to: tuple[str, int], source: str, kind: str, *, receive_bytes: int = 0) -> "Connection":
+        """Connect from one of this machine's own addresses."""
+        made = socket.socket()
+        made.setblocking(False)
+        if receive_bytes:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+        try:
+            made.bind((source, 0))
+            async with asyncio.timeout(DIAL_S):
+                await asyncio.get_running_loop().sock_connect(made, to)
+        except BaseException:
+            made.close()
+            raise
+        return cls(made, kind)
+
+    async def send(self, data: bytes) -> None:
+        await asyncio.get_running_loop().sock_sendall(self._socket, data)
+
+    async def receive(self) -> bytes:
+        """What has come; b"" at the end."""
+        return await asyncio.get_running_loop().sock_recv(self._socket, READ_BYTES)
+
+    async def receive_until(self, part: bytes, timeout_s: float) -> bytes:
+        """All that came up to these bytes, or in that time, or to the end."""
+        heard = b""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s):
+                while part not in heard and (data := await self.receive()):
+                    heard += data
+        return heard
+
+    async def read_away(self, pause_s: float = 0.0) -> None:
+        """Read and forget, until the other end closes."""
+        with contextlib.suppress(OSError):
+            while await self.receive():
+                await asyncio.sleep(pause_s)
+
+    def half_close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def close(self, way: str = "fin") -> None:
+        """FIN, or RST."""
+        with contextlib.suppress(OSError):
+            if way == "reset":
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_AT_CLOSE)
+        self._socket.close()
+
+
+@contextlib.asynccontextmanager
+async def reading(connection: Connection, pause_s: float = 0.0) -> AsyncIterator[None]:
+    """Read it away for the length of the block."""
+    async with asyncio.TaskGroup() as tasks:
+        reader = tasks.create_task(connection.read_away(pause_s))
+        try:
+            yield
+        finally:
+            reader.cancel()
+
+
+@contextlib.contextmanager
+def leaving(connection: Connection, room: Room, way: str) -> Iterator[None]:
+    """At the end of the block it leaves in its way."""
+    try:
+        yield
+    finally:
+        if way == "silent":
+            room.keep(connection)
+        else:
+            if way == "half_close":
+                connection.half_close()
+            connection.close("reset" if way == "reset" else "fin")
+            room.give_back(connection.kind, 1)

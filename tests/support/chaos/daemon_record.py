@@ -1,0 +1,121 @@
+"""DaemonRecord: samples of the daemon from outside; says which budgets it has broken. Pure."""
+
+import re
+from dataclasses import dataclass
+
+from tests.support.chaos.limits import Limits
+from tests.support.chaos.noise import Noise
+from tests.support.chaos.violation import Violation
+
+MIB = 1024 * 1024
+WORDS_OF_A_CRASH = (b"Traceback (most recent call last)", b"link.crashed", b"was never retrieved")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One look at the daemon."""
+
+    at_s: float
+    memory_bytes: int
+    log_bytes: int
+    descriptors: int
+    descriptors_most: int
+    ran_s: float = 0.0
+    waited_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Health:
+    """One question to /healthz; `status` 0: no answer."""
+
+    asked_s: float
+    took_s: float
+    status: int
+CAUSE = re.compile(rb"(?:^|\\n|\n)[ |+]*([A-Za-z_][\w.]*(?:Error|Exception|Interrupt|Exit|Gone|Busy|Type)\b[^\n\\]{0,120})")
+
+
+class DaemonRecord:
+    """A budget that is broken is one violation until it holds again."""
+
+    def __init__(self, limits: Limits, noise: Noise) -> None:
+        self.most_memory_bytes = self.most_log_bytes = self.most_robots = 0
+        self.slowest_s = 0.0
+        self.last_memory_bytes = 0
+        self._limits, self._noise = limits, noise
+        self._first: Sample | None = None
+        self._last: Sample | None = None
+        self._broken: set[str] = set()
+        self._causes: set[str] = set()  # kinds of exceptions in the log; each is one violation
+        self._found: list[Violation] = []
+
+    def add_sample(self, sample: Sample) -> None:
+        """Take a look; the first is what the growth is counted from."""
+        self._first = first = self._first or sample
+        self._last = sample
+        self._noise.add_turn(sample.at_s, sample.ran_s, sample.waited_s)
+        self.last_memory_bytes = sample.memory_bytes
+        self.most_memory_bytes = max(self.most_memory_bytes, sample.memory_bytes)
+        self.most_log_bytes = max(self.most_log_bytes, sample.log_bytes)
+        limits = self._limits
+        growth_mib = (sample.memory_bytes - first.memory_bytes) / MIB
+        log_limit = limits.log_bytes + limits.log_bytes_s * (sample.at_s - first.at_s)
+        self._judge("memory, MiB", sample.memory_bytes / MIB, limits.memory_mib, sample.at_s)
+        self._judge("growth of memory, MiB", growth_mib, limits.growth_mib, sample.at_s)
+        self._judge("log, bytes", sample.log_bytes, log_limit, sample.at_s)
+        most = sample.descriptors_most - limits.descriptors_free
+        self._judge("descriptors", sample.descriptors, most, sample.at_s)
+
+    def add_health(self, health: Health) -> None:
+        """Take an answer, or that none came."""
+        self.slowest_s = max(self.slowest_s, health.took_s)
+        end_s = health.asked_s + health.took_s
+        limit_s = self._limits.healthz_s * self._noise.stretch(health.asked_s, end_s)
+        self._judge("/healthz answers, s", health.took_s, limit_s, health.asked_s)
+        if health.status not in (0, 200) or (health.status == 0 and health.took_s <= limit_s):
+            self._fail("/healthz answers 200", health.status, 200, health.asked_s)
+
+    def add_robots(self, count: int, at_s: float) -> None:
+        """How many robots /api/robots has."""
+        self.most_robots = max(self.most_robots, count)
+        self._judge("robots in /api/robots", count, self._limits.robots, at_s)
+
+    def add_log(self, text: bytes, at_s: float) -> None:
+        """What was added to the log; whole lines."""
+        if not any(word in text for word in WORDS_OF_A_CRASH):
+            return
+        causes = {cause[1].decode(errors="replace") for cause in CAUSE.finditer(text)} or {"unknown"}
+        for cause in sorted(causes):
+            if (kind := cause.partition(":")[0]) not in self._causes:
+                self._causes.add(kind)
+                self._found.append(Violation("no traceback in the log", 0, 0, cause, at_s=at_s))
+
+    def settle(self) -> list[Violation]:
+        """What must be true once everybody hostile has left; not counted until it is asked for the last time."""
+        if self._first is None or self._last is None:
+            return [Violation("the daemon is sampled", 0, 1)]
+        growth_mib = (self._last.memory_bytes - self._first.memory_bytes) / MIB
+        kept = self._last.descriptors - self._first.descriptors
+        found = []
+        if growth_mib > self._limits.settled_mib:
+            found.append(
+                Violation("memory settles, MiB of growth", growth_mib, self._limits.settled_mib, at_s=self._last.at_s)
+            )
+        if kept > self._limits.descriptors_kept:
+            found.append(Violation("descriptors settle", kept, self._limits.descriptors_kept, at_s=self._last.at_s))
+        return found
+
+    def check(self) -> list[Violation]:
+        """What did not hold since the last call."""
+        found, self._found = self._found, []
+        return found
+
+    def _judge(self, promise: str, figure: float, limit: float, at_s: float) -> None:
+        if figure <= limit:
+            self._broken.discard(promise)
+        else:
+            self._fail(promise, figure, limit, at_s)
+
+    def _fail(self, promise: str, figure: float, limit: float, at_s: float) -> None:
+        if promise not in self._broken:
+            self._broken.add(promise)
+            self._found.append(Violation(promise, figure, limit, at_s=at_s))

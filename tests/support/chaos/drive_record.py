@@ -1,0 +1,241 @@
+"""DriveRecord: what the honest program sent and the honest robot heard; says which promises did not hold. Pure.
+
+The honest process writes events as lists: a kind, a monotonic time, and what belongs to it.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from tests.support.chaos.limits import Limits
+from tests.support.chaos.noise import Noise
+from tests.support.chaos.violation import Violation
+
+STEP_M_S = 0.0001  # a command is known by its speed, in steps of 0.1 mm/s
+NUMBERS = 9000  # commands that can be told apart
+HONEST_RAD_S = 0.125  # how fast every honest command turns: by it alone it differs from everybody else's
+LEAST_COMMANDS = 100  # of which a 99th percentile is made
+OVERDUE_S = 0.25  # a command that nothing has answered for so long counts as late as it is by now
+HELD_S = 0.2  # a driven robot hears its velocity eight times a second
+YOUNG_S = 0.4  # a command that is younger holds the robot: its lease is 0.5 s
+RIVAL_REST_S = 1.5  # what another commanded may still move the robot: its lease, and a flood's delay
+
+
+@dataclass
+class _End:
+    """The honest driver's end; `stood_s` is None while the robot moves by its commands."""
+
+    at_s: float
+    how: str
+    stood_s: float | None
+    is_judged: bool = False
+
+
+class DriveRecord:
+    """Feed it events in the order of time; `check` judges what is complete."""
+
+    def __init__(self, limits: Limits, noise: Noise) -> None:
+        self.last_velocity: tuple[float, float] | None = None
+        self.velocity_before_close: tuple[float, float] | None = None  # of the connection that closed last
+        self.latest_p99_s = 0.0
+        self.zeros_s: list[float] = []  # of each end, how long the robot moved on
+        self.commands = 0
+        self._limits, self._noise = limits, noise
+        self._found: list[Violation] = []
+        self._waiting: deque[tuple[int, float]] = deque()
+        self._latencies: deque[tuple[float, float]] = deque(maxlen=10 * LEAST_COMMANDS)  # (when sent, how long)
+        self._new = 0  # latencies since the last check
+        self._is_driving = self._is_served = False
+        self._end: _End | None = None
+        self._opened_s: float | None = None  # a connection whose first velocity has not come
+        self._honest_s = (-math.inf, -math.inf)  # when an honest velocity came last, and when it was sent
+        self._sent_s: dict[int, float] = {}
+        self._asked: dict[str, float] = {}
+        self._rivals: dict[object, tuple[float, float]] = {}
+
+    def rival_began(self, key: object, at_s: float) -> None:
+        """From now on somebody else may drive the robot while the honest program does not."""
+        self._rivals[key] = (at_s, math.inf)
+
+    def rival_ended(self, key: object, at_s: float) -> None:
+        """No more, once what it sent has passed."""
+        if key in self._rivals:
+            self._rivals[key] = (self._rivals[key][0], at_s + RIVAL_REST_S)
+
+    def add(self, event: list[Any]) -> None:
+        """Take one event."""
+        kind, at_s, *rest = event
+        getattr(self, f"_on_{kind}")(at_s, *rest)
+
+    def check(self, now_s: float) -> list[Violation]:
+        """What did not hold, as far as it can be said by now."""
+        self._judge_end(now_s, is_over=False)
+        self._judge_latency(now_s)
+        for what, at_s in list(self._asked.items()):
+            self._judge_answer(what, at_s, now_s)
+        if self._opened_s is not None and now_s - self._opened_s > self._limits.reconnect_s + self._lag(self._opened_s):
+            self._fail("the honest robot is served again", self._opened_s, now_s, self._limits.reconnect_s)
+            self._opened_s = None
+        found, self._found = self._found, []
+        return found
+
+    # -- events -------------------------------------------------------------------------------------------------------
+
+    def _on_lag(self, at_s: float, lag_s: float) -> None:
+        self._noise.add_lag(at_s, lag_s)
+
+    def _on_began(self, at_s: float, way: str) -> None:  # noqa: ARG002 - for whoever reads the record
+        self._judge_end(at_s, is_over=True)
+        self._is_driving, self._end = True, None
+
+    def _on_sent(self, at_s: float, number: int) -> None:
+        self.commands += 1
+        self._sent_s[number] = at_s
+        if self._is_served:
+            self._waiting.append((number, at_s))
+
+    def _on_ended(self, at_s: float, how: str) -> None:
+        self._count_overdue(at_s)
+        self._waiting.clear()
+        stands = self.last_velocity is None or not _is_honest(*self.last_velocity)
+        self._is_driving, self._end = False, _End(at_s, how, at_s if stands else None)
+
+    def _on_velocity(self, at_s: float, linear: float, angular: float) -> None:
+        self.last_velocity = (linear, angular)
+        self._is_served = True
+        is_zero = linear == angular == 0.0
+        if self._opened_s is not None:
+            if not is_zero:
+                self._found.append(Violation("the first velocity of a connection is zero", linear, 0.0, at_s=at_s))
+            self._opened_s = None
+        if is_zero:
+            self._stand(at_s)
+        elif _is_honest(linear, angular):
+            self._move(at_s, round(linear / STEP_M_S))
+        else:
+            self._judge_foreign(at_s, linear, angular)
+
+    def _on_opened(self, at_s: float) -> None:
+        self._opened_s = at_s
+
+    def _on_closed(self, at_s: float, is_ours: bool) -> None:  # noqa: FBT001 - an event's field
+        if not is_ours:
+            self._found.append(Violation("the honest robot keeps its link", 0.0, 0.0, at_s=at_s))
+        self._end, self._opened_s, self._is_served = None, None, False
+        self._waiting.clear()
+        self._asked.clear()
+        self.velocity_before_close, self.last_velocity = self.last_velocity, None
+
+    def _on_asked(self, at_s: float, what: str) -> None:
+        self._asked.setdefault(what, at_s)
+
+    def _on_answered(self, at_s: float, what: str) -> None:
+        asked_s = self._asked.get(what)
+        if asked_s is not None:
+            self._judge_answer(what, asked_s, at_s)
+            self._asked.pop(what, None)
+
+    def _on_refused(self, at_s: float, why: str) -> None:
+        self._found.append(Violation("the honest program is served", 0.0, 0.0, why, at_s=at_s))
+
+    # -- velocities ---------------------------------------------------------------------------------------------------
+
+    def _stand(self, at_s: float) -> None:
+        if self._end is not None and self._end.stood_s is None:
+            self._end.stood_s = at_s
+
+    def _move(self, at_s: float, number: int) -> None:
+        self._honest_s = (at_s, self._sent_s.get(number, -math.inf))
+        if any(number == waiting for waiting, _ in self._waiting):
+            while self._waiting:
+                waiting, sent_s = self._waiting.popleft()
+                self._count(sent_s, at_s - sent_s)
+                if waiting == number:
+                    break
+        end = self._end
+        if end is None:
+            return
+        if end.is_judged:
+            self._fail("no velocity after the driver's end", end.at_s, at_s, self._limits.zero_s, detail=end.how)
+        end.stood_s = None
+
+    def _judge_foreign(self, at_s: float, linear: float, angular: float) -> None:
+        value = f"{linear:g} m/s, {angular:g} rad/s"
+        came_s, sent_s = self._honest_s
+        is_held = self._is_driving and at_s - came_s < HELD_S and at_s - sent_s < YOUNG_S
+        if is_held:
+            self._found.append(Violation("nobody drives over a higher priority", 0.0, 0.0, value, at_s=at_s))
+        elif not self._has_rival(at_s):
+            self._found.append(Violation("only who may drive drives", 0.0, 0.0, value, at_s=at_s))
+        else:
+            self._stand(at_s)  # by the honest program's commands it moves no more
+
+    def _has_rival(self, at_s: float) -> bool:
+        self._rivals = {key: span for key, span in self._rivals.items() if span[1] >= at_s - RIVAL_REST_S}
+        return any(began_s <= at_s <= ended_s for began_s, ended_s in self._rivals.values())
+
+    # -- judgements ---------------------------------------------------------------------------------------------------
+
+    def _judge_end(self, now_s: float, *, is_over: bool) -> None:
+        """Once its time is over, or the next drive begins."""
+        end = self._end
+        if end is None or end.is_judged:
+            return
+        limit_s = self._limits.zero_s + self._lag(end.at_s) + self._noise.waited_s(end.at_s, now_s)
+        if not is_over and now_s < end.at_s + limit_s:
+            return
+        end.is_judged = True
+        moved_s = (now_s if end.stood_s is None else end.stood_s) - end.at_s
+        self.zeros_s.append(moved_s)
+        if moved_s > limit_s:
+            text = f"by {end.how}" + ("; it still moves" if end.stood_s is None else "")
+            self._found.append(Violation("zero after the driver's end", moved_s, limit_s, text, at_s=end.at_s))
+
+    def _judge_latency(self, now_s: float) -> None:
+        overdue = self._overdue(now_s) if self._is_driving else []
+        count = max(self._new + len(overdue), LEAST_COMMANDS)
+        samples = [*self._latencies, *overdue][-count:]
+        self._new = 0
+        if len(samples) < LEAST_COMMANDS // 2:
+            return
+        began_s = samples[0][0]
+        self.latest_p99_s = percentile([latency_s for _, latency_s in samples], 0.99)
+        limit_s = self._limits.p99_s * self._noise.stretch(began_s, now_s) + self._lag(began_s)
+        if self.latest_p99_s > limit_s:
+            detail = f"median {percentile([each for _, each in samples], 0.5):.4f} s of {len(samples)} commands"
+            self._found.append(Violation("command p99", self.latest_p99_s, limit_s, detail, at_s=began_s))
+            self._latencies.clear()
+
+    def _judge_answer(self, what: str, asked_s: float, now_s: float) -> None:
+        limit_s = self._limits.answer_s * self._noise.stretch(asked_s, now_s) + self._lag(asked_s)
+        if now_s - asked_s > limit_s:
+            self._fail(f"the honest robot's {what} is answered", asked_s, now_s, limit_s)
+            del self._asked[what]
+
+    def _overdue(self, now_s: float) -> list[tuple[float, float]]:
+        return [(sent_s, now_s - sent_s) for _, sent_s in self._waiting if now_s - sent_s > OVERDUE_S]
+
+    def _count_overdue(self, now_s: float) -> None:
+        for sent_s, latency_s in self._overdue(now_s):
+            self._count(sent_s, latency_s)
+
+    def _count(self, sent_s: float, latency_s: float) -> None:
+        self._latencies.append((sent_s, latency_s))
+        self._new += 1
+
+    def _lag(self, since_s: float) -> float:
+        return self._noise.lag_s(since_s, math.inf)
+
+    def _fail(self, promise: str, began_s: float, now_s: float, limit: float, *, detail: str = "") -> None:
+        self._found.append(Violation(promise, now_s - began_s, limit, detail, at_s=began_s))
+
+
+def _is_honest(linear: float, angular: float) -> bool:
+    number = linear / STEP_M_S
+    return angular == HONEST_RAD_S and abs(number - round(number)) < 1e-6 and 0 < round(number) <= NUMBERS
+
+
+def percentile(values: list[float], share: float) -> float:
+    """The smallest value that so large a share of all does not exceed."""
+    return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]

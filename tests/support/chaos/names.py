@@ -1,0 +1,77 @@
+"""Names, types and addresses that hostile devices and programs draw from, and payloads that fit."""
+
+import random
+import struct
+
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
+
+HONEST = "honest"
+HONEST_ADDRESS = "127.0.0.50"
+HONEST_PROGRAM_ADDRESS = "127.0.0.51"
+WATCH_ADDRESS = "127.0.0.52"
+HONEST_VELOCITY = f"/{HONEST}/velocity_commands"
+HONEST_ODOMETRY = f"/{HONEST}/odometry"
+HONEST_RESET = f"/{HONEST}/reset_odometry"
+ADDRESSES = 8  # from which hostile connections come; each has a bound of its own at the host
+FOREIGN_RAD_S = -0.75  # how fast everybody else's commands turn
+ROGUES = 4  # names of robots that hostile devices share
+ROGUE_TOPICS = [f"/rogue_{number}/data" for number in range(ROGUES)]
+CLASHING_NAMES = (
+    HONEST_VELOCITY, HONEST_ODOMETRY, HONEST_RESET, "/honest/odom", "/honest/cmd_vel", "/honest/cmd_vel_stamped",
+    "honest/velocity_commands", "/tf", "/rosout", "cmd_vel", "odom", "/rogue_0/velocity_commands", "/rogue_0/odometry",
+    "/rogue_0/cmd_vel", "/rogue_1/odom", "/rogue_1/velocity_commands", "~cmd_vel", "//", "/honest", "/honest/lock",
+    *ROGUE_TOPICS,
+)  # fmt: skip
+UNKNOWN_MESSAGE, UNKNOWN_SERVICE = "nobody_msgs/Thing", "nobody_srvs/Ask"
+MESSAGE_TYPES = (
+    "geometry_msgs/Twist", "geometry_msgs/Twist", "geometry_msgs/Pose2D", "geometry_msgs/Pose2D", "nav_msgs/Odometry",
+    "geometry_msgs/TwistStamped", "tf/tfMessage", "std_msgs/String", "std_msgs/Empty", "std_msgs/UInt8MultiArray",
+    "rosgraph_msgs/Log", "geometry_msgs/Vector3", "sensor_msgs/Imu", UNKNOWN_MESSAGE,
+)  # fmt: skip
+SERVICE_TYPES = ("std_srvs/Trigger", "std_srvs/SetBool", "std_srvs/Empty", UNKNOWN_SERVICE)
+SERVICES = ("/rogue_0/ask", "/rogue_1/ask", "/honest/lock", "/rosapi/topics", "ask")
+WRONG_MD5 = "0" * 32
+CATALOG = Catalog()
+
+
+def hostile_address(dice: random.Random) -> str:
+    """One of a few."""
+    return f"127.0.9.{dice.randrange(ADDRESSES) + 1}"
+
+
+def md5_of(kind: Id, type_name: str) -> str:
+    """As a device of this type would have it; types that nobody knows have any."""
+    if kind in (Id.PUBLISHER, Id.SUBSCRIBER):
+        message = CATALOG.message(type_name)
+        return WRONG_MD5 if message is None else message.md5
+    service = CATALOG.service(type_name)
+    if service is None:
+        return WRONG_MD5
+    asks = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+    return (service.request if asks else service.response).md5
+
+
+def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:
+    """An endpoint with the sum that its type has."""
+    return TopicInfo(kind, topic_id, name, type_name, md5_of(kind, type_name), buffer_bytes)
+
+
+def payload_of(type_name: str, dice: random.Random) -> bytes:
+    """A message of the type; a velocity is one by which everybody else's is told from the honest program's."""
+    if type_name == "geometry_msgs/Twist":
+        return struct.pack("<6d", dice.uniform(-1, 1), 0, 0, 0, 0, FOREIGN_RAD_S)
+    if type_name == "geometry_msgs/Pose2D":
+        return struct.pack("<3d", dice.uniform(-9, 9), dice.uniform(-9, 9), dice.uniform(-9, 9))
+    if type_name == "std_msgs/UInt8MultiArray":
+        size = int(2 ** dice.uniform(0, 14))
+        return bytes(8) + struct.pack("<I", size) + bytes(size)
+    message = CATALOG.message(type_name)
+    return dice.randbytes(dice.randrange(64)) if message is None else message.encode({})
+
+
+def request_of(type_name: str, dice: random.Random) -> bytes:
+    """A request of the service type."""
+    service = CATALOG.service(type_name)
+    return dice.randbytes(dice.randrange(16)) if service is None else service.request.encode({})

@@ -1,0 +1,45 @@
+"""Noise: what the machine and the harness themselves cost, so that nobody else is blamed for it. Pure."""
+
+from collections import deque
+
+KEPT = 4000  # samples: ten minutes and more
+
+
+class Noise:
+    """Lateness of the honest process's own loop, and how long the daemon waited for a core."""
+
+    def __init__(self, *, stretch_most: float) -> None:
+        self._stretch_most = stretch_most
+        self._lags: deque[tuple[float, float]] = deque(maxlen=KEPT)  # (when, by how much)
+        self._turns: deque[tuple[float, float, float]] = deque(maxlen=KEPT)  # (when, ran, waited) of the daemon, sums
+
+    def add_lag(self, at_s: float, lag_s: float) -> None:
+        """The honest process woke so late."""
+        self._lags.append((at_s, lag_s))
+
+    def add_turn(self, at_s: float, ran_s: float, waited_s: float) -> None:
+        """How long the daemon has run, and waited for a core, since its start."""
+        self._turns.append((at_s, ran_s, waited_s))
+
+    def lag_s(self, begin_s: float, end_s: float) -> float:
+        """The longest lateness in a time."""
+        return max((lag_s for at_s, lag_s in self._lags if begin_s <= at_s <= end_s), default=0.0)
+
+    def waited_s(self, begin_s: float, end_s: float) -> float:
+        """How long the daemon waited for a core in a time."""
+        return self._span(begin_s, end_s)[1]
+
+    def stretch(self, begin_s: float, end_s: float) -> float:
+        """How much longer the daemon took than with a core to itself; at least 1."""
+        ran_s, waited_s = self._span(begin_s, end_s)
+        return min(self._stretch_most, 1.0 + waited_s / ran_s) if ran_s > 0 else 1.0
+
+    def _span(self, begin_s: float, end_s: float) -> tuple[float, float]:
+        """(ran, waited) between the samples around a time."""
+        before = [turn for turn in self._turns if turn[0] <= begin_s][-1:]
+        inside = [turn for turn in self._turns if begin_s < turn[0] <= end_s]
+        after = [turn for turn in self._turns if turn[0] > end_s][:1]
+        turns = before + inside + after
+        if len(turns) < 2:
+            return 0.0, 0.0
+        return turns[-1][1] - turns[0][1], turns[-1][2] - turns[0][2]

@@ -1,0 +1,79 @@
+"""Plan: what is played in each step, drawn from a seed. Pure: the same seed gives the same steps.
+
+Each phase of some steps draws which kinds of action take part and how often (as in swarm testing): a mix of everything
+hides what a mix of three finds. Each step draws from its own dice, so that one step can be played alone.
+"""
+
+import random
+from dataclasses import dataclass
+
+PHASE_STEPS = 4
+SHORTEST_S, LONGEST_S = 1.0, 2.0
+MOST_ACTIONS = 5  # at once
+
+# Kind -> whether it may drive a robot that nobody of a higher priority drives: by a velocity topic, or REST.
+KINDS: dict[str, bool] = {
+    "flood": True,
+    "announce": True,
+    "trickle": True,
+    "churn": False,
+    "silent": False,
+    "copy": False,
+    "call": False,
+    "bridge": True,
+    "subscriber": False,
+    "publisher": True,
+    "rival": True,
+    "rest": True,
+    "idle": False,
+    "broken_websocket": False,
+}
+DOUBLE = ("flood", "announce", "call")  # kinds with more ways of their own than others
+
+
+@dataclass(frozen=True)
+class Action:
+    """One thing that somebody hostile does; everything else about it is drawn from its seed."""
+
+    number: int  # in its run
+    kind: str
+    seed: str
+    seconds: float
+
+    @property
+    def may_drive(self) -> bool:
+        return KINDS[self.kind]
+
+    def dice(self) -> random.Random:
+        return random.Random(self.seed)
+
+
+@dataclass(frozen=True)
+class Step:
+    """Actions that begin together; `is_last_of_phase`: after it everybody leaves."""
+
+    number: int
+    seconds: float
+    actions: tuple[Action, ...]
+    is_last_of_phase: bool
+
+
+def draw_mix(seed: int, phase: int, only: tuple[str, ...] = ()) -> dict[str, int]:
+    """The kinds of a phase, and how often each is taken."""
+    dice = random.Random(f"{seed} phase {phase}")
+    kinds = only or tuple(KINDS)
+    chosen = dice.sample([*kinds, *(kind for kind in kinds if kind in DOUBLE)], min(len(kinds), dice.randint(2, 5)))
+    return {kind: dice.randint(1, 4) for kind in chosen}
+
+
+def draw_step(seed: int, number: int, only: tuple[str, ...] = ()) -> Step:
+    """The step of this number, counted from 0."""
+    mix = draw_mix(seed, number // PHASE_STEPS, only)
+    dice = random.Random(f"{seed} step {number}")
+    seconds = dice.uniform(SHORTEST_S, LONGEST_S)
+    kinds = dice.choices(list(mix), list(mix.values()), k=dice.randint(2, MOST_ACTIONS))
+    actions = tuple(
+        Action(number * MOST_ACTIONS + index, kind, f"{seed} step {number} action {index}", dice.uniform(0.5, seconds))
+        for index, kind in enumerate(kinds)
+    )
+    return Step(number, seconds, actions, number % PHASE_STEPS == PHASE_STEPS - 1)

@@ -1,0 +1,342 @@
+"""A run of chaos: starts daemon, honest robot and generator, plays step after step, and judges after each."""
+
+import asyncio
+import dataclasses
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tests.support.chaos.children import Daemon, Talker, daemon, talker
+from tests.support.chaos.daemon_record import MIB, DaemonRecord
+from tests.support.chaos.drive_record import DriveRecord, percentile
+from tests.support.chaos.limits import Limits
+from tests.support.chaos.noise import Noise
+from tests.support.chaos.plan import PHASE_STEPS
+from tests.support.chaos.violation import Violation
+from tests.support.chaos.watch import Watch
+
+BASELINE_COMMANDS = 80  # with nobody else there: what the harness itself measures
+STEP_MARGIN_S = 30.0  # after which the generator itself hangs
+CALLS_BEFORE_END_S = 2.0
+SETTLE_S = 4.0
+LOOK_S = 0.1
+JUDGE_S = 1.0
+DRIVE_BEFORE_END_S = 0.7
+SERVED_S = 20.0
+CALL_IS_ANSWERED = "a device that calls is answered"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What is to be played."""
+
+    seed: int
+    seconds: float
+    limits: Limits = field(default_factory=Limits)
+    kinds: tuple[str, ...] = ()  # none named: all
+    steps: int | None = None
+    first_step: int = 0
+    keeps_going: bool = False
+
+    def command(self) -> str:
+        """What repeats it."""
+        words = ["python tools/chaos_daemon.py", f"--seed {self.seed}", f"--seconds {self.seconds:g}"]
+        words += [f"--kind {kind}" for kind in self.kinds]
+        words += [f"--first-step {self.first_step}"] if self.first_step else []
+        words += [f"--steps {self.steps}"] if self.steps is not None else []
+        for each in dataclasses.fields(Limits):
+            if (value := getattr(self.limits, each.name)) != each.default:
+                words.append(f"--limit-{each.name.replace('_', '-')} {value:g}")
+        return " ".join(words)
+
+
+@dataclass
+class Outcome:
+    """What came of a run, as data."""
+
+    wanted: Wanted
+    violations: list[Violation] = field(default_factory=list)
+    figures: dict[str, Any] = field(default_factory=dict)
+    steps: int = 0
+    log_tail: str = ""
+
+
+class Conductor:
+    """One run on a running daemon."""
+
+    def __init__(self, wanted: Wanted, running: Daemon, honest: Talker, player: Talker, tell: Callable[[str], None]):
+        self.outcome = Outcome(wanted)
+        self._wanted, self._daemon, self._honest, self._player, self._tell = wanted, running, honest, player, tell
+        noise = Noise(stretch_most=wanted.limits.stretch_most)
+        self._drive, self._record = DriveRecord(wanted.limits, noise), DaemonRecord(wanted.limits, noise)
+        self._noise = noise
+        self._watch = Watch(running.child.pid, running.log, running.api, self._record)
+        self._under_way: dict[int, str] = {}
+        self._recent: list[tuple[int, str]] = []  # what began in this phase
+        self._began: list[str] = []  # in this step
+        self._calls: dict[str, float] = {}
+        self._done = asyncio.Event()
+        self._left = asyncio.Event()
+        self._is_moving = asyncio.Event()
+        self._step = -1
+        self._drive_judged_s = 0.0
+        self._is_ending = False
+        self._p99s_s: list[float] = []
+
+    async def run(self) -> Outcome:
+        """Baseline, steps, the end; to the first violation unless it keeps going."""
+        async with asyncio.TaskGroup() as tasks:
+            running = [
+                tasks.create_task(self._watch.sample()),
+                tasks.create_task(self._watch.ask()),
+                tasks.create_task(self._hear_honest()),
+                tasks.create_task(self._hear_player()),
+            ]
+            try:
+                await self._play()
+            finally:
+                for task in running:
+                    task.cancel()
+        self._note_figures()
+        return self.outcome
+
+    async def _play(self) -> None:
+        await self._measure_baseline()
+        began_s, number = time.monotonic(), self._wanted.first_step
+        while not self._is_over(number, time.monotonic() - began_s):
+            await self._play_step(number)
+            number += 1
+        if self._goes_on():
+            await self._end()
+
+    async def _measure_baseline(self) -> None:
+        """Nobody hostile is there yet."""
+        async with asyncio.timeout(SERVED_S):
+            while self._drive.commands < BASELINE_COMMANDS:
+                await asyncio.sleep(LOOK_S)
+        self._judge()
+        self.outcome.figures["baseline_p99_s"] = self._drive.latest_p99_s
+
+    def _is_over(self, number: int, played_s: float) -> bool:
+        steps = self._wanted.steps
+        is_enough = number - self._wanted.first_step >= steps if steps is not None else played_s >= self._wanted.seconds
+        return is_enough or not self._goes_on()
+
+    def _goes_on(self) -> bool:
+        is_alive = self._daemon.child.returncode is None and not self._watch.is_deadly
+        return is_alive and (self._wanted.keeps_going or not self.outcome.violations)
+
+    async def _play_step(self, number: int) -> None:
+        self._step = number
+        self._done.clear()
+        self._began.clear()
+        if number % PHASE_STEPS == 0:
+            self._recent = [each for each in self._recent if each[0] in self._under_way]
+        self._player.send({"step": number})
+        deadline_s = time.monotonic() + STEP_MARGIN_S
+        while not self._done.is_set():
+            await _wait(self._done, LOOK_S)
+            self._judge()
+            if not self._goes_on():
+                return
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"the generator did not end step {number}")
+        self._tell_step()
+
+    def _judge(self) -> None:
+        """Note what did not hold."""
+        now_s = time.monotonic()
+        found = self._drive.check(now_s) if self._drive_is_due(now_s) else []
+        found += self._record.check() + self._overdue_calls(now_s)
+        status = self._daemon.child.returncode
+        if status is not None and not self._is_ending:
+            self._watch.scan(now_s)
+            found = [*self._record.check(), Violation("the daemon lives", 0, 0, f"exit status {status}"), *found]
+        if status is None or not self.outcome.violations:
+            self._note(found)
+
+    def _drive_is_due(self, now_s: float) -> bool:
+        """What the honest robot has heard is judged once a second: its record comes in lines."""
+        if now_s < self._drive_judged_s + JUDGE_S:
+            return False
+        self._drive_judged_s = now_s
+        return True
+
+    def _note(self, found: list[Violation]) -> None:
+        for each in found:
+            named = dataclasses.replace(each, step=self._step, under_way=self._situation())
+            self.outcome.violations.append(named)
+            self._tell(f"  ! {named}")
+
+    def _situation(self) -> tuple[str, ...]:
+        """What was played in this phase, the newest last."""
+        return tuple(f"{'' if number in self._under_way else '(over) '}{what}" for number, what in self._recent[-12:])
+
+    # -- what the children say ----------------------------------------------------------------------------------------
+
+    async def _hear_honest(self) -> None:
+        while True:
+            event = await self._honest.receive()
+            self._drive.add(event)
+            if event[0] == "velocity" and event[2]:
+                self._is_moving.set()
+            if event[0] == "began":
+                self._is_moving.clear()
+
+    async def _hear_player(self) -> None:
+        while True:
+            facts = await self._player.receive()
+            if "began" in facts:
+                self._under_way[facts["began"]] = facts["kind"]
+                if facts["may_drive"]:
+                    self._drive.rival_began(facts["began"], facts["at_s"])
+            elif "what" in facts:
+                kind = self._under_way.get(facts["action"], "")
+                self._began.append(f"{kind}: {facts['what']}")
+                self._recent.append((facts["action"], self._began[-1]))
+            elif "ended" in facts:
+                self._under_way.pop(facts["ended"], None)
+                self._drive.rival_ended(facts["ended"], facts["at_s"])
+            elif "calls" in facts:
+                self._calls[facts["calls"]] = facts["began_s"]
+            elif "called" in facts:
+                self._judge_call(facts)
+            elif "done" in facts:
+                self._done.set()
+            elif "left" in facts:
+                self._left.set()
+
+    def _judge_call(self, facts: dict[str, Any]) -> None:
+        """A call has ended; whether it took too long is found while it waits."""
+        began_s = self._calls.pop(facts["called"], None)
+        if began_s is not None and facts["outcome"] not in ("answered", "the link ended"):
+            detail = f"{facts['called']}: {facts['outcome']}"
+            limit_s = self._wanted.limits.asked_s
+            self._note([Violation(CALL_IS_ANSWERED, facts["waited_s"], limit_s, detail, at_s=began_s)])
+
+    def _overdue_calls(self, now_s: float) -> list[Violation]:
+        """Calls that nobody has answered in time, each once."""
+        found = []
+        for what, began_s in list(self._calls.items()):
+            limit_s = self._wanted.limits.asked_s * self._noise.stretch(began_s, now_s)
+            if now_s - began_s > limit_s:
+                del self._calls[what]
+                found.append(Violation(CALL_IS_ANSWERED, now_s - began_s, limit_s, what, at_s=began_s))
+        return found
+
+    # -- the end ------------------------------------------------------------------------------------------------------
+
+    async def _end(self) -> None:
+        """Everybody hostile leaves, memory settles, and SIGTERM ends the daemon while the honest robot is driven."""
+        await self._wait_for_calls()
+        self._player.send({"leave": True})
+        await self._left.wait()
+        await self._settle()
+        if not self._goes_on():
+            return
+        self._is_moving.clear()
+        self._honest.send({"last": True})
+        async with asyncio.timeout(SERVED_S):
+            await self._is_moving.wait()
+        await asyncio.sleep(DRIVE_BEFORE_END_S)
+        self._judge()
+        await self._terminate()
+
+    async def _wait_for_calls(self) -> None:
+        while self._calls and self._goes_on():
+            await asyncio.sleep(LOOK_S)
+            self._judge()
+
+    async def _settle(self) -> None:
+        deadline_s = time.monotonic() + SETTLE_S
+        while (found := self._record.settle()) and time.monotonic() < deadline_s and self._goes_on():
+            await asyncio.sleep(LOOK_S)
+            self._judge()
+        self._note(found)
+
+    async def _terminate(self) -> None:
+        limits = self._wanted.limits
+        self._is_ending = True
+        began_s = time.monotonic()
+        self._watch.stop_asking()
+        self._daemon.child.send_signal(signal.SIGTERM)
+        try:
+            async with asyncio.timeout(5 * limits.end_s):
+                status = await self._daemon.child.wait()
+        except TimeoutError:
+            self._note([Violation("SIGTERM ends the daemon, s", 5 * limits.end_s, limits.end_s, "it still runs")])
+            return
+        took_s = time.monotonic() - began_s
+        await asyncio.sleep(2 * LOOK_S)  # what the robot heard last is on its way
+        self.outcome.figures["end_s"] = took_s
+        limit_s = limits.end_s * self._noise.stretch(began_s, time.monotonic())
+        found = []
+        if took_s > limit_s:
+            found.append(Violation("SIGTERM ends the daemon, s", took_s, limit_s))
+        if status != 0:
+            found.append(Violation("SIGTERM ends the daemon with status 0", status, 0))
+        last = self._drive.velocity_before_close
+        if last != (0.0, 0.0):
+            found.append(Violation("the last velocity is zero", 0, 0, f"it was {last}"))
+        self._watch.scan(time.monotonic())
+        self._note(found + self._record.check())
+
+    # -- telling ------------------------------------------------------------------------------------------------------
+
+    def _tell_step(self) -> None:
+        self.outcome.steps += 1
+        self._p99s_s.append(self._drive.latest_p99_s)
+        kinds = ", ".join(what.partition(":")[0] for what in self._began)
+        self._tell(
+            f"step {self._step:3}  p99 {1000 * self._drive.latest_p99_s:6.1f} ms  "
+            f"memory {self._record.last_memory_bytes / MIB:5.0f} MiB  log {self._record.most_log_bytes / 1024:7.0f} KiB  {kinds}"
+        )
+
+    def _note_figures(self) -> None:
+        zeros_s = self._drive.zeros_s
+        self.outcome.figures |= {
+            "commands": self._drive.commands,
+            "worst_step_p99_s": max(self._p99s_s, default=0.0),
+            "median_step_p99_s": percentile(self._p99s_s, 0.5) if self._p99s_s else 0.0,
+            "ends": len(zeros_s),
+            "longest_zero_s": max(zeros_s, default=0.0),
+            "longest_lag_s": self._noise.lag_s(0.0, time.monotonic()),
+            "daemon_waited_s": self._noise.waited_s(0.0, time.monotonic()),
+            "most_memory_mib": self._record.most_memory_bytes / MIB,
+            "log_kib": self._record.most_log_bytes / 1024,
+            "most_robots": self._record.most_robots,
+            "slowest_healthz_s": self._record.slowest_s,
+        }
+
+
+async def _wait(event: asyncio.Event, seconds: float) -> None:
+    try:
+        async with asyncio.timeout(seconds):
+            await event.wait()
+    except TimeoutError:
+        pass
+
+
+async def run(wanted: Wanted, tell: Callable[[str], None]) -> Outcome:
+    """Play it on a daemon of its own; nothing of it is left afterwards."""
+    with tempfile.TemporaryDirectory(prefix="chaos") as folder:
+        async with daemon(Path(folder)) as running:
+            ports = [str(running.tcp[1]), str(running.api[1])]
+            async with (
+                talker("honest", str(wanted.seed), *ports) as honest,
+                talker("player", str(wanted.seed), *ports, *wanted.kinds) as player,
+            ):
+                outcome = await Conductor(wanted, running, honest, player, tell).run()
+            if outcome.violations:
+                outcome.log_tail = _tail(running.log)
+    return outcome
+
+
+def _tail(log: Path, size: int = 4000) -> str:
+    with log.open("rb") as file:
+        file.seek(max(0, log.stat().st_size - size))
+        return file.read().decode(errors="replace")

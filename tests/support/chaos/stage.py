@@ -1,0 +1,72 @@
+"""Stage: what every hostile action needs: where the daemon is, room for connections, and whom to report to."""
+
+import contextlib
+import random
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from hostlink.protocol.frame import TOPICS_REQUEST
+from tests.support.chaos.connection import Connection, Room, leaving
+from tests.support.chaos.names import hostile_address
+from tests.support.chaos.requests import draw_handshake
+
+DEVICE, SOCKET, IDLE, STUCK = "device", "socket", "idle", "stuck"
+ROOM = {DEVICE: 150, SOCKET: 60, IDLE: 1300, STUCK: 4}  # the daemon has 256 connections of devices, 1024 descriptors
+ASK_WAIT_S = 0.7
+HANDSHAKE_WAIT_S = 2.0
+Report = Callable[[dict[str, Any]], None]
+
+
+@dataclass
+class Stage:
+    """One daemon; its generator has one of it."""
+
+    tcp: tuple[str, int]
+    api: tuple[str, int]
+    report: Report
+    room: Room = field(default_factory=lambda: Room(**ROOM))
+
+    @contextlib.asynccontextmanager
+    async def device(self, dice: random.Random, way: str = "fin") -> AsyncIterator[Connection]:
+        """A device's connection; ConnectionError when there is no room."""
+        async with self._connected(self.tcp, dice, DEVICE, way) as connection:
+            yield connection
+
+    @contextlib.asynccontextmanager
+    async def program(
+        self, dice: random.Random, way: str = "fin", *, kind: str = SOCKET, receive_bytes: int = 0
+    ) -> AsyncIterator[Connection]:
+        """A program's connection."""
+        async with self._connected(self.api, dice, kind, way, receive_bytes) as connection:
+            yield connection
+
+    @contextlib.asynccontextmanager
+    async def websocket(
+        self, dice: random.Random, way: str = "fin", *, kind: str = SOCKET, receive_bytes: int = 0
+    ) -> AsyncIterator[Connection]:
+        """A program's connection that has become a WebSocket, if the daemon agrees."""
+        async with self.program(dice, way, kind=kind, receive_bytes=receive_bytes) as connection:
+            await connection.send(draw_handshake(dice))
+            await connection.receive_until(b"\r\n\r\n", HANDSHAKE_WAIT_S)
+            yield connection
+
+    @contextlib.asynccontextmanager
+    async def _connected(
+        self, to: tuple[str, int], dice: random.Random, kind: str, way: str, receive_bytes: int = 0
+    ) -> AsyncIterator[Connection]:
+        if not self.room.take(kind, 1):
+            raise ConnectionError(f"no room for another {kind}")
+        try:
+            connection = await Connection.dial(to, hostile_address(dice), kind, receive_bytes=receive_bytes)
+        except BaseException:
+            self.room.give_back(kind, 1)
+            raise
+        with leaving(connection, self.room, way):
+            yield connection
+
+
+async def introduce(connection: Connection, introduction: bytes) -> None:
+    """Wait to be asked, though not for long, and announce."""
+    await connection.receive_until(TOPICS_REQUEST, ASK_WAIT_S)
+    await connection.send(introduction)

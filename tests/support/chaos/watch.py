@@ -1,0 +1,107 @@
+"""Watch: the daemon's process from outside, and its log file; feeds DaemonRecord."""
+
+import asyncio
+import contextlib
+import json
+import os
+import time
+from pathlib import Path
+
+from tests.support.chaos.connection import Connection
+from tests.support.chaos.daemon_record import MIB, DaemonRecord, Health, Sample
+from tests.support.chaos.names import WATCH_ADDRESS
+from tests.support.chaos.requests import http
+
+SAMPLE_S = 0.1
+ASK_S = 0.5
+ASK_WAIT_S = 10.0
+SCAN_BYTES = 4 * MIB  # of log, a sample: a flood of it is counted, and need not be read
+DEADLY_MEMORY_BYTES, DEADLY_LOG_BYTES = 2048 * MIB, 256 * MIB  # then it is killed: the machine is others' too
+CLOSE = b"Connection: close\r\n"
+_PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+class Watch:
+    """Looks until it is cancelled, or the process has ended."""
+
+    def __init__(self, pid: int, log: Path, api: tuple[str, int], record: DaemonRecord) -> None:
+        self._process, self._log, self._api, self._record = Path(f"/proc/{pid}"), log, api, record
+        self._scanned = 0
+        self.is_deadly = self._is_ending = False
+
+    def stop_asking(self) -> None:
+        """The daemon has been told to end: it may answer no more."""
+        self._is_ending = True
+
+    async def sample(self) -> None:
+        """Every SAMPLE_S."""
+        while True:
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                self.look()
+            await asyncio.sleep(SAMPLE_S)
+
+    def look(self) -> None:
+        """Take one sample, and what is new in the log."""
+        now_s = time.monotonic()
+        log_bytes = self._log.stat().st_size
+        memory_bytes = int((self._process / "statm").read_text().split()[1]) * _PAGE
+        ran_s, waited_s = self._scheduled()
+        descriptors = len(list((self._process / "fd").iterdir()))
+        self._record.add_sample(
+            Sample(now_s, memory_bytes, log_bytes, descriptors, self._most_descriptors(), ran_s, waited_s)
+        )
+        self.scan(now_s)
+        self.is_deadly = memory_bytes > DEADLY_MEMORY_BYTES or log_bytes > DEADLY_LOG_BYTES
+
+    def scan(self, now_s: float) -> None:
+        """Read what is new in the log, whole lines; of a flood only the beginning."""
+        size = self._log.stat().st_size
+        with self._log.open("rb") as log:
+            log.seek(self._scanned)
+            text = log.read(SCAN_BYTES)
+        whole = text[: text.rfind(b"\n") + 1]
+        self._scanned = size if len(text) == SCAN_BYTES else self._scanned + len(whole)
+        self._record.add_log(whole, now_s)
+
+    async def ask(self) -> None:
+        """Every ASK_S: is it healthy, and how many robots does it know?"""
+        while True:
+            asked_s = time.monotonic()
+            status, _ = await self.get("/healthz")
+            if self._is_ending:
+                return
+            self._record.add_health(Health(asked_s, time.monotonic() - asked_s, status))
+            status, body = await self.get("/api/robots")
+            if status == 200:
+                self._record.add_robots(len(json.loads(body)["robots"]), time.monotonic())
+            await asyncio.sleep(ASK_S)
+
+    async def get(self, path: str) -> tuple[int, bytes]:
+        """(status, body) over a connection of its own; status 0: no answer."""
+        answer = b""
+        with contextlib.suppress(OSError, TimeoutError):
+            async with asyncio.timeout(ASK_WAIT_S):
+                connection = await Connection.dial(self._api, WATCH_ADDRESS, "watch")
+                try:
+                    await connection.send(http("GET", path, headers=CLOSE))
+                    while data := await connection.receive():
+                        answer += data
+                finally:
+                    connection.close()
+        head, _, body = answer.partition(b"\r\n\r\n")
+        words = head.split()
+        return (int(words[1]) if len(words) > 1 and words[1].isdigit() else 0), body
+
+    def _scheduled(self) -> tuple[float, float]:
+        """Seconds that its main thread ran, and waited for a core; zeros where the system does not count."""
+        try:
+            ran_ns, waited_ns, _ = (self._process / "schedstat").read_text().split()
+        except FileNotFoundError:
+            return 0.0, 0.0
+        return int(ran_ns) / 1e9, int(waited_ns) / 1e9
+
+    def _most_descriptors(self) -> int:
+        for line in (self._process / "limits").read_text().splitlines():
+            if line.startswith("Max open files"):
+                return int(line.split()[3])
+        raise ValueError("a process has a limit of open files")
