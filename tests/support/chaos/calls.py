@@ -31,7 +31,8 @@ async def call(stage: Stage, action: Action) -> None:
     provider = dice.choice(PROVIDERS)
     manner = dice.choice(DEVICE_MANNERS if provider == "device" else requests.MANNERS) if provider != "nobody" else ""
     buffer_bytes = dice.choice((280, 280, 512, 2048, 64))
-    what = f"call {action.number}: a device with {buffer_bytes} bytes asks for {type_name} of {provider} {manner}".strip()
+    who = f"call {action.number}: a device with {buffer_bytes} bytes"
+    what = f"{who} asks for {type_name} of {provider} {manner}".strip()
     stage.report({"action": action.number, "what": what})
     async with asyncio.TaskGroup() as tasks:
         work = []

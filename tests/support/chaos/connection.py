@@ -83,7 +83,7 @@ class Connection:
     async def read_away(self, pause_s: float = 0.0) -> None:
         """Read and forget, until the other end closes."""
         with contextlib.suppress(OSError):
-            while await self.receive():
+            while await self.receive():  # noqa: ASYNC110 - it reads slowly
                 await asyncio.sleep(pause_s)
 
     def half_close(self) -> None:

@@ -31,7 +31,10 @@ class Health:
     asked_s: float
     took_s: float
     status: int
-CAUSE = re.compile(rb"(?:^|\\n|\n)[ |+]*([A-Za-z_][\w.]*(?:Error|Exception|Interrupt|Exit|Gone|Busy|Type)\b[^\n\\]{0,120})")
+
+
+_KINDS = rb"[A-Za-z_][\w.]*(?:Error|Exception|Interrupt|Exit|Gone|Busy|Type)\b"  # of exceptions, as the log names them
+CAUSE = re.compile(rb"(?:^|\\n|\n)[ |+]*(" + _KINDS + rb"[^\n\\]{0,120})")
 
 
 class DaemonRecord:
@@ -48,6 +51,11 @@ class DaemonRecord:
         self._causes: set[str] = set()  # kinds of exceptions in the log; each is one violation
         self._found: list[Violation] = []
 
+    @property
+    def growth_mib(self) -> float:
+        """Resident memory above that of the first sample."""
+        return 0.0 if self._first is None else (self.last_memory_bytes - self._first.memory_bytes) / MIB
+
     def add_sample(self, sample: Sample) -> None:
         """Take a look; the first is what the growth is counted from."""
         self._first = first = self._first or sample
@@ -57,10 +65,9 @@ class DaemonRecord:
         self.most_memory_bytes = max(self.most_memory_bytes, sample.memory_bytes)
         self.most_log_bytes = max(self.most_log_bytes, sample.log_bytes)
         limits = self._limits
-        growth_mib = (sample.memory_bytes - first.memory_bytes) / MIB
         log_limit = limits.log_bytes + limits.log_bytes_s * (sample.at_s - first.at_s)
         self._judge("memory, MiB", sample.memory_bytes / MIB, limits.memory_mib, sample.at_s)
-        self._judge("growth of memory, MiB", growth_mib, limits.growth_mib, sample.at_s)
+        self._judge("growth of memory, MiB", self.growth_mib, limits.growth_mib, sample.at_s)
         self._judge("log, bytes", sample.log_bytes, log_limit, sample.at_s)
         most = sample.descriptors_most - limits.descriptors_free
         self._judge("descriptors", sample.descriptors, most, sample.at_s)
@@ -93,7 +100,7 @@ class DaemonRecord:
         """What must be true once everybody hostile has left; not counted until it is asked for the last time."""
         if self._first is None or self._last is None:
             return [Violation("the daemon is sampled", 0, 1)]
-        growth_mib = (self._last.memory_bytes - self._first.memory_bytes) / MIB
+        growth_mib = self.growth_mib
         kept = self._last.descriptors - self._first.descriptors
         found = []
         if growth_mib > self._limits.settled_mib:

@@ -22,11 +22,8 @@ async def flood(stage: Stage, action: Action) -> None:
     maker = dice.choice(frames.FLOODS)
     count = dice.choice((1, 1, 4, 16))
     is_reading, is_known, way = dice.random() < 0.7, dice.random() < 0.7, dice.choice(WAYS)
-    name = maker.__name__
-    stage.report({
-        "action": action.number,
-        "what": f"flood of {name}, {count} connections, {'reading' if is_reading else 'not reading'}, then {way}",
-    })
+    what = f"flood of {maker.__name__}, {count} connections, {'reading' if is_reading else 'not reading'}, then {way}"
+    stage.report({"action": action.number, "what": what})
 
     async def one(number: int) -> None:
         own = random.Random(f"{action.seed} {number}")
@@ -92,9 +89,8 @@ async def churn(stage: Stage, action: Action) -> None:
     dice = action.dice()
     is_new, rate_hz = dice.random() < 0.6, dice.choice((5, 30, 60))
     word = f"brief_{action.number}"
-    stage.report({
-        "action": action.number, "what": f"{rate_hz} devices a second connect and vanish, {'new' if is_new else 'same'}"
-    })  # fmt: skip
+    what = f"{rate_hz} devices a second connect and vanish, {'new' if is_new else 'same'}"
+    stage.report({"action": action.number, "what": what})
 
     async def one(number: int) -> None:
         own = random.Random(f"{action.seed} {number}")
@@ -119,7 +115,8 @@ async def silent(stage: Stage, action: Action) -> None:
     """Devices that connect, some of which announce a robot, and are never heard of again."""
     dice = action.dice()
     count, is_known = dice.choice((1, 10, 60)), dice.random() < 0.5
-    stage.report({"action": action.number, "what": f"{count} devices fall silent, {'known' if is_known else 'unknown'}"})
+    what = f"{count} devices fall silent, {'known' if is_known else 'unknown'}"
+    stage.report({"action": action.number, "what": what})
     for number in range(count):
         async with stage.device(dice, "silent") as connection:
             if is_known:

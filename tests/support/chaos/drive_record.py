@@ -119,7 +119,7 @@ class DriveRecord:
     def _on_opened(self, at_s: float) -> None:
         self._opened_s = at_s
 
-    def _on_closed(self, at_s: float, is_ours: bool) -> None:  # noqa: FBT001 - an event's field
+    def _on_closed(self, at_s: float, is_ours: bool) -> None:
         if not is_ours:
             self._found.append(Violation("the honest robot keeps its link", 0.0, 0.0, at_s=at_s))
         self._end, self._opened_s, self._is_served = None, None, False

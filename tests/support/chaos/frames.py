@@ -34,6 +34,7 @@ TIME = encode(Id.TIME, bytes(8))
 BLOCK_BYTES = 128 * 1024  # of a flood, at once
 FIRST_FROM_DEVICE = 125
 MOST_TOPICS = 6000
+ROBOT_TYPES = ["geometry_msgs/Twist", "geometry_msgs/Pose2D"]
 Blocks = Iterator[bytes]
 
 _MESSAGES = (Id.PUBLISHER, Id.SUBSCRIBER)
@@ -61,7 +62,7 @@ def draw_announcement(dice: random.Random) -> list[TopicInfo]:
     """One to thousands of endpoints: few or many names and types, right and wrong sums, ids in order or not."""
     count = int(math.exp(dice.uniform(0.7, math.log(MOST_TOPICS))))
     names = dice.sample(CLASHING_NAMES, dice.randint(1, 4))
-    types = dice.sample(MESSAGE_TYPES, dice.randint(1, 4))
+    types = dice.choice((ROBOT_TYPES, dice.sample(MESSAGE_TYPES, dice.randint(1, 4))))
     own_share = 1.0 if count > 500 else dice.choice((0.0, 0.0, 0.3, 1.0))
     wrong_share = dice.choice((0.0, 0.0, 0.0, 0.2, 1.0))
     kinds = dice.choice((_MESSAGES, _MESSAGES, tuple(Id)[:6]))
@@ -218,8 +219,10 @@ def service_server(service: str, type_name: str) -> list[TopicInfo]:
 @functools.cache
 def honest_introduction() -> bytes:
     """The honest robot's firmware, byte for byte."""
-    return introduction([
-        endpoint(Id.SUBSCRIBER, 100, HONEST_VELOCITY, "geometry_msgs/Twist"),
-        endpoint(Id.SUBSCRIBER, 101, HONEST_RESET, "std_msgs/Empty"),
-        endpoint(Id.PUBLISHER, 125, HONEST_ODOMETRY, "geometry_msgs/Pose2D"),
-    ])
+    return introduction(
+        [
+            endpoint(Id.SUBSCRIBER, 100, HONEST_VELOCITY, "geometry_msgs/Twist"),
+            endpoint(Id.SUBSCRIBER, 101, HONEST_RESET, "std_msgs/Empty"),
+            endpoint(Id.PUBLISHER, 125, HONEST_ODOMETRY, "geometry_msgs/Pose2D"),
+        ]
+    )

@@ -196,9 +196,7 @@ def command(way: str, number: int) -> bytes:
     speed = number * STEP_M_S
     if way == "topic":
         twist = {"linear": {"x": speed}, "angular": {"z": HONEST_RAD_S}}
-        return operation(
-            op="publish", topic=HONEST_VELOCITY, type="geometry_msgs/Twist", msg=twist, priority=PRIORITY
-        )
+        return operation(op="publish", topic=HONEST_VELOCITY, type="geometry_msgs/Twist", msg=twist, priority=PRIORITY)
     if way == "drive":
         return operation(op="drive", robot=HONEST, linear=speed, angular=HONEST_RAD_S, priority=PRIORITY, id=number)
     body = json.dumps({"linear": speed, "angular": HONEST_RAD_S, "priority": PRIORITY})

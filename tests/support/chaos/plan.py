@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 PHASE_STEPS = 4
 SHORTEST_S, LONGEST_S = 1.0, 2.0
-MOST_ACTIONS = 5  # at once
+MOST_ACTIONS = 5  # that begin at once
+LONG_SHARE = 0.25
 
 # Kind -> whether it may drive a robot that nobody of a higher priority drives: by a velocity topic, or REST.
 KINDS: dict[str, bool] = {
@@ -50,7 +51,7 @@ class Action:
 
 @dataclass(frozen=True)
 class Step:
-    """Actions that begin together; `is_last_of_phase`: after it everybody leaves."""
+    """Actions that begin together; `is_last_of_phase`: after it everybody leaves, at once."""
 
     number: int
     seconds: float
@@ -72,8 +73,13 @@ def draw_step(seed: int, number: int, only: tuple[str, ...] = ()) -> Step:
     dice = random.Random(f"{seed} step {number}")
     seconds = dice.uniform(SHORTEST_S, LONGEST_S)
     kinds = dice.choices(list(mix), list(mix.values()), k=dice.randint(2, MOST_ACTIONS))
-    actions = tuple(
-        Action(number * MOST_ACTIONS + index, kind, f"{seed} step {number} action {index}", dice.uniform(0.5, seconds))
-        for index, kind in enumerate(kinds)
-    )
-    return Step(number, seconds, actions, number % PHASE_STEPS == PHASE_STEPS - 1)
+    actions = []
+    for index, kind in enumerate(kinds):
+        own_seed = f"{seed} step {number} action {index}"
+        actions.append(Action(number * MOST_ACTIONS + index, kind, own_seed, _draw_seconds(dice, seconds)))
+    return Step(number, seconds, tuple(actions), number % PHASE_STEPS == PHASE_STEPS - 1)
+
+
+def _draw_seconds(dice: random.Random, step_s: float) -> float:
+    """Within its step, or for the rest of the phase: what adds up needs time."""
+    return PHASE_STEPS * LONGEST_S if dice.random() < LONG_SHARE else dice.uniform(0.5, step_s)

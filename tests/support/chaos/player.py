@@ -21,6 +21,7 @@ from tests.support.chaos.plan import Action, Step, draw_step
 from tests.support.chaos.stage import Stage
 
 NICE = 5  # the daemon and the honest robot go first: they are what is measured
+CALL = "call"  # a device that calls waits for its answer, as it would for ever
 CALL_S = calls.PATIENCE_S + 5.0
 PLAY: dict[str, Callable[[Stage, Action], Awaitable[None]]] = {
     "flood": devices.flood,
@@ -50,7 +51,7 @@ async def play(stage: Stage, action: Action) -> None:
     """One action, to the end of its time; a call of a service has a longer time of its own."""
     report({"began": action.number, "kind": action.kind, "at_s": time.monotonic(), "may_drive": action.may_drive})
     try:
-        async with asyncio.timeout(CALL_S if action.kind == "call" else action.seconds):
+        async with asyncio.timeout(CALL_S if action.kind == CALL else action.seconds):
             await quietly(PLAY[action.kind], stage, action)
     except TimeoutError:
         pass
@@ -58,30 +59,46 @@ async def play(stage: Stage, action: Action) -> None:
         report({"ended": action.number, "at_s": time.monotonic()})
 
 
-async def play_step(stage: Stage, step: Step, tasks: asyncio.TaskGroup) -> None:
-    """Begin all actions of a step, and wait for its length."""
-    for action in step.actions:
-        tasks.create_task(play(stage, action))
-    await asyncio.sleep(step.seconds)
-    if step.is_last_of_phase:
-        stage.room.clear(random.Random(f"{step.number} leave"))
-    report({"done": step.number})
+class Player:
+    """Plays the steps of one seed."""
 
+    def __init__(self, seed: int, stage: Stage, only: tuple[str, ...]) -> None:
+        self._seed, self._stage, self._only = seed, stage, only
+        self._playing: list[asyncio.Task[None]] = []
 
-async def serve(seed: int, stage: Stage, only: tuple[str, ...]) -> None:
-    """Until the standard input ends."""
-    reader = asyncio.StreamReader()
-    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    async with asyncio.TaskGroup() as tasks:
-        report({"ready": True})
-        while line := await reader.readline():
-            request = json.loads(line)
-            if "step" in request:
-                await play_step(stage, draw_step(seed, request["step"], only), tasks)
-            else:
-                stage.room.clear(random.Random(seed))
-                report({"left": True})
-        os._exit(0)  # what still waits for an answer has waited long enough
+    async def serve(self) -> None:
+        """Until the standard input ends."""
+        reader = asyncio.StreamReader()
+        await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+        async with asyncio.TaskGroup() as tasks:
+            report({"ready": True})
+            while line := await reader.readline():
+                request = json.loads(line)
+                if "step" in request:
+                    await self._play_step(draw_step(self._seed, request["step"], self._only), tasks)
+                else:
+                    self._leave()
+                    report({"left": True})
+            os._exit(0)  # what still waits for an answer has waited long enough
+
+    async def _play_step(self, step: Step, tasks: asyncio.TaskGroup) -> None:
+        """Begin all actions of a step, and wait for its length."""
+        self._playing = [task for task in self._playing if not task.done()]
+        for action in step.actions:
+            task = tasks.create_task(play(self._stage, action))
+            if action.kind != CALL:
+                self._playing.append(task)
+        await asyncio.sleep(step.seconds)
+        if step.is_last_of_phase:
+            self._leave()
+        report({"done": step.number})
+
+    def _leave(self) -> None:
+        """Everybody but who waits for an answer."""
+        for task in self._playing:
+            task.cancel()
+        self._playing.clear()
+        self._stage.room.clear(random.Random(self._seed))
 
 
 def main() -> None:
@@ -90,7 +107,7 @@ def main() -> None:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     stage = Stage(("127.0.0.1", int(tcp_port)), ("127.0.0.1", int(api_port)), report)
-    asyncio.run(serve(int(seed), stage, tuple(only)))
+    asyncio.run(Player(int(seed), stage, tuple(only)).serve())
 
 
 if __name__ == "__main__":

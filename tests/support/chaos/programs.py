@@ -71,7 +71,8 @@ async def rival(stage: Stage, action: Action) -> None:
     """Somebody of a lower priority who wants to drive the honest robot, and stops it to get it."""
     dice = action.dice()
     interval_s, stops = dice.choice((0.02, 0.05)), dice.random() < 0.5
-    stage.report({"action": action.number, "what": f"a rival drives each {interval_s} s{' and stops' if stops else ''}"})
+    what = f"a rival drives each {interval_s} s{' and stops' if stops else ''}"
+    stage.report({"action": action.number, "what": what})
     is_rest = dice.random() < 0.3
 
     async def drive() -> None:

@@ -7,8 +7,7 @@ def describe(outcome: Outcome) -> str:
     """A few lines; what failed comes with everything that is needed to see it again."""
     figures = "  ".join(f"{name} {_short(value)}" for name, value in outcome.figures.items())
     lines = [f"seed {outcome.wanted.seed}: {outcome.steps} steps, {len(outcome.violations)} violations", f"  {figures}"]
-    for violation in outcome.violations:
-        lines.append(f"FAILED seed {outcome.wanted.seed}, {violation}")
+    lines += [f"FAILED seed {outcome.wanted.seed}, {violation}" for violation in outcome.violations]
     if outcome.violations:
         lines.append("  what was under way at the first:")
         lines += [f"    {what}" for what in outcome.violations[0].under_way]

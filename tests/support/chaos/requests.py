@@ -15,6 +15,7 @@ from tests.support.chaos.names import (
     HONEST_VELOCITY,
     MESSAGE_TYPES,
     ROGUE_TOPICS,
+    ROGUES,
     SERVICE_TYPES,
     SERVICES,
 )
@@ -67,7 +68,8 @@ def draw_handshake(dice: random.Random) -> bytes:
     """Mostly what browsers send."""
     extra = dice.choice((
         b"", b"", b"", b"Sec-WebSocket-Protocol: rosbridge_v2\r\n", b"Sec-WebSocket-Protocol: nobody.knows\r\n",
-        b"Sec-WebSocket-Extensions: permessage-deflate\r\n", b"Origin: http://127.0.0.1\r\n", b"X-Long: " + b"x" * 7000 + b"\r\n",
+        b"Sec-WebSocket-Extensions: permessage-deflate\r\n", b"Origin: http://127.0.0.1\r\n",
+        b"X-Long: " + b"x" * 7000 + b"\r\n",
     ))  # fmt: skip
     return HANDSHAKE + extra + b"\r\n"
 
@@ -101,7 +103,8 @@ def _pieces(text: str, dice: random.Random) -> list[bytes]:
 
 
 def _topic(dice: random.Random) -> str:
-    return dice.choice((*ROGUE_TOPICS, "/chat", "/rogue_0/odom", "/honest/odom", "/tf", "/new_" + str(dice.randrange(99))))
+    new = f"/new_{dice.randrange(99)}"
+    return dice.choice((*ROGUE_TOPICS, "/chat", "/rogue_0/odom", "/honest/odom", "/tf", new))
 
 
 def _type(dice: random.Random) -> str:
@@ -145,7 +148,7 @@ _OPERATIONS = (
     lambda dice: {"op": "unadvertise_service", "service": dice.choice(SERVICES)},
     lambda dice: {"op": "service_response", "service": dice.choice(SERVICES), "id": "1", "values": {}, "result": True},
     lambda dice: {"op": "set_level", "level": dice.choice(("info", "none", "loud"))},
-    lambda dice: {"op": "drive", "robot": "rogue_0", "linear": 0.1, "angular": FOREIGN_RAD_S, "id": 1},
+    lambda dice: {"op": "drive", "robot": "rogue_0", "linear": dice.random(), "angular": FOREIGN_RAD_S, "id": 1},
     lambda dice: {"op": dice.choice(("send_action_goal", "auth", "status", "x" * 500)), "action": "a"},
 )
 
@@ -181,7 +184,8 @@ def flood_subscriptions(dice: random.Random) -> bytes:
 
 def publication(dice: random.Random) -> bytes:
     """To a topic of a hostile device's, or one that the daemon derives."""
-    name = f"/rogue_{dice.randrange(4)}/" + dice.choice(("velocity_commands", "cmd_vel", "cmd_vel_stamped", "data", "odom"))
+    leaf = dice.choice(("velocity_commands", "cmd_vel", "cmd_vel_stamped", "data", "odom"))
+    name = f"/rogue_{dice.randrange(ROGUES)}/{leaf}"
     twist = {"linear": {"x": dice.uniform(-1, 1)}, "angular": {"z": FOREIGN_RAD_S}}
     type_name = dice.choice(("geometry_msgs/Twist", "geometry_msgs/TwistStamped", *MESSAGE_TYPES))
     message = {"twist": twist} if type_name.endswith("Stamped") else twist if type_name.endswith("Twist") else {}
@@ -223,7 +227,8 @@ def draw_http(dice: random.Random) -> bytes:
         method = "GET"
     body = dice.choice((b"", b"{}", b'{"linear": 0.1, "angular": -0.75}', b"[" * 5000, b"\xff" * 20, b"x" * 200_000))
     header = dice.choice((
-        b"", b"", b"", b"Origin: http://\xff\r\n", b"Origin: http://[\r\n", b"Origin: null\r\n", b"Expect: 100-continue\r\n",
+        b"", b"", b"", b"Origin: http://\xff\r\n", b"Origin: http://[\r\n", b"Origin: null\r\n",
+        b"Expect: 100-continue\r\n",
         b"Transfer-Encoding: chunked\r\n", b"Content-Length: 99999999\r\n", b"Authorization: Bearer \xff\r\n",
         b"X: " + b"y" * 9000 + b"\r\n", b"Cookie: a=b\r\n" * 200, b"Upgrade: websocket\r\nConnection: Upgrade\r\n",
         b"Range: bytes=0-\r\n", b"Content-Encoding: gzip\r\n",
@@ -238,7 +243,8 @@ def draw_http(dice: random.Random) -> bytes:
 
 def draw_half(dice: random.Random) -> bytes:
     """The beginning of something that never goes on; perhaps nothing at all."""
-    return dice.choice((b"", b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0", HANDSHAKE, http("PUT", "/api/stop", b"x" * 50)[:-30]))
+    half_body = http("PUT", "/api/stop", b"x" * 50)[:-30]
+    return dice.choice((b"", b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0", HANDSHAKE, half_body))
 
 
 # -- providers of services --------------------------------------------------------------------------------------------

@@ -68,7 +68,7 @@ class Watch:
         while True:
             asked_s = time.monotonic()
             status, _ = await self.get("/healthz")
-            if self._is_ending:
+            if self._is_ending or not (self._process / "fd").exists():
                 return
             self._record.add_health(Health(asked_s, time.monotonic() - asked_s, status))
             status, body = await self.get("/api/robots")

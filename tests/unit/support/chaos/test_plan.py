@@ -1,0 +1,104 @@
+"""The generator's decisions: one seed gives the same steps, every kind comes, the bytes are what they claim."""
+
+import itertools
+import random
+import re
+import struct
+
+import pytest
+
+from hostlink.protocol.frame import Frame, Id
+from hostlink.protocol.stream import FrameStream
+from tests.support.chaos import frames, requests
+from tests.support.chaos.names import CLASHING_NAMES, FOREIGN_RAD_S, payload_of
+from tests.support.chaos.plan import KINDS, PHASE_STEPS, draw_mix, draw_step
+from tests.support.chaos.player import PLAY
+from tests.support.chaos.stage import DEVICE, ROOM
+
+SEEDS = range(30)
+RIGHT = {"messages", "logs", "new_names", "parameters", "times", "wrong_topics", "requests", "unknown_ids", "host_ids"}
+
+
+def test_the_same_seed_gives_the_same_steps_and_another_gives_others() -> None:
+    steps = [draw_step(7, number) for number in range(12)]
+    assert steps == [draw_step(7, number) for number in range(12)]
+    assert steps != [draw_step(8, number) for number in range(12)]
+
+
+def test_every_kind_of_action_is_played_and_is_drawn_by_some_seed() -> None:
+    assert set(PLAY) == set(KINDS)
+    drawn = {action.kind for seed in SEEDS for number in range(8) for action in draw_step(seed, number).actions}
+    assert drawn == set(KINDS)
+
+
+def test_a_phase_is_a_mix_of_a_few_kinds() -> None:
+    mixes = [draw_mix(seed, 0) for seed in SEEDS]
+    assert all(0 < len(mix) <= 5 for mix in mixes)
+    assert len({tuple(sorted(mix)) for mix in mixes}) > len(SEEDS) / 2
+    kinds = {action.kind for number in range(PHASE_STEPS) for action in draw_step(3, number).actions}
+    assert kinds <= set(draw_mix(3, 0))
+
+
+def test_only_the_kinds_that_are_named_are_played() -> None:
+    step = draw_step(1, 0, ("idle",))
+    assert {action.kind for action in step.actions} == {"idle"}
+
+
+def test_announcements_are_small_and_huge_and_clash_with_each_other() -> None:
+    drawn = [frames.draw_announcement(random.Random(seed)) for seed in range(200)]
+    assert min(map(len, drawn)) < 5
+    assert max(map(len, drawn)) > 3000
+    both_ways = 0
+    for infos in drawn:
+        velocities = {i.name for i in infos if i.kind is Id.SUBSCRIBER and i.type == "geometry_msgs/Twist"}
+        poses = {i.name for i in infos if i.kind is Id.PUBLISHER and i.type == "geometry_msgs/Pose2D"}
+        both_ways += bool(velocities & poses & set(CLASHING_NAMES))
+    assert both_ways > 5
+
+
+@pytest.mark.parametrize("maker", frames.FLOODS, ids=lambda maker: maker.__name__)
+def test_a_flood_gives_large_blocks_without_end(maker) -> None:  # type: ignore[no-untyped-def]
+    blocks = list(itertools.islice(maker(random.Random(1)), 4))
+    assert len(blocks) == 4
+    assert min(map(len, blocks[1:])) > 10_000
+    found = [item for item in FrameStream(limit_bytes=20_000).feed(blocks[1][:8000]) if isinstance(item, Frame)]
+    assert bool(found) or maker.__name__ not in RIGHT
+
+
+def test_a_flood_of_new_names_never_asks_twice() -> None:
+    blocks = list(itertools.islice(frames.new_names(random.Random(1)), 3))
+    names = [item.payload for block in blocks for item in FrameStream().feed(block) if isinstance(item, Frame)]
+    assert len(set(names)) == len(names) == 3000
+
+
+def test_no_hostile_velocity_can_be_taken_for_an_honest_one() -> None:
+    dice = random.Random(1)
+    assert all(payload_of("geometry_msgs/Twist", dice)[40:] == _packed(FOREIGN_RAD_S) for _ in range(50))
+    sent = b"".join(requests.draw_operation(dice) + requests.rival_frame(dice) for _ in range(500))
+    assert not re.search(rb"(\"z\"|angular\"): 0.125[,}]", sent)
+    assert re.search(rb"(\"z\"|angular\"): -0.75[,}]", sent)
+
+
+def _packed(value: float) -> bytes:
+    return struct.pack("<d", value)
+
+
+def test_only_rivals_lock_or_drive_the_honest_robot() -> None:
+    dice = random.Random(1)
+    sent = b"".join(requests.draw_operation(dice) for _ in range(2000)) + b"".join(
+        requests.draw_http(dice) for _ in range(2000)
+    )
+    assert b"/honest/lock HTTP" not in sent
+    assert b"robots/honest/velocity" not in sent
+    assert b'"robot": "honest"' not in sent
+
+
+def test_requests_of_every_sort_can_be_drawn() -> None:
+    dice = random.Random(1)
+    for draw in (requests.draw_operation, requests.draw_broken, requests.draw_http, requests.draw_half):
+        assert len({draw(dice) for _ in range(300)}) > 4
+
+
+def test_hostile_devices_leave_room_for_the_honest_robot() -> None:
+    """The daemon takes 256 connections of devices; who comes back must find a place."""
+    assert ROOM[DEVICE] < 250
