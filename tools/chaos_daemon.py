@@ -28,23 +28,26 @@ def main() -> int:
     arguments = command_line().parse_args()
     outcomes = []
     for seed in arguments.seeds or [secrets.randbelow(1_000_000)]:
-        wanted = Wanted(
-            seed=seed,
-            seconds=arguments.seconds,
-            limits=limits.from_flags(arguments),
-            kinds=tuple(arguments.kind),
-            steps=arguments.steps,
-            first_step=arguments.first_step,
-            keeps_going=arguments.keep_going,
-        )
         print(f"seed {seed}", flush=True)
-        outcome = asyncio.run(run(wanted, lambda line: print(line, flush=True)))
+        outcome = asyncio.run(run(wanted_of(arguments, seed), lambda line: print(line, flush=True)))
         print(describe(outcome), flush=True)
         outcomes.append(outcome)
     if arguments.out:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(json.dumps([as_data(outcome) for outcome in outcomes], indent=1) + "\n")
     return 1 if any(outcome.violations for outcome in outcomes) else 0
+
+
+def wanted_of(arguments: argparse.Namespace, seed: int) -> Wanted:
+    return Wanted(
+        seed=seed,
+        seconds=arguments.seconds,
+        limits=limits.from_flags(arguments),
+        kinds=tuple(arguments.kind),
+        steps=arguments.steps,
+        first_step=arguments.first_step,
+        keeps_going=arguments.keep_going,
+    )
 
 
 def as_data(outcome: Outcome) -> dict[str, object]:

@@ -19,6 +19,7 @@ LEAST_COMMANDS = 100  # of which a 99th percentile is made
 OVERDUE_S = 0.25  # a command that nothing has answered for so long counts as late as it is by now
 HELD_S = 0.2  # a driven robot hears its velocity eight times a second
 YOUNG_S = 0.4  # a command that is younger holds the robot: its lease is 0.5 s
+SAME_S = 1.0  # velocities of somebody else within it are one violation
 RIVAL_REST_S = 1.5  # what another commanded may still move the robot: its lease, and a flood's delay
 
 
@@ -51,6 +52,7 @@ class DriveRecord:
         self._opened_s: float | None = None  # a connection whose first velocity has not come
         self._honest_s = (-math.inf, -math.inf)  # when an honest velocity came last, and when it was sent
         self._sent_s: dict[int, float] = {}
+        self._foreign_s = -math.inf  # when one that was not allowed was found last
         self._asked: dict[str, float] = {}
         self._rivals: dict[object, tuple[float, float]] = {}
 
@@ -164,12 +166,12 @@ class DriveRecord:
         value = f"{linear:g} m/s, {angular:g} rad/s"
         came_s, sent_s = self._honest_s
         is_held = self._is_driving and at_s - came_s < HELD_S and at_s - sent_s < YOUNG_S
-        if is_held:
-            self._found.append(Violation("nobody drives over a higher priority", 0.0, 0.0, value, at_s=at_s))
-        elif not self._has_rival(at_s):
-            self._found.append(Violation("only who may drive drives", 0.0, 0.0, value, at_s=at_s))
-        else:
+        if not is_held and self._has_rival(at_s):
             self._stand(at_s)  # by the honest program's commands it moves no more
+        elif at_s > self._foreign_s + SAME_S:
+            promise = "nobody drives over a higher priority" if is_held else "only who may drive drives"
+            self._found.append(Violation(promise, 0.0, 0.0, value, at_s=at_s))
+            self._foreign_s = at_s
 
     def _has_rival(self, at_s: float) -> bool:
         self._rivals = {key: span for key, span in self._rivals.items() if span[1] >= at_s - RIVAL_REST_S}

@@ -49,6 +49,7 @@ class Wanted:
         words += [f"--kind {kind}" for kind in self.kinds]
         words += [f"--first-step {self.first_step}"] if self.first_step else []
         words += [f"--steps {self.steps}"] if self.steps is not None else []
+        words += ["--keep-going"] if self.keeps_going else []
         for each in dataclasses.fields(Limits):
             if (value := getattr(self.limits, each.name)) != each.default:
                 words.append(f"--limit-{each.name.replace('_', '-')} {value:g}")

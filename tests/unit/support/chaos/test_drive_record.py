@@ -120,6 +120,13 @@ def test_somebody_elses_velocity_is_found_where_nobody_else_may_drive() -> None:
     assert story.found() == ["only who may drive drives"]
 
 
+def test_velocities_of_somebody_else_are_one_violation_a_second() -> None:
+    story = Story()
+    for _ in range(15):
+        story.after(0.1).velocity(FOREIGN)
+    assert story.found() == ["only who may drive drives"] * 2
+
+
 def test_somebody_elses_velocity_is_allowed_while_the_honest_program_does_not_drive() -> None:
     story = Story()
     story.record.rival_began(1, story.now_s)

@@ -1,0 +1,46 @@
+"""What the machine itself costs is measured in the time that is judged, and bounded."""
+
+import pytest
+
+from tests.support.chaos.noise import Noise
+
+
+@pytest.fixture
+def noise() -> Noise:
+    made = Noise(stretch_most=3.0)
+    for second in range(11):
+        made.add_turn(float(second), ran_s=0.5 * second, waited_s=0.0 if second < 5 else 0.25 * (second - 5))
+    return made
+
+
+def test_a_daemon_that_had_its_core_is_given_no_longer(noise: Noise) -> None:
+    assert noise.stretch(0.0, 4.0) == 1.0
+    assert noise.waited_s(0.0, 4.0) == 0.0
+
+
+def test_a_daemon_that_waited_for_its_core_is_given_as_much_longer(noise: Noise) -> None:
+    assert noise.stretch(6.0, 10.0) == pytest.approx(1.5)
+    assert noise.waited_s(5.0, 10.0) == pytest.approx(1.25)
+
+
+def test_a_time_between_two_samples_is_judged_by_those_around_it(noise: Noise) -> None:
+    assert noise.waited_s(6.2, 6.4) == pytest.approx(0.25)
+    assert noise.stretch(6.2, 6.4) == pytest.approx(1.5)
+
+
+def test_no_machine_is_so_busy_that_everything_is_forgiven() -> None:
+    made = Noise(stretch_most=3.0)
+    made.add_turn(0.0, 0.0, 0.0)
+    made.add_turn(1.0, 0.01, 0.99)
+    assert made.stretch(0.0, 1.0) == 3.0
+
+
+def test_without_samples_nothing_is_forgiven() -> None:
+    assert Noise(stretch_most=3.0).stretch(0.0, 1.0) == 1.0
+    assert Noise(stretch_most=3.0).lag_s(0.0, 1.0) == 0.0
+
+
+def test_the_longest_lateness_of_a_time_counts(noise: Noise) -> None:
+    for at_s, lag_s in ((1.0, 0.5), (3.0, 0.1), (4.0, 0.2), (9.0, 0.9)):
+        noise.add_lag(at_s, lag_s)
+    assert noise.lag_s(2.0, 5.0) == 0.2
