@@ -109,7 +109,7 @@ def new_names(dice: random.Random) -> Blocks:
     """Questions for parameters that nobody asked for before."""
     word = f"p{dice.randrange(1 << 30)}_"
     numbers = itertools.count()
-    size = dice.choice((8, 100))
+    size = dice.choice((8, 100, 900, 900))
     while True:
         frames = (encode(Id.PARAMETER, encode_parameter_request(f"{word}{next(numbers):0{size}}")) for _ in range(1000))
         yield b"".join(frames)
@@ -197,7 +197,7 @@ SINGLE_FLOODS: list[Callable[[random.Random], Blocks]] = [
     messages, logs, new_names, parameters, times, wrong_topics, right_topics, changing_topics, requests, unknown_ids,
     host_ids, protocol_1, garbage, half_frames, huge_claims,
 ]  # fmt: skip
-FLOODS = [*SINGLE_FLOODS, messages, mixture]
+FLOODS = [*SINGLE_FLOODS, messages, new_names, requests, mixture]  # what adds up comes twice as often
 
 
 def service_client(service: str, type_name: str, buffer_bytes: int) -> list[TopicInfo]:
