@@ -40,6 +40,7 @@ class DriveRecord:
         self.last_velocity: tuple[float, float] | None = None
         self.velocity_before_close: tuple[float, float] | None = None  # of the connection that closed last
         self.latest_p99_s = 0.0
+        self.baseline_s = 0.0  # the 99th percentile with nobody hostile: of the machine and the harness
         self.zeros_s: list[float] = []  # of each end, how long the robot moved on
         self.commands = 0
         self._limits, self._noise = limits, noise
@@ -203,7 +204,7 @@ class DriveRecord:
             return
         began_s = samples[0][0]
         self.latest_p99_s = percentile([latency_s for _, latency_s in samples], 0.99)
-        limit_s = self._limits.p99_s * self._noise.stretch(began_s, now_s) + self._lag(began_s)
+        limit_s = self._limits.p99_s * self._noise.stretch(began_s, now_s) + self._lag(began_s) + self.baseline_s
         if self.latest_p99_s > limit_s:
             detail = f"median {percentile([each for _, each in samples], 0.5):.4f} s of {len(samples)} commands"
             self._found.append(Violation("command p99", self.latest_p99_s, limit_s, detail, at_s=began_s))

@@ -1,6 +1,7 @@
 """A run of chaos: starts daemon, honest robot and generator, plays step after step, and judges after each."""
 
 import asyncio
+import contextlib
 import dataclasses
 import signal
 import tempfile
@@ -123,7 +124,7 @@ class Conductor:
             while self._drive.commands < BASELINE_COMMANDS and self._goes_on():
                 await asyncio.sleep(LOOK_S)
                 self._judge()
-        self.outcome.figures["baseline_p99_s"] = self._drive.latest_p99_s
+        self._drive.baseline_s = self.outcome.figures["baseline_p99_s"] = self._drive.latest_p99_s
 
     def _is_over(self, number: int, played_s: float) -> bool:
         steps = self._wanted.steps
@@ -158,10 +159,11 @@ class Conductor:
         found += self._record.check() + self._overdue_calls(now_s)
         status = self._daemon.child.returncode
         if status is not None and not self._is_ending:
+            self._is_ending = True  # it is told once
             self._watch.scan(now_s)
-            found = [*self._record.check(), Violation("the daemon lives", 0, 0, f"exit status {status}"), *found]
-        if status is None or not self.outcome.violations:
-            self._note(found)
+            dead = Violation("the daemon lives", 0, 0, f"exit status {status}", at_s=now_s)
+            found = [*found, dead, *self._record.check()]
+        self._note(found)
 
     def _drive_is_due(self, now_s: float) -> bool:
         """What the honest robot has heard is judged once a second: its record comes in lines."""
@@ -244,11 +246,12 @@ class Conductor:
             return
         self._is_moving.clear()
         self._honest.send({"last": True})
-        async with asyncio.timeout(SERVED_S):
-            await self._is_moving.wait()
+        if not await _wait(self._is_moving, SERVED_S):
+            self._note([Violation("the robot is driven once everybody has left", SERVED_S, SERVED_S)])
         await asyncio.sleep(DRIVE_BEFORE_END_S)
         self._judge()
-        await self._terminate()
+        if self._goes_on():
+            await self._terminate()
 
     async def _wait_for_calls(self) -> None:
         while self._calls and self._goes_on():
@@ -321,12 +324,12 @@ class Conductor:
         }
 
 
-async def _wait(event: asyncio.Event, seconds: float) -> None:
-    try:
+async def _wait(event: asyncio.Event, seconds: float) -> bool:
+    """Whether it came in that time."""
+    with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(seconds):
             await event.wait()
-    except TimeoutError:
-        pass
+    return event.is_set()
 
 
 async def run(wanted: Wanted, tell: Callable[[str], None]) -> Outcome:

@@ -210,6 +210,13 @@ def test_the_harness_and_a_busy_machine_are_forgiven_as_far_as_they_were_measure
     assert late.after(1.0).found() == []
 
 
+def test_what_commands_take_with_nobody_hostile_is_forgiven() -> None:
+    story = Story()
+    story.record.baseline_s = 0.1
+    story.drive(latency_s=0.15)
+    assert story.found() == []
+
+
 def test_a_link_that_the_daemon_ends_is_found_and_one_that_the_robot_ends_is_not() -> None:
     story = Story()
     story.event("closed", True)
