@@ -81,10 +81,11 @@ class DaemonRecord:
         if health.status not in (0, 200) or (health.status == 0 and health.took_s <= limit_s):
             self._fail("/healthz answers 200", health.status, 200, health.asked_s)
 
-    def add_robots(self, count: int, at_s: float) -> None:
-        """How many robots /api/robots has."""
-        self.most_robots = max(self.most_robots, count)
-        self._judge("robots in /api/robots", count, self._limits.robots, at_s)
+    def add_robots(self, are_connected: list[bool], at_s: float) -> None:
+        """The robots of /api/robots."""
+        self.most_robots = max(self.most_robots, len(are_connected))
+        self._judge("robots known", len(are_connected), self._limits.robots, at_s)
+        self._judge("robots known that are gone", are_connected.count(False), self._limits.robots_gone, at_s)
 
     def add_log(self, text: bytes, at_s: float) -> None:
         """What was added to the log; whole lines."""

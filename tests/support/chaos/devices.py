@@ -87,7 +87,7 @@ async def trickle(stage: Stage, action: Action) -> None:
 async def churn(stage: Stage, action: Action) -> None:
     """Devices that connect and vanish in every state, as the same or as ever new robots."""
     dice = action.dice()
-    is_new, rate_hz = dice.random() < 0.6, dice.choice((5, 30, 60))
+    is_new, rate_hz = dice.random() < 0.6, dice.choice((5, 30, 100))
     word = f"brief_{action.number}"
     what = f"{rate_hz} devices a second connect and vanish, {'new' if is_new else 'same'}"
     stage.report({"action": action.number, "what": what})

@@ -73,7 +73,8 @@ class Watch:
             self._record.add_health(Health(asked_s, time.monotonic() - asked_s, status))
             status, body = await self.get("/api/robots")
             if status == 200:
-                self._record.add_robots(len(json.loads(body)["robots"]), time.monotonic())
+                robots = json.loads(body)["robots"]
+                self._record.add_robots([robot["connected"] for robot in robots], time.monotonic())
             await asyncio.sleep(ASK_S)
 
     async def get(self, path: str) -> tuple[int, bytes]:

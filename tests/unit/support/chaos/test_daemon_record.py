@@ -30,7 +30,7 @@ def later(**changes: float) -> Sample:
 def test_a_daemon_within_its_budgets_has_no_violation(record: DaemonRecord) -> None:
     record.add_sample(later(memory_bytes=90 * MIB, log_bytes=500_000, descriptors=400))
     record.add_health(Health(110.0, 0.1, 200))
-    record.add_robots(50, 110.0)
+    record.add_robots([True] * 50 + [False] * 20, 110.0)
     assert promises(record) == []
     assert record.most_memory_bytes == 90 * MIB
 
@@ -82,8 +82,10 @@ def test_a_daemon_that_waits_for_a_core_is_given_longer(record: DaemonRecord) ->
 
 
 def test_robots_that_are_never_forgotten_are_found(record: DaemonRecord) -> None:
-    record.add_robots(int(LIMITS.robots) + 1, 101.0)
-    assert promises(record) == ["robots in /api/robots"]
+    record.add_robots([True] * int(LIMITS.robots + 1), 101.0)
+    assert promises(record) == ["robots known"]
+    record.add_robots([True] * 60 + [False] * int(LIMITS.robots_gone + 1), 101.0)
+    assert promises(record) == ["robots known that are gone"]
 
 
 @pytest.mark.parametrize(
