@@ -13,7 +13,7 @@ from tests.support.chaos.limits import Limits
 from tests.support.chaos.report import describe
 from tests.support.chaos.run import Wanted, run
 
-SECONDS = float(os.environ.get("HOSTLINK_CHAOS_S", "52"))  # with its start, its end and what waits: a minute
+SECONDS = float(os.environ.get("HOSTLINK_CHAOS_S", "50"))  # with its start, its end and what waits: a minute
 IMPOSSIBLE = Limits(p99_s=1e-6, memory_mib=1.0)
 
 

@@ -24,6 +24,7 @@ BASELINE_COMMANDS = 80  # with nobody else there: what the harness itself measur
 STEP_MARGIN_S = 30.0  # after which the generator itself hangs
 CALLS_BEFORE_END_S = 2.0
 SETTLE_S = 4.0
+DEATH_S = 0.5
 LOOK_S = 0.1
 JUDGE_S = 1.0
 LAST_WORD_S = 0.4  # in which a zero reaches the robot, whoever sends it for a daemon that has died
@@ -115,7 +116,14 @@ class Conductor:
             number += 1
         if self._goes_on():
             await self._end()
-        elif self._daemon.child.returncode is not None:
+        else:
+            await self._look_once_more()
+
+    async def _look_once_more(self) -> None:
+        """What was found first may be the beginning of the daemon's death."""
+        await asyncio.sleep(DEATH_S)
+        self._judge()
+        if self._daemon.child.returncode is not None:
             await self._judge_last_velocity()
 
     async def _measure_baseline(self) -> None:
