@@ -24,7 +24,7 @@ BASELINE_COMMANDS = 80  # with nobody else there: what the harness itself measur
 STEP_MARGIN_S = 30.0  # after which the generator itself hangs
 CALLS_BEFORE_END_S = 2.0
 SETTLE_S = 4.0
-DEATH_S = 0.5
+DEATH_S = 2.0
 LOOK_S = 0.1
 JUDGE_S = 1.0
 LAST_WORD_S = 0.4  # in which a zero reaches the robot, whoever sends it for a daemon that has died
@@ -121,7 +121,9 @@ class Conductor:
 
     async def _look_once_more(self) -> None:
         """What was found first may be the beginning of the daemon's death."""
-        await asyncio.sleep(DEATH_S)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(DEATH_S):
+                await self._daemon.child.wait()
         self._judge()
         if self._daemon.child.returncode is not None:
             await self._judge_last_velocity()
