@@ -128,7 +128,8 @@ class DriveRecord:
         self._end, self._opened_s, self._is_served = None, None, False
         self._waiting.clear()
         self._asked.clear()
-        self.velocity_before_close, self.last_velocity = self.last_velocity, None
+        self.velocity_before_close = self.last_velocity or self.velocity_before_close
+        self.last_velocity = None
 
     def _on_asked(self, at_s: float, what: str) -> None:
         self._asked.setdefault(what, at_s)

@@ -268,3 +268,11 @@ def test_percentile_is_a_value_that_was_there() -> None:
     assert percentile([float(value) for value in range(1, 101)], 0.99) == 99.0
     assert percentile([3.0], 0.99) == 3.0
     assert percentile([2.0, 1.0], 0.5) == 1.0
+
+
+def test_a_connection_that_heard_no_velocity_does_not_hide_the_one_before() -> None:
+    story = Story()
+    story.event("closed", False)
+    story.event("opened")
+    story.event("closed", False)
+    assert story.record.velocity_before_close == ZERO
