@@ -4,7 +4,8 @@ find_program(CLANG_TIDY NAMES clang-tidy clang-tidy-14)
 find_program(CPPCHECK cppcheck)
 file(GLOB DUE_ALL ${CMAKE_CURRENT_SOURCE_DIR}/due/due.ino ${CMAKE_CURRENT_SOURCE_DIR}/due/src/*.h
      ${CMAKE_CURRENT_SOURCE_DIR}/due/src/*.cpp ${CMAKE_CURRENT_SOURCE_DIR}/due/src/board/*
-     ${CMAKE_CURRENT_SOURCE_DIR}/host/*.h ${CMAKE_CURRENT_SOURCE_DIR}/host/*.cpp ${CMAKE_CURRENT_SOURCE_DIR}/qemu/*.h
+     ${CMAKE_CURRENT_SOURCE_DIR}/host/*.h ${CMAKE_CURRENT_SOURCE_DIR}/host/*.cpp
+     ${CMAKE_CURRENT_SOURCE_DIR}/host/due_arduino/* ${CMAKE_CURRENT_SOURCE_DIR}/qemu/*.h
      ${CMAKE_CURRENT_SOURCE_DIR}/qemu/*.cpp ${CMAKE_CURRENT_SOURCE_DIR}/tests/due_*.cpp)
 if(CLANG_FORMAT)
   add_test(NAME due_format COMMAND ${CLANG_FORMAT} --dry-run --Werror ${DUE_ALL})

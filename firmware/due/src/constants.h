@@ -14,9 +14,25 @@ const int16_t kPwmMax = 4095;    // 12 bit
 const int16_t kPwmNothing = 10;  // up to here the motor is off
 const int16_t kPwmLeast = 700;   // the least that turns a wheel
 
+// How the motors are mounted. The paper's right one is mirrored: it rolls forwards with DIR LOW. The first drive on
+// blocks finds a wrong one (../../README.md).
+const bool kIsReversedLeft = false;
+const bool kIsReversedRight = true;
+
 const float kFilterWeight = 0.1f;      // of the newest speed
 const float kSecondsPerTick = 0.018f;  // of minimum jerk, for each tick/s of change
-const float kStandingTicksS = 5.0f;    // slower than this a wheel has come to rest
+const float kTooFastFactor = 1.05f;    // of what was asked for: from here a wheel brakes, whatever the PID says
+const float kNothingTicksS = 0.001f;   // a set-point of less is zero: rounding must not decide a sign
+const float kStandingS = 0.1f;         // without an edge: a wheel has come to rest, or all but
+const float kRestS = 5.0f;             // and does not come to rest so long after it was told to: it runs away
+
+const int16_t kHighPwm = 2048;       // turns any wheel: what needs more is held
+const float kStalledS = 0.5f;        // with a high PWM and no edge
+const float kBlindS = 5.0f;          // with any PWM and no edge
+const float kRunawayFactor = 1.25f;  // too fast: by so much,
+const float kRunawayTicksS = 40.0f;  // and by so much, as the least PWM gives 48
+const float kRunawayS = 0.5f;        // for so long
+const float kSlowingFactor = 0.9f;   // without having slowed to this share
 
 const uint32_t kLoopUs = 33333;   // 30 Hz
 const uint8_t kPublishEvery = 3;  // turns: 10 Hz

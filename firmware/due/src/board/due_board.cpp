@@ -2,6 +2,8 @@
 
 #include <Arduino.h>
 
+#include "../motor_levels.h"
+
 namespace hostlink {
 
 namespace {
@@ -11,12 +13,13 @@ struct MotorPins {
   uint8_t brake;
   uint8_t pwm;
   uint8_t encoder;
+  bool is_reversed;
 };
 
 // ROBOT.md: rewired from the shield's own pins. Constants have a k: the Due's headers define PWM, UART, ADC and the
 // like.
-const MotorPins kLeft = {2, 9, 3, 22};
-const MotorPins kRight = {5, 8, 6, 23};
+const MotorPins kLeft = {2, 9, 3, 22, kIsReversedLeft};
+const MotorPins kRight = {5, 8, 6, 23, kIsReversedRight};
 const uint32_t kBaud = 38400;
 const uint8_t kPwmBits = 12;
 const uint32_t kLeastPulseUs = 1000;  // at 280 ticks/s an edge comes each 3.6 ms; what is faster is a bouncing sensor
@@ -42,24 +45,34 @@ void count_right() {
   right_ticks = right_ticks + 1;
 }
 
+void write_duty(const MotorPins& pins, int16_t duty) {
+#if defined(ARDUINO_ARCH_SAM)
+  analogWrite(pins.pwm, duty);
+#else
+  analogWrite(pins.pwm, duty >> (kPwmBits - 8));  // a board without analogWriteResolution has 8 bits
+#endif
+}
+
+// In an order that never drives harder than before or after: the full duty of a brake comes after BRAKE, and goes
+// before it.
+void drive_motor(const MotorPins& pins, int16_t pwm) {
+  const MotorLevels levels = motor_levels(pwm, pins.is_reversed);
+  if (levels.brake) {
+    digitalWrite(pins.brake, HIGH);
+    write_duty(pins, levels.duty);
+  } else {
+    write_duty(pins, levels.duty);
+    digitalWrite(pins.direction, levels.direction ? HIGH : LOW);
+    digitalWrite(pins.brake, LOW);
+  }
+}
+
 void begin_motor(const MotorPins& pins) {
   pinMode(pins.direction, OUTPUT);
   pinMode(pins.brake, OUTPUT);
   pinMode(pins.pwm, OUTPUT);
-  digitalWrite(pins.brake, HIGH);
-  analogWrite(pins.pwm, 0);
+  drive_motor(pins, 0);
   pinMode(pins.encoder, INPUT_PULLUP);
-}
-
-void drive_motor(const MotorPins& pins, int16_t pwm) {
-  const int size = pwm < 0 ? -pwm : pwm;
-  digitalWrite(pins.direction, pwm < 0 ? LOW : HIGH);
-  digitalWrite(pins.brake, size == 0 ? HIGH : LOW);
-#if defined(ARDUINO_ARCH_SAM)
-  analogWrite(pins.pwm, size);
-#else
-  analogWrite(pins.pwm, size >> (kPwmBits - 8));  // a board without analogWriteResolution has 8 bits
-#endif
 }
 
 }  // namespace

@@ -1,0 +1,35 @@
+// As much of the Due's Arduino core as src/board/ uses, on a board without hardware: pins.h is its other side.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define LOW 0
+#define HIGH 1
+#define INPUT_PULLUP 2
+#define OUTPUT 1
+#define RISING 3
+
+void pinMode(uint32_t pin, uint32_t mode);
+void digitalWrite(uint32_t pin, uint32_t level);
+void analogWrite(uint32_t pin, uint32_t duty);
+void analogWriteResolution(int bits);
+uint32_t digitalPinToInterrupt(uint32_t pin);
+void attachInterrupt(uint32_t pin, void (*callback)(), uint32_t mode);
+void noInterrupts();
+void interrupts();
+uint32_t millis();
+uint32_t micros();
+void watchdogEnable(uint32_t ms);
+void watchdogReset();
+
+class SerialPort {
+ public:
+  void begin(uint32_t baud);
+  int available();
+  int read();
+  int availableForWrite();
+  size_t write(const uint8_t* data, size_t size);
+};
+
+extern SerialPort Serial1;

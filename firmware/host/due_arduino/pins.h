@@ -1,0 +1,35 @@
+// Pins: what the Due's program has done to its pins, and what comes to it, for the tests of src/board/.
+#pragma once
+
+#include <stdint.h>
+
+#include <deque>
+#include <string>
+#include <vector>
+
+namespace due_pins {
+
+const size_t kPins = 54;
+const size_t kLogMax = 4096;
+
+struct Write {
+  uint8_t pin;
+  uint16_t value;  // a level, or a duty of `resolution_bits`
+};
+
+struct Pins {
+  uint64_t now_us = 0;
+  uint16_t value[kPins] = {};  // the last level or duty; a pin that was never written is low
+  void (*on_edge[kPins])() = {};
+  int resolution_bits = 8;
+  std::vector<Write> writes;  // the first kLogMax since it was cleared
+  std::deque<uint8_t> from_host;
+  std::string to_host;
+  uint32_t watchdog_ms = 0;
+  uint32_t watchdog_resets = 0;
+};
+
+Pins& pins();
+void power_up();  // as after a reset: everything anew, the program's static memory excepted
+
+}  // namespace due_pins
