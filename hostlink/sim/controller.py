@@ -1,6 +1,8 @@
 """The robot's control, by ROBOT.md's equations with the paper's mistakes mended. Pure."""
 
+from collections import deque
 from dataclasses import dataclass
+from enum import Enum, auto
 
 from hostlink.sim.drive_train import FULL_PWM, FULL_SPEED_TICKS_S
 
@@ -8,7 +10,19 @@ DEAD_BAND_PWM = 10
 LEAST_PWM = 700
 FILTER = 0.1  # weight of the newest speed
 S_PER_TICK_S = 0.018  # of minimum jerk: how long a change of one tick/s takes
-STANDING_TICKS_S = 5.0  # slower than this a wheel has stopped: its encoder may count the other way now
+LOOP_S = 1 / 30
+NOTHING_TICKS_S = 0.001  # a set-point of less is zero: rounding must not decide a sign
+STANDING_S = 0.1  # without an edge: a wheel has come to rest, or all but
+REST_S = 5.0  # and does not come to rest so long after it was told to: it runs away
+HIGH_PWM = 2048  # turns any wheel: what needs more is held
+STALLED_S = 0.5  # with a high PWM and no edge
+BLIND_S = 5.0  # with any PWM and no edge
+RECENT_TURNS = 6  # a fifth of a second: the filter is late by a third of one
+TOO_FAST_FACTOR = 1.05  # of what was asked for: from here a wheel brakes, whatever the PID says
+RUNAWAY_FACTOR = 1.25  # too fast: by so much,
+RUNAWAY_TICKS_S = 40.0  # and by so much, as the least PWM gives 48
+RUNAWAY_S = 0.5  # for so long
+SLOWING_FACTOR = 0.9  # without having slowed to this share
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +58,12 @@ class MinimumJerk:
         self.value = self.target = self._from = 0.0
         self._length_s = 0.0
 
+    def begin_at_zero(self) -> None:
+        """Go to the target from a standstill."""
+        target = self.target
+        self.halt()
+        self.aim(target)
+
     def step(self, dt_s: float) -> float:
         """The set-point after `dt_s` more."""
         self._elapsed_s += dt_s
@@ -52,8 +72,26 @@ class MinimumJerk:
         return self.value
 
 
+class WheelFault(Enum):
+    """Why a wheel does not do what it is told."""
+
+    STALLED = auto()  # driven, and no edge: held, or its encoder is dead
+    RUNAWAY = auto()  # far faster than it should be, and not slowing down: not this program drives it
+
+
 class WheelController:
-    """Set-point, filter, PID and motor output of one wheel."""
+    """Set-point, filter, PID and motor output of one wheel.
+
+    One channel of an encoder has no sign, so the wheel must never roll otherwise than it is driven:
+
+    | set-point        | wheel                         | motor                                                 |
+    |------------------|-------------------------------|-------------------------------------------------------|
+    | zero             | any                           | brakes; the edges keep their sign                     |
+    | along the sign   | faster than asked for         | brakes, at the latest after 0.2 s                     |
+    | along the sign   | any                           | driven that way, or brakes: never a torque against it |
+    | against the sign | had an edge in the last 0.1 s | brakes; the set-point waits at zero                   |
+    | against the sign | stands: none for 0.1 s        | the sign changes, then it is driven                   |
+    """
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains
@@ -61,6 +99,9 @@ class WheelController:
         self.speed_ticks_s = 0.0  # filtered, signed
         self.pwm = 0
         self.direction = 1  # the sign that the encoder's ticks are given
+        self.watch = WheelWatch()
+        self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT_TURNS)  # ticks and seconds of a turn
+        self._still_s = 0.0  # since the last edge
         self._output = self._integral = self._last_error = 0.0
 
     def aim(self, ticks_s: float) -> None:
@@ -70,31 +111,114 @@ class WheelController:
         else:
             self.set_point.aim(ticks_s)
 
+    @property
+    def stands(self) -> bool:
+        """Whether the wheel has come to rest, by its encoder."""
+        return has_lasted(self._still_s, STANDING_S)
+
+    @property
+    def asked_ticks_s(self) -> float:
+        """The fastest that the set-point allows."""
+        return max(abs(self.set_point.value), abs(self.set_point.target))
+
     def step(self, ticks: int, dt_s: float) -> int:
         """One turn of the loop; returns the signed ticks that the wheel rolled since the last one."""
         signed = ticks * self.direction
         self.speed_ticks_s += FILTER * (signed / dt_s - self.speed_ticks_s)
+        self._recent.append((ticks, dt_s))
+        self._still_s = 0.0 if ticks else min(self._still_s + dt_s, 1.0)
         wanted = self.set_point.step(dt_s)
-        if wanted == 0 and self.set_point.target == 0:
-            self._output = self._integral = self._last_error = 0.0
+        is_reversal = wanted * self.direction < -NOTHING_TICKS_S
+        if wanted * self.direction < NOTHING_TICKS_S:
+            self._rest(is_reversal=is_reversal)
         else:
-            self._output = self._regulate(wanted, dt_s)
-        self.pwm = motor_output(self._output)
-        # One channel has no sign: it follows the motor only when the wheel has come to rest.
-        if self.pwm * self.direction < 0 and ticks / dt_s < STANDING_TICKS_S:
-            self.direction = -self.direction
+            self.pwm = motor_output(self._regulate(wanted, dt_s))
+        self.watch.step(self, has_edges=ticks > 0, is_reversal=is_reversal, dt_s=dt_s)
         return signed
+
+    def _rest(self, *, is_reversal: bool) -> None:
+        """Brake; and once the wheel stands, its edges may get the other sign."""
+        self.pwm = 0
+        self._output = self._integral = self._last_error = 0.0
+        if self.stands:
+            self.speed_ticks_s = 0.0  # the filter need not find out
+        if is_reversal:
+            self.set_point.begin_at_zero()
+        if is_reversal and self.stands:
+            self.direction = -self.direction
 
     def _regulate(self, wanted: float, dt_s: float) -> float:
         gains = self.gains
         error = wanted - self.speed_ticks_s - gains.feedback * self._output / FULL_PWM * FULL_SPEED_TICKS_S
         integral = self._integral + error * dt_s
         free = gains.kp * error + gains.ki * integral + gains.kd * (error - self._last_error) / dt_s
-        output = max(-FULL_PWM, min(FULL_PWM, free))
+        low, high = (0.0, float(FULL_PWM)) if self.direction > 0 else (-float(FULL_PWM), 0.0)
+        output = max(low, min(high, free))
         if output == free or (free > 0) != (error > 0):  # no winding up against the limit
             self._integral = integral
         self._last_error = error
-        return output
+        self._output = output
+        return 0.0 if self._is_too_fast else output
+
+    @property
+    def _is_too_fast(self) -> bool:
+        ticks, seconds = (sum(column) for column in zip(*self._recent, strict=True))
+        return ticks > TOO_FAST_FACTOR * self.asked_ticks_s * seconds + 0.49  # nearly half a tick: the count may be off
+
+
+class WheelWatch:
+    """Finds a wheel that does not do what it is told; `fault` stays until it is forgiven."""
+
+    def __init__(self) -> None:
+        self.fault: WheelFault | None = None
+        self._has_stood = True  # since it was last driven: what rolls then is rolled by somebody else
+        self._waited_s = 0.0  # for a standstill, to reverse
+        self._blind_s = 0.0  # driven without an edge
+        self._strained_s = 0.0  # the same with a high PWM
+        self._over_s = 0.0  # too fast
+        self._over_from_ticks_s = 0.0  # how fast it was then
+
+    def step(self, wheel: WheelController, *, has_edges: bool, is_reversal: bool, dt_s: float) -> None:
+        """Look at a wheel after each of its turns."""
+        self._has_stood = wheel.pwm == 0 and (self._has_stood or wheel.stands)
+        self._waited_s = self._waited_s + dt_s if is_reversal else 0.0
+        is_stalled = self._is_stalled(wheel.pwm, has_edges, dt_s)
+        runs_away = self._runs_away(wheel, dt_s)
+        if self.fault is None and (is_stalled or runs_away):
+            self.fault = WheelFault.RUNAWAY if runs_away else WheelFault.STALLED
+
+    def forgive(self) -> None:
+        """Begin anew."""
+        self.fault = None
+        self._waited_s = self._blind_s = self._strained_s = self._over_s = 0.0
+
+    def _is_stalled(self, pwm: int, has_edges: bool, dt_s: float) -> bool:
+        is_blind = pwm != 0 and not has_edges
+        self._blind_s = self._blind_s + dt_s if is_blind else 0.0
+        self._strained_s = self._strained_s + dt_s if is_blind and abs(pwm) >= HIGH_PWM else 0.0
+        return has_lasted(self._strained_s, STALLED_S) or has_lasted(self._blind_s, BLIND_S)
+
+    def _runs_away(self, wheel: WheelController, dt_s: float) -> bool:
+        """A wheel that coasts or was told to go slower slows down; one that somebody else drives does not."""
+        if has_lasted(self._waited_s, REST_S):
+            return True
+        asked_ticks_s, speed_ticks_s = wheel.asked_ticks_s, abs(wheel.speed_ticks_s)
+        allowed_ticks_s = max(asked_ticks_s + RUNAWAY_TICKS_S, asked_ticks_s * RUNAWAY_FACTOR)
+        if self._has_stood or speed_ticks_s <= allowed_ticks_s:
+            self._over_s = 0.0
+            return False
+        if self._over_s == 0:
+            self._over_from_ticks_s = speed_ticks_s
+        self._over_s += dt_s
+        if not has_lasted(self._over_s, RUNAWAY_S):
+            return False
+        self._over_s = 0.0
+        return speed_ticks_s > self._over_from_ticks_s * SLOWING_FACTOR
+
+
+def has_lasted(time_s: float, wanted_s: float) -> bool:
+    """Times are sums of turns: half a turn less, so that rounding decides nothing."""
+    return time_s > wanted_s - LOOP_S / 2
 
 
 def motor_output(wanted: float) -> int:

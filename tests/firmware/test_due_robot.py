@@ -185,10 +185,14 @@ def test_parameters_of_the_host_replace_the_constants_and_nonsense_does_not() ->
 def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
     with robot() as firmware:
         firmware.feed(TOPICS_REQUEST)
+        motors = (DriveTrain(), DriveTrain())
+        edges = [0, 0]
         for turn in range(3000):
             if turn % 20 == 0:
                 firmware.feed(velocity(0.2, 0.0))
-            firmware.loop(1.0 + turn * PASS_S, 0, 0)
+            for wheel in (0, 1):
+                edges[wheel] += motors[wheel].step(firmware.pwm[wheel], PASS_S)
+            firmware.loop(1.0 + turn * PASS_S, *edges)
         sent = firmware.sent()
         assert sum(frame.topic_id == Id.PARAMETER for frame in sent) == 1
         assert "no answer to wheel_radius: no more questions" in logged(sent)

@@ -76,13 +76,44 @@ void Robot::turn(float dt_s) {
   const int32_t right_ticks = right_.step(right_edges - right_edges_, dt_s);
   left_edges_ = left_edges;
   right_edges_ = right_edges;
-  hal_.drive(left_.pwm(), right_.pwm());
+  watch();
+  if (!is_faulted_) hal_.drive(left_.pwm(), right_.pwm());
   pose_ = drive_.integrate(pose_, static_cast<float>(left_ticks), static_cast<float>(right_ticks));
   if (++turns_ == kPublishEvery) {
     turns_ = 0;
     publish();
     tell_trouble();
   }
+}
+
+// A wheel that does not do what it is told stops both, once told, until a zero has come and both stand.
+void Robot::watch() {
+  if (is_faulted_) {
+    if (!has_zero_ || !left_.stands() || !right_.stands()) return;
+    is_faulted_ = false;
+    left_.forgive();
+    right_.forgive();
+  }
+  const bool has_left = tell_fault(left_, "left");
+  const bool has_right = tell_fault(right_, "right");
+  if (!has_left && !has_right) return;
+  is_faulted_ = true;
+  has_zero_ = false;
+  stop();
+}
+
+bool Robot::tell_fault(const Wheel& wheel, const char* side) {
+  if (wheel.fault() == WheelFault::kNone) return false;
+  Text text;
+  text.add(side);
+  if (wheel.fault() == WheelFault::kStalled) {
+    text.add(" wheel stalled: no edge at PWM ").add(static_cast<int32_t>(wheel.pwm()));
+  } else {
+    text.add(" wheel runs away: ").add(wheel.speed_ticks_s(), 0).add(" ticks/s, asked for ");
+    text.add(wheel.set_point_ticks_s(), 0);
+  }
+  node_.log(kError, text.add("; motors off until a zero velocity").chars());
+  return true;
 }
 
 void Robot::stop() {
@@ -158,9 +189,15 @@ void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
   float left_ticks_s = 0.0f;
   float right_ticks_s = 0.0f;
   robot.drive_.wheel_speeds(linear_m_s, angular_rad_s, left_ticks_s, right_ticks_s);
+  if (left_ticks_s == 0.0f && right_ticks_s == 0.0f) {
+    robot.has_zero_ = true;
+    robot.stop();  // now, not with the next turn; and who stands needs no watching
+    return;
+  }
+  if (robot.is_faulted_) return;
   robot.left_.aim(left_ticks_s);
   robot.right_.aim(right_ticks_s);
-  robot.is_commanded_ = left_ticks_s != 0.0f || right_ticks_s != 0.0f;  // who stands needs no watching
+  robot.is_commanded_ = true;
   robot.commanded_at_ms_ = robot.hal_.millis();
 }
 

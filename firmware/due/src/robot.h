@@ -21,6 +21,8 @@ class Robot {
   uint32_t loop();
 
   const Pose& pose() const { return pose_; }
+  const Wheel& left() const { return left_; }
+  const Wheel& right() const { return right_; }
   NodeHandle& node() { return node_; }
 
  private:
@@ -32,6 +34,8 @@ class Robot {
 
   void guard();
   void turn(float dt_s);
+  void watch();
+  bool tell_fault(const Wheel& wheel, const char* side);
   void stop();
   void greet();
   void use_parameter(const float* values, size_t count);
@@ -52,6 +56,8 @@ class Robot {
   uint32_t due_since_us_ = 0;  // the steady grid of the turns
   uint32_t commanded_at_ms_ = 0;
   bool is_commanded_ = false;
+  bool is_faulted_ = false;  // a wheel stalled or ran away
+  bool has_zero_ = false;    // a zero velocity came since
   uint32_t left_edges_ = 0;
   uint32_t right_edges_ = 0;
   uint8_t turns_ = 0;

@@ -2,18 +2,32 @@
 
 namespace hostlink {
 
+namespace {
+
+float magnitude(float value) { return value < 0.0f ? -value : value; }
+
+// Times are sums of turns: half a turn less, so that rounding decides nothing.
+bool has_lasted(float time_s, float wanted_s) { return time_s > wanted_s - static_cast<float>(kLoopUs) * 0.5e-6f; }
+
+}  // namespace
+
 void MinimumJerk::aim(float target) {
   if (target == target_) return;
   from_ = value_;
   target_ = target;
   elapsed_s_ = 0.0f;
-  const float change = target - value_;
-  length_s_ = (change < 0.0f ? -change : change) * kSecondsPerTick;
+  length_s_ = magnitude(target - value_) * kSecondsPerTick;
 }
 
 void MinimumJerk::halt() {
   value_ = target_ = from_ = 0.0f;
   elapsed_s_ = length_s_ = 0.0f;
+}
+
+void MinimumJerk::begin_at_zero() {
+  const float target = target_;
+  halt();
+  aim(target);
 }
 
 float MinimumJerk::step(float dt_s) {
@@ -28,13 +42,13 @@ float MinimumJerk::step(float dt_s) {
   return value_;
 }
 
-float Pid::step(float wanted_ticks_s, float measured_ticks_s, float dt_s) {
-  const float limit = static_cast<float>(kPwmMax);
-  const float error = wanted_ticks_s - measured_ticks_s - gains_.feedback * output_ / limit * kTopSpeedTicksS;
+float Pid::step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float low, float high) {
+  const float last_ticks_s = output_ / static_cast<float>(kPwmMax) * kTopSpeedTicksS;
+  const float error = wanted_ticks_s - measured_ticks_s - gains_.feedback * last_ticks_s;
   const float integral = integral_ + error * dt_s;
   const float derivative = (error - previous_error_) / dt_s;
   const float free = gains_.kp * error + gains_.ki * integral + gains_.kd * derivative;
-  output_ = clamp(free, -limit, limit);
+  output_ = clamp(free, low, high);
   const bool winds_up = free != output_ && (free > 0.0f) == (error > 0.0f);
   if (!winds_up) integral_ = integral;
   previous_error_ = error;
@@ -44,11 +58,29 @@ float Pid::step(float wanted_ticks_s, float measured_ticks_s, float dt_s) {
 void Pid::reset() { output_ = integral_ = previous_error_ = 0.0f; }
 
 int16_t motor_output(float wanted) {
-  const float size = wanted < 0.0f ? -wanted : wanted;
+  const float size = magnitude(wanted);
   if (!(size > static_cast<float>(kPwmNothing))) return 0;  // NaN compares false
   const float bounded = clamp(size, static_cast<float>(kPwmLeast), static_cast<float>(kPwmMax));
   const int16_t pwm = static_cast<int16_t>(bounded + 0.5f);
   return wanted < 0.0f ? static_cast<int16_t>(-pwm) : pwm;
+}
+
+void RecentSpeed::add(uint32_t edges, float dt_s) {
+  ticks_[at_] = static_cast<float>(edges);
+  seconds_[at_] = dt_s;
+  at_ = static_cast<uint8_t>((at_ + 1) % kTurns);
+}
+
+float RecentSpeed::ticks() const {
+  float sum = 0.0f;
+  for (uint8_t i = 0; i < kTurns; ++i) sum += ticks_[i];
+  return sum;
+}
+
+float RecentSpeed::seconds() const {
+  float sum = 0.0f;
+  for (uint8_t i = 0; i < kTurns; ++i) sum += seconds_[i];
+  return sum;
 }
 
 void Wheel::aim(float ticks_s) {
@@ -61,19 +93,82 @@ void Wheel::aim(float ticks_s) {
 
 int32_t Wheel::step(uint32_t edges, float dt_s) {
   const int32_t rolled = direction_ * static_cast<int32_t>(edges);
-  const float edges_s = static_cast<float>(edges) / dt_s;
-  speed_ticks_s_ += kFilterWeight * (static_cast<float>(direction_) * edges_s - speed_ticks_s_);
-  const float wanted = set_point_.step(dt_s);
-  float output = 0.0f;
-  if (wanted == 0.0f && set_point_.target() == 0.0f) {
-    pid_.reset();
-  } else {
-    output = pid_.step(wanted, speed_ticks_s_, dt_s);
-  }
-  pwm_ = motor_output(output);
-  // A wheel that was told to reverse rolls on for a while; its edges count the old way until it has come to rest.
-  if (pwm_ * direction_ < 0 && edges_s < kStandingTicksS) direction_ = static_cast<int8_t>(-direction_);
+  speed_ticks_s_ += kFilterWeight * (static_cast<float>(rolled) / dt_s - speed_ticks_s_);
+  recent_.add(edges, dt_s);
+  still_s_ = edges == 0 ? clamp(still_s_ + dt_s, 0.0f, 1.0f) : 0.0f;
+  pwm_ = motor_output(regulate(dt_s));
+  has_stood_ = pwm_ == 0 && (has_stood_ || stands());
+  watch(edges != 0, dt_s);
   return rolled;
+}
+
+bool Wheel::stands() const { return has_lasted(still_s_, kStandingS); }
+
+float Wheel::asked_ticks_s() const {
+  const float value = magnitude(set_point_.value());
+  const float target = magnitude(set_point_.target());
+  return value > target ? value : target;
+}
+
+// Nearly half a tick more: so much the count of a window may be off.
+bool Wheel::is_too_fast() const {
+  return recent_.ticks() > kTooFastFactor * asked_ticks_s() * recent_.seconds() + 0.49f;
+}
+
+// What the motor is given; see the table of the class.
+float Wheel::regulate(float dt_s) {
+  const float wanted = set_point_.step(dt_s);
+  const float along = wanted * static_cast<float>(direction_);
+  const bool is_reversal = along < -kNothingTicksS;
+  waited_s_ = is_reversal ? waited_s_ + dt_s : 0.0f;
+  if (along < kNothingTicksS) {
+    pid_.reset();
+    if (stands()) speed_ticks_s_ = 0.0f;  // the filter need not find out
+    if (is_reversal) set_point_.begin_at_zero();
+    if (is_reversal && stands()) direction_ = static_cast<int8_t>(-direction_);
+    return 0.0f;
+  }
+  const float full = static_cast<float>(kPwmMax);
+  const float output =
+      pid_.step(wanted, speed_ticks_s_, dt_s, direction_ > 0 ? 0.0f : -full, direction_ > 0 ? full : 0.0f);
+  return is_too_fast() ? 0.0f : output;
+}
+
+void Wheel::watch(bool has_edges, float dt_s) {
+  const bool stalled = is_stalled(has_edges, dt_s);
+  const bool ran_away = runs_away(dt_s);
+  if (fault_ != WheelFault::kNone) return;
+  if (stalled) fault_ = WheelFault::kStalled;
+  if (ran_away) fault_ = WheelFault::kRunaway;
+}
+
+bool Wheel::is_stalled(bool has_edges, float dt_s) {
+  const bool is_blind = pwm_ != 0 && !has_edges;
+  const bool is_strained = is_blind && (pwm_ >= kHighPwm || pwm_ <= -kHighPwm);
+  blind_s_ = is_blind ? blind_s_ + dt_s : 0.0f;
+  strained_s_ = is_strained ? strained_s_ + dt_s : 0.0f;
+  return has_lasted(strained_s_, kStalledS) || has_lasted(blind_s_, kBlindS);
+}
+
+// A wheel that coasts or was told to go slower slows down; one that somebody else drives does not.
+bool Wheel::runs_away(float dt_s) {
+  if (has_lasted(waited_s_, kRestS)) return true;
+  const float asked = asked_ticks_s();
+  const float speed = magnitude(speed_ticks_s_);
+  if (has_stood_ || speed <= asked + kRunawayTicksS || speed <= asked * kRunawayFactor) {
+    over_s_ = 0.0f;
+    return false;
+  }
+  if (over_s_ == 0.0f) over_from_ticks_s_ = speed;
+  over_s_ += dt_s;
+  if (!has_lasted(over_s_, kRunawayS)) return false;
+  over_s_ = 0.0f;
+  return speed > over_from_ticks_s_ * kSlowingFactor;
+}
+
+void Wheel::forgive() {
+  fault_ = WheelFault::kNone;
+  waited_s_ = blind_s_ = strained_s_ = over_s_ = 0.0f;
 }
 
 }  // namespace hostlink

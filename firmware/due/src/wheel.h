@@ -13,6 +13,7 @@ class MinimumJerk {
  public:
   void aim(float target);  // the same target again changes nothing
   void halt();             // be at zero now
+  void begin_at_zero();    // go to the target from a standstill
   float step(float dt_s);
   float value() const { return value_; }
   float target() const { return target_; }
@@ -29,7 +30,9 @@ class MinimumJerk {
 class Pid {
  public:
   explicit Pid(const Gains& gains) : gains_(gains) {}
-  float step(float wanted_ticks_s, float measured_ticks_s, float dt_s);
+  // The output stays within low and high; the original's limits are the motor's.
+  float step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float low = -static_cast<float>(kPwmMax),
+             float high = static_cast<float>(kPwmMax));
   void reset();
   void tune(const Gains& gains) { gains_ = gains; }
   const Gains& gains() const { return gains_; }
@@ -44,6 +47,35 @@ class Pid {
 // Nothing up to 10, at least 700 above, 4095 at the most; what is no number is nothing.
 int16_t motor_output(float wanted);
 
+// The mean speed over the last fifth of a second: the filter of the PID is late by a third of one.
+class RecentSpeed {
+ public:
+  void add(uint32_t edges, float dt_s);
+  float ticks() const;
+  float seconds() const;
+
+ private:
+  static const uint8_t kTurns = 6;
+  float ticks_[kTurns] = {};
+  float seconds_[kTurns] = {};
+  uint8_t at_ = 0;
+};
+
+enum class WheelFault : uint8_t {
+  kNone,
+  kStalled,  // driven, and no edge: held, or its encoder is dead
+  kRunaway,  // far faster than it should be, and not slowing down: not this program drives it
+};
+
+// One channel of an encoder has no sign, so the wheel must never roll otherwise than it is driven:
+//
+//   | set-point         | wheel                         | motor                                                     |
+//   |-------------------|-------------------------------|-----------------------------------------------------------|
+//   | zero              | any                           | brakes; the edges keep their sign                         |
+//   | along the sign    | faster than asked for         | brakes, at the latest after 0.2 s                         |
+//   | along the sign    | any                           | driven that way, or brakes: never a torque against it     |
+//   | against the sign  | had an edge in the last 0.1 s | brakes; the set-point waits at zero                       |
+//   | against the sign  | stands: none for 0.1 s        | the sign changes, then it is driven                       |
 class Wheel {
  public:
   explicit Wheel(const Gains& gains) : pid_(gains) {}
@@ -56,14 +88,33 @@ class Wheel {
   int16_t pwm() const { return pwm_; }
   float speed_ticks_s() const { return speed_ticks_s_; }
   float set_point_ticks_s() const { return set_point_.value(); }
+  bool stands() const;
+  WheelFault fault() const { return fault_; }  // stays until it is forgiven
+  void forgive();
   Pid& pid() { return pid_; }
 
  private:
+  float asked_ticks_s() const;
+  bool is_too_fast() const;
+  float regulate(float dt_s);
+  void watch(bool has_edges, float dt_s);
+  bool is_stalled(bool has_edges, float dt_s);
+  bool runs_away(float dt_s);
+
   MinimumJerk set_point_;
   Pid pid_;
+  RecentSpeed recent_;
   float speed_ticks_s_ = 0.0f;
   int16_t pwm_ = 0;
-  int8_t direction_ = 1;  // the sign that the edges are given: one channel has none of its own
+  int8_t direction_ = 1;            // the sign that the edges are given: one channel has none of its own
+  float still_s_ = 0.0f;            // since the last edge
+  bool has_stood_ = true;           // since it was last driven: what rolls then is rolled by somebody else
+  float waited_s_ = 0.0f;           // for a standstill, to reverse
+  float blind_s_ = 0.0f;            // driven without an edge
+  float strained_s_ = 0.0f;         // the same with a high PWM
+  float over_s_ = 0.0f;             // too fast
+  float over_from_ticks_s_ = 0.0f;  // how fast it was then
+  WheelFault fault_ = WheelFault::kNone;
 };
 
 }  // namespace hostlink

@@ -1,0 +1,214 @@
+"""The Due's whole program in a world that a test draws: its board, a shield, two motors, a caster, a hand."""
+
+import ctypes
+import struct
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, field
+from functools import cache
+
+import numpy as np
+from hypothesis import strategies as st
+
+from hostlink.protocol.control import decode_log
+from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
+from hostlink.sim.drive_train import FULL_PWM, MotorWorld
+from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, SANITIZER
+
+FIRMWARE = ROOT / "firmware"
+SOURCES = [
+    *sorted((FIRMWARE / "due" / "src").glob("*.cpp")),
+    FIRMWARE / "due" / "src" / "board" / "due_board.cpp",
+    FIRMWARE / "host" / "motor.cpp",
+    FIRMWARE / "host" / "plant.cpp",
+]
+SHIM = FIRMWARE / "host" / "due_arduino"
+QUIET_S = 2.1  # the board listens to nobody for its first two seconds
+COMMAND_S = 0.1
+LEFT, RIGHT = 0, 1
+SEPARATION_M = 0.210
+METRES_PER_TICK = 2 * np.pi * 0.045 / 230.4
+FULL_TICKS_S = 280.0
+_COLUMNS = 13
+_P, _SIZE = ctypes.c_void_p, ctypes.c_size_t
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Compile the program with its board, as for the Due, and load."""
+    folder = LIBRARY.parent.parent / "due_world"
+    folder.mkdir(parents=True, exist_ok=True)
+    objects = []
+    for source in SOURCES:
+        objects.append(folder / f"{source.stem}.o")
+        options = [*FLAGS, *SANITIZER, "-O1", "-g", "-fPIC", "-DARDUINO_ARCH_SAM", f"-I{SHIM}"]
+        _run("g++", *options, "-c", source, "-o", objects[-1])
+    own = [FIRMWARE / "tests" / "due_world.cpp", SHIM / "pins.cpp"]
+    made = folder / "libdue_world.so"
+    _run("g++", "-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", f"-I{SHIM}", *own, *objects, "-o", made)
+    loaded = ctypes.CDLL(str(made))
+    signatures = {
+        "world_new": (_P,),
+        "world_delete": (None, _P),
+        "world_motor": (None, _P, ctypes.c_int, ctypes.POINTER(ctypes.c_float)),
+        "world_grip": (None, _P, ctypes.c_int, ctypes.c_float),
+        "world_release": (None, _P, ctypes.c_int),
+        "world_deafen": (None, _P, ctypes.c_int, ctypes.c_int),
+        "world_stick": (None, _P, ctypes.c_int, ctypes.c_int),
+        "world_feed": (None, _P, ctypes.c_char_p, _SIZE),
+        "world_run": (_SIZE, _P, ctypes.c_uint32, ctypes.POINTER(ctypes.c_double), _SIZE),
+        "world_sent": (_SIZE, _P, ctypes.c_char_p, _SIZE),
+        "world_writes": (_SIZE, _P, ctypes.POINTER(ctypes.c_uint16), _SIZE),
+        "world_pin": (ctypes.c_int, _P, ctypes.c_uint32),
+        "world_resolution_bits": (ctypes.c_int, _P),
+    }
+    for name, (result, *arguments) in signatures.items():
+        function = getattr(loaded, name)
+        function.restype, function.argtypes = result, arguments
+    return loaded
+
+
+def _run(*command: object) -> None:
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What was, each ten milliseconds: an array a column."""
+
+    t_s: np.ndarray
+    left: np.ndarray  # true speeds of the wheels, ticks/s
+    right: np.ndarray
+    left_set: np.ndarray  # their set-points
+    right_set: np.ndarray
+    x_m: np.ndarray  # the truth
+    y_m: np.ndarray
+    theta_rad: np.ndarray
+    odom_x_m: np.ndarray  # what the firmware believes
+    odom_y_m: np.ndarray
+    odom_theta_rad: np.ndarray
+    left_drive: np.ndarray  # the duty that its motor is given, with the sign of the way; 0 while it brakes
+    right_drive: np.ndarray
+
+    def rolled(self, *, is_truth: bool) -> tuple[np.ndarray, np.ndarray]:
+        """How far the wheels have rolled, in ticks: truly, or as the odometry says."""
+        x_m, y_m, theta_rad = (
+            (self.x_m, self.y_m, self.theta_rad) if is_truth else (self.odom_x_m, self.odom_y_m, self.odom_theta_rad)
+        )
+        turned_rad = np.diff(np.unwrap(theta_rad), prepend=theta_rad[0])
+        heading_rad = np.unwrap(theta_rad) - turned_rad / 2
+        step_m = np.diff(x_m, prepend=x_m[0]) * np.cos(heading_rad) + np.diff(y_m, prepend=y_m[0]) * np.sin(heading_rad)
+        forward, turning = np.cumsum(step_m), np.cumsum(turned_rad) * SEPARATION_M / 2
+        return (forward - turning) / METRES_PER_TICK, (forward + turning) / METRES_PER_TICK
+
+
+@dataclass
+class World:
+    """A robot that is driven: a command goes out ten times a second, and the time is told with it."""
+
+    handle: int
+    rows: list[np.ndarray] = field(default_factory=list)
+    asked: list[np.ndarray] = field(default_factory=list)  # a row to each of `rows`: left and right, ticks/s
+    command: tuple[float, float] = (0.0, 0.0)
+    frames: list[Frame] = field(default_factory=list)
+    stream: FrameStream = field(default_factory=FrameStream)
+
+    def feed(self, data: bytes) -> None:
+        library().world_feed(self.handle, data, len(data))
+
+    def run(self, seconds: float) -> None:
+        ms = round(seconds * 1000)
+        out = np.zeros((ms // 10 + 1, _COLUMNS))
+        count = library().world_run(self.handle, ms, out.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), len(out))
+        self.rows.append(out[:count])
+        self.asked.append(np.tile(wheel_speeds(*self.command), (count, 1)))
+        data = ctypes.create_string_buffer(OUT_BYTES)
+        size = library().world_sent(self.handle, data, OUT_BYTES)
+        self.frames += [item for item in self.stream.feed(data.raw[:size]) if isinstance(item, Frame)]
+
+    def drive(self, linear: float, angular: float, seconds: float) -> None:
+        left_s, self.command = seconds, (linear, angular)
+        while left_s > 1e-9:
+            self.feed(encode(100, struct.pack("<6d", linear, 0, 0, 0, 0, angular)) + encode(Id.TIME, bytes(8)))
+            self.run(min(COMMAND_S, left_s))
+            left_s -= COMMAND_S
+
+    def grip(self, side: int, ticks_s: float) -> None:
+        library().world_grip(self.handle, side, ticks_s)
+
+    def release(self, side: int) -> None:
+        library().world_release(self.handle, side)
+
+    def deafen(self, side: int, *, is_so: bool = True) -> None:
+        """The encoder of a wheel is dead."""
+        library().world_deafen(self.handle, side, is_so)
+
+    def stick(self, side: int, *, is_so: bool = True) -> None:
+        """The driver of a motor is through: it runs at full speed, whatever the pins say."""
+        library().world_stick(self.handle, side, is_so)
+
+    def pin(self, pin: int) -> int:
+        return int(library().world_pin(self.handle, pin))
+
+    def writes(self) -> list[tuple[int, int]]:
+        """What was written to pins since the last call: (pin, level or duty)."""
+        out = (ctypes.c_uint16 * 8192)()
+        count = library().world_writes(self.handle, out, 4096)
+        return [(out[2 * i], out[2 * i + 1]) for i in range(count)]
+
+    @property
+    def trace(self) -> Trace:
+        return Trace(*np.concatenate(self.rows).T)
+
+    @property
+    def errors(self) -> list[str]:
+        """The lines of the device's log that are errors."""
+        logs = [decode_log(frame.payload) for frame in self.frames if frame.topic_id == Id.LOG]
+        return [log.text for log in logs if log is not None and log.level == 3]
+
+
+def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
+    """What a command asks of the wheels, in ticks/s: both slowed where one of them cannot."""
+    turning = angular * SEPARATION_M / 2
+    left, right = (linear - turning) / METRES_PER_TICK, (linear + turning) / METRES_PER_TICK
+    factor = min(1.0, FULL_TICKS_S / max(abs(left), abs(right), 1e-9))
+    return left * factor, right * factor
+
+
+@contextmanager
+def world(left: MotorWorld | None = None, right: MotorWorld | None = None) -> Iterator[World]:
+    """A robot that has just got its topics, for the length of the block."""
+    handle = library().world_new()
+    try:
+        for side, motor in ((LEFT, left or MotorWorld()), (RIGHT, right or MotorWorld())):
+            library().world_motor(handle, side, (ctypes.c_float * 8)(*map(float, astuple(motor))))
+        made = World(handle)
+        made.run(QUIET_S)
+        made.feed(TOPICS_REQUEST)
+        made.run(0.2)
+        yield made
+    finally:
+        library().world_delete(handle)
+
+
+@st.composite
+def motors(draw: st.DrawFn) -> tuple[MotorWorld, MotorWorld]:
+    """Two motors of one make, each with its own gain: what nobody has tuned the firmware for."""
+    dead_zone_pwm = draw(st.floats(0.0, 800.0))
+    friction_ticks_s = draw(st.floats(0.0, 1.0)) * dead_zone_pwm / FULL_PWM * 280.0
+    time_constant_s = draw(st.floats(0.02, 0.2))
+    make = {
+        "time_constant_s": time_constant_s,
+        "coast_constant_s": draw(st.floats(max(0.05, time_constant_s), 1.0)),
+        "brake_constant_s": time_constant_s,  # the same motor against the same resistance, without a voltage
+        "friction_ticks_s": friction_ticks_s,
+        "dead_zone_pwm": dead_zone_pwm,
+        "has_jump": draw(st.booleans()),
+        "caster_pwm": draw(st.sampled_from([0.0, 100.0, 300.0])),
+    }
+    gains = draw(st.tuples(st.floats(0.9, 1.1), st.floats(0.9, 1.1)))
+    left, right = (MotorWorld(full_speed_ticks_s=280.0 * gain, **make) for gain in gains)
+    return left, right
