@@ -6,8 +6,10 @@ The Due is a Cortex-M3 that QEMU emulates, or a process of this PC (--native). `
 import argparse
 import contextlib
 import json
+import queue
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FIRMWARE = ROOT / "firmware"
 BUILD = ROOT / "build" / "firmware"
 END_S = 3.0
+READ_CHARS = 4096
 
 
 def main() -> int:
@@ -61,34 +64,64 @@ def due_command(port: int, *, is_native: bool) -> list[str | Path]:
     return [*machine, "-kernel", BUILD / "cortex-m3" / "due_m3.elf", "-serial", line, "-serial", "null"]
 
 
+class Part:
+    """A running part of the chain. What it prints is read all the time: a full pipe would stop it."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self._lines: queue.Queue[str] = queue.Queue(maxsize=1)  # the first
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def line(self, within_s: float = END_S) -> str:
+        """The first line that it printed; empty when it ended without one."""
+        with contextlib.suppress(queue.Empty):
+            return self._lines.get(timeout=within_s)
+        return ""
+
+    def join(self) -> None:
+        """Wait until all was read of a part that has ended."""
+        self._reader.join(END_S)
+
+    def _read(self) -> None:
+        pipe = self.process.stdout
+        if pipe is None:
+            return
+        self._lines.put(pipe.readline())
+        while pipe.read(READ_CHARS):
+            pass
+
+
 @contextlib.contextmanager
-def running(*command: str | Path) -> Iterator[subprocess.Popen[str]]:
+def running(*command: str | Path) -> Iterator[Part]:
     """A part of the chain; it ends with the block."""
     pipe = subprocess.PIPE
     with subprocess.Popen([str(word) for word in command], stdin=pipe, stdout=pipe, text=True) as process:
+        part = Part(process)
         try:
-            yield process
+            yield part
         finally:
             process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(END_S)
             process.kill()
+            part.join()
 
 
-def uart_port(esp: subprocess.Popen[str]) -> int:
+def uart_port(esp: Part) -> int:
     """The sketch tells on which port its UART is."""
-    line = esp.stdout.readline() if esp.stdout else ""
+    line = esp.line()
     if not line:
         sys.exit("the ESP8266 sketch ended at once: is something else on its ports?")
     return int(json.loads(line)["port"])
 
 
-def watch(parts: dict[str, subprocess.Popen[str]]) -> int:
+def watch(parts: dict[str, Part]) -> int:
     """Wait until a part ends, which none should."""
     while True:
-        for name, process in parts.items():
+        for name, part in parts.items():
             with contextlib.suppress(subprocess.TimeoutExpired):
-                print(f"{name} ended with status {process.wait(0.3)}", file=sys.stderr)
+                print(f"{name} ended with status {part.process.wait(0.3)}", file=sys.stderr)
                 return 1
 
 
