@@ -78,6 +78,19 @@ struct World {
   }
 };
 
+MotorWorld read_motor(const float* values) {
+  MotorWorld motor;
+  motor.full_speed_ticks_s = values[0];
+  motor.time_constant_s = values[1];
+  motor.coast_constant_s = values[2];
+  motor.brake_constant_s = values[3];
+  motor.friction_ticks_s = values[4];
+  motor.dead_zone_pwm = values[5];
+  motor.has_jump = values[6] != 0.0f;
+  motor.caster_pwm = values[7];
+  return motor;
+}
+
 }  // namespace
 
 extern "C" {
@@ -90,18 +103,7 @@ World* world_new() {
   return made;
 }
 void world_delete(World* world) { delete world; }
-void world_motor(World* world, int side, const float* values) {
-  MotorWorld motor;
-  motor.full_speed_ticks_s = values[0];
-  motor.time_constant_s = values[1];
-  motor.coast_constant_s = values[2];
-  motor.brake_constant_s = values[3];
-  motor.friction_ticks_s = values[4];
-  motor.dead_zone_pwm = values[5];
-  motor.has_jump = values[6] != 0.0f;
-  motor.caster_pwm = values[7];
-  world->motor(side).be(motor);
-}
+void world_motor(World* world, int side, const float* values) { world->motor(side).be(read_motor(values)); }
 void world_grip(World* world, int side, float ticks_s) { world->motor(side).grip(ticks_s); }
 void world_release(World* world, int side) { world->motor(side).release(); }
 void world_deafen(World* world, int side, int on) { world->is_deaf[side] = on != 0; }
@@ -139,4 +141,17 @@ size_t world_writes(World*, uint16_t* out, size_t capacity) {
 }
 int world_pin(World*, uint32_t pin) { return due_pins::pins().value[pin]; }
 int world_resolution_bits(World*) { return due_pins::pins().resolution_bits; }
+
+Motor* motor_new(const float* values) {
+  Motor* made = new Motor(false);
+  made->be(read_motor(values));
+  return made;
+}
+void motor_delete(Motor* motor) { delete motor; }
+float motor_step(Motor* motor, int direction, int brake, int duty, float dt_s) {
+  const MotorLevels levels = {direction != 0, brake != 0, static_cast<int16_t>(duty)};
+  return motor->step(levels, dt_s);
+}
+float motor_speed(Motor* motor) { return motor->speed_ticks_s(); }
+uint32_t motor_edges(Motor* motor) { return motor->edges(); }
 }

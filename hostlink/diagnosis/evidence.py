@@ -15,6 +15,13 @@ class EarlierLink(NamedTuple):
     was_negotiated: bool
 
 
+class Complaint(NamedTuple):
+    """What a device said in its log of something that is wrong with it, the last time."""
+
+    text: str
+    ago_s: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
     """Counts over some time; `Evidence` has one since the link opened, and one of the last RECENT_S."""
@@ -46,6 +53,8 @@ class Evidence:
     is_protocol_1: bool = False
     refused: tuple[str, ...] = ()  # why topics were refused, a text each
     too_small: tuple[str, ...] = ()  # what does not fit a buffer, a text each
+    wheel_stalled: Complaint | None = None
+    wheel_runaway: Complaint | None = None
     revivals: int = 0  # of late: it fell silent, was asked, and told its topics anew
     earlier: tuple[EarlierLink, ...] = ()
     end: str | None = None  # why the link is no more

@@ -6,7 +6,7 @@ The codes and their words are in findings.toml; the numbers of a case go into th
 from collections.abc import Callable
 from statistics import median
 
-from hostlink.diagnosis.evidence import Evidence
+from hostlink.diagnosis.evidence import Complaint, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.speed import guess_speed
 
@@ -29,6 +29,7 @@ SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
 CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
 STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it is told: some tens of milliseconds
 CLOCK_INTERVALS = 3  # the median of three stands one outlier
+WHEEL_S = 600.0  # a wheel shows what is wrong with it only while it is driven, and the person may be at it
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
 EXCERPT_CHARS = 40
 
@@ -155,6 +156,18 @@ def _reboots(evidence: Evidence) -> str | None:
     return f"{evidence.revivals} times in the last minute" if evidence.revivals >= REBOOTS else None
 
 
+def _wheel_stalled(evidence: Evidence) -> str | None:
+    return _of_late(evidence.wheel_stalled)
+
+
+def _wheel_runaway(evidence: Evidence) -> str | None:
+    return _of_late(evidence.wheel_runaway)
+
+
+def _of_late(complaint: Complaint | None) -> str | None:
+    return complaint.text if complaint is not None and complaint.ago_s < WHEEL_S else None
+
+
 def _clock_trouble(evidence: Evidence) -> str | None:
     if evidence.host_clock:
         return f"this computer: {evidence.host_clock}"
@@ -192,6 +205,8 @@ _RULES: dict[str, Rule] = {
     "reboots": _reboots,
     "went_silent": _went_silent,
     "time_stopped": _time_stopped,
+    "wheel_stalled": _wheel_stalled,
+    "wheel_runaway": _wheel_runaway,
     "clock_trouble": _clock_trouble,
     "flashed_alike": _flashed_alike,
 }

@@ -1,8 +1,9 @@
 """Witness: gathers the evidence of one link. Pure: it is told events, time and when to look at the session's counts."""
 
+import re
 from collections import deque
 
-from hostlink.diagnosis.evidence import RECENT_S, EarlierLink, Evidence, Tally
+from hostlink.diagnosis.evidence import RECENT_S, Complaint, EarlierLink, Evidence, Tally
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import OVERHEAD_BYTES
@@ -12,6 +13,8 @@ from hostlink.protocol.stream import Rejection
 LOOK_INTERVAL_S = 1.0
 REVIVALS_S = 60.0  # a board that starts anew four times a minute does so for a reason
 _KEPT = 16  # intervals and revivals: more say nothing new
+_ERROR = 3  # rosserial: the level of a log line
+_WHEEL = re.compile(r"(?:left|right) wheel (stalled|runs away)\b[ -~]{0,100}")  # firmware/due, hostlink sim
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 
@@ -33,6 +36,7 @@ class Witness:
         self._intervals_s: deque[float] = deque(maxlen=_KEPT)
         self._revived_at_s: deque[float] = deque(maxlen=_KEPT)
         self._device_complaint = ""
+        self._wheels: dict[str, tuple[str, float]] = {}  # what a wheel did: the last line of it, and when it came
 
     def see_baud(self, baud: int, now_s: float) -> None:
         """The line is read at this speed from now on: what came before says nothing of it."""
@@ -55,6 +59,8 @@ class Witness:
                     self._early_foreign = self._session.foreign.tail
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
+            case events.DeviceLogged(level, text) if level == _ERROR and (wheel := _WHEEL.fullmatch(text)):
+                self._wheels[wheel[1]] = text, now_s
 
     def look(self, now_s: float) -> None:
         """Remember the counts: what is recent is told from them later."""
@@ -95,12 +101,20 @@ class Witness:
             is_protocol_1=session.foreign.is_protocol_1,
             refused=tuple(f"{reason}" for _, reason in session.refusals),
             too_small=tuple(self._too_small()),
+            wheel_stalled=self._complaint("stalled", now_s),
+            wheel_runaway=self._complaint("runs away", now_s),
             revivals=sum(at_s >= now_s - REVIVALS_S for at_s in self._revived_at_s),
             earlier=earlier,
             end=end,
             host_clock=host_clock,
             numbered=numbered,
         )
+
+    def _complaint(self, what: str, now_s: float) -> Complaint | None:
+        if what not in self._wheels:
+            return None
+        text, at_s = self._wheels[what]
+        return Complaint(text, now_s - at_s)
 
     def _note_time_request(self, now_s: float) -> None:
         if self._is_provoked:

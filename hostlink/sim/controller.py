@@ -19,8 +19,8 @@ STALLED_S = 0.5  # with a high PWM and no edge
 BLIND_S = 5.0  # with any PWM and no edge
 RECENT_TURNS = 6  # a fifth of a second: the filter is late by a third of one
 TOO_FAST_FACTOR = 1.05  # of what was asked for: from here a wheel brakes, whatever the PID says
-RUNAWAY_FACTOR = 1.25  # too fast: by so much,
-RUNAWAY_TICKS_S = 40.0  # and by so much, as the least PWM gives 48
+RUNAWAY_FACTOR = 1.1  # too fast, although it has braked since 1.05: by so much,
+RUNAWAY_TICKS_S = 20.0  # and by so much,
 RUNAWAY_S = 0.5  # for so long
 SLOWING_FACTOR = 0.9  # without having slowed to this share
 

@@ -32,12 +32,28 @@ class DriveTrain:
         self.world = MotorWorld() if world is None else world
         self.speed_ticks_s = 0.0
         self.rolled_ticks = 0.0  # signed, exact: the truth that odometry tries to tell
+        self._is_held = False
+        self._is_broken = False
+        self._is_stuck = False
         self._counted = 0.0
         self._sense = 0  # of the last roll
         self._since_turn_ticks = 0.0  # rolled since its sense changed
 
+    def hold(self) -> None:
+        """The wheel is held: nothing turns it."""
+        self._is_held = True
+
+    def break_driver(self) -> None:
+        """The motor runs on at full speed once it was driven, whatever it is given then."""
+        self._is_broken = True
+
     def step(self, pwm: float, dt_s: float) -> int:
         """Drive with a signed PWM for `dt_s`, 0 brakes; returns the edges that the encoder saw."""
+        self._is_stuck |= self._is_broken and pwm != 0
+        if self._is_held:
+            return 0
+        if self._is_stuck:
+            pwm = FULL_PWM
         target_ticks_s = self._aimed_ticks_s(pwm)
         if target_ticks_s:
             is_too_fast = self.speed_ticks_s * target_ticks_s > target_ticks_s**2  # a PWM pushes, it holds nothing back

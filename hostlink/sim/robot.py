@@ -6,14 +6,14 @@ from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import Parameter
 from hostlink.robot.kinematics import DifferentialDrive, Pose
-from hostlink.sim.controller import LEFT_GAINS, RIGHT_GAINS, Gains, WheelController
+from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Gains, WheelController, WheelFault
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.drive_train import FULL_SPEED_TICKS_S, DriveTrain
 
-LOOP_S = 1 / 30
 PUBLISH_EVERY = 3
 WATCHDOG_S = 0.5
 _INFO = 1
+_ERROR = 3
 
 
 class SimulatedRobot:
@@ -28,6 +28,8 @@ class SimulatedRobot:
         self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
         self._turns = 0
         self._commanded_at_s: float | None = None
+        self._is_faulted = False  # a wheel stalled or ran away
+        self._has_zero = False  # a zero velocity came since
         self._now_s = 0.0
         self._greeting = 0
         self._types = {key: _message_type(catalog, key) for key in ("Twist", "Pose2D", "Vector3")}
@@ -54,6 +56,7 @@ class SimulatedRobot:
             self._commanded_at_s = None
         ticks = [wheel.step(control.pwm, LOOP_S) for wheel, control in zip(self.wheels, self.controllers, strict=True)]
         rolled = [control.step(count, LOOP_S) for control, count in zip(self.controllers, ticks, strict=True)]
+        self._watch()
         left_m, right_m = (count * self.drive.metres_per_tick for count in rolled)
         self.pose = self.drive.integrate(self.pose, left_m, right_m)
         self._turns += 1
@@ -67,7 +70,27 @@ class SimulatedRobot:
         self.pose = Pose()
         self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
         self._commanded_at_s = None
+        self._is_faulted = self._has_zero = False
         self._greeting = 0
+
+    def _watch(self) -> None:
+        """A wheel that does not do what it is told stops both, once told, until a zero has come and both stand."""
+        if self._is_faulted:
+            if not self._has_zero or not all(control.stands for control in self.controllers):
+                return
+            self._is_faulted = False
+            for control in self.controllers:
+                control.watch.forgive()
+        faulty = [
+            (side, control)
+            for side, control in zip(("left", "right"), self.controllers, strict=True)
+            if control.watch.fault is not None
+        ]
+        for side, control in faulty:
+            self.device.log(_ERROR, f"{side} {_told(control)}; off until a zero", self._now_s)
+        if faulty:
+            self._is_faulted, self._has_zero = True, False
+            self._command(0.0, 0.0)
 
     def _publish(self) -> None:
         left, right = self.controllers
@@ -109,8 +132,11 @@ class SimulatedRobot:
 
     def _take_velocity(self, payload: bytes) -> None:
         twist: dict[str, Any] = self._types["Twist"].decode(payload)
-        self._commanded_at_s = self._now_s
-        self._command(twist["linear"]["x"], twist["angular"]["z"])
+        linear_m_s, angular_rad_s = twist["linear"]["x"], twist["angular"]["z"]
+        self._has_zero |= linear_m_s == angular_rad_s == 0
+        if not self._is_faulted:
+            self._commanded_at_s = self._now_s
+            self._command(linear_m_s, angular_rad_s)
 
     def _reset(self, _: bytes) -> None:
         self.pose = Pose()
@@ -133,6 +159,12 @@ class SimulatedRobot:
         ):
             assert type_ is not None  # noqa: S101 - of the store that the project is built on
             self.device.subscribe(f"/{self.name}/{topic}", type_.name, type_.md5, callback)
+
+
+def _told(control: WheelController) -> str:
+    if control.watch.fault is WheelFault.STALLED:
+        return f"wheel stalled: no edge at PWM {control.pwm}"
+    return f"wheel runs away: {control.speed_ticks_s:.0f} of {control.set_point.value:.0f} ticks/s"
 
 
 def _message_type(catalog: Catalog, name: str) -> MessageType:

@@ -7,9 +7,10 @@ from collections.abc import AsyncIterator, Callable
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.messages.catalog import Catalog
+from hostlink.sim.controller import LOOP_S
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
-from hostlink.sim.robot import LOOP_S, SimulatedRobot
+from hostlink.sim.robot import SimulatedRobot
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
@@ -46,6 +47,7 @@ async def run_over_tcp(
     """Connect (from `local_host`), talk, connect again, until cancelled; the robot's own loop never stops."""
     local = None if local_host is None else (local_host, 0)
     said = ""
+    fault.break_wheel(robot.wheels[0])
     async with _alive(robot):
         while True:
             try:
@@ -78,6 +80,7 @@ async def run_over_streams(
     robot: SimulatedRobot, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, fault: Fault = HEALTHY
 ) -> None:
     """Run the robot on an open connection until that ends."""
+    fault.break_wheel(robot.wheels[0])
     async with _alive(robot):
         await _talk(robot, reader, writer, fault)
 

@@ -63,6 +63,11 @@ def library() -> ctypes.CDLL:
         "world_writes": (_SIZE, _P, ctypes.POINTER(ctypes.c_uint16), _SIZE),
         "world_pin": (ctypes.c_int, _P, ctypes.c_uint32),
         "world_resolution_bits": (ctypes.c_int, _P),
+        "motor_new": (_P, ctypes.POINTER(ctypes.c_float)),
+        "motor_delete": (None, _P),
+        "motor_step": (ctypes.c_float, _P, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_float),
+        "motor_speed": (ctypes.c_float, _P),
+        "motor_edges": (ctypes.c_uint32, _P),
     }
     for name, (result, *arguments) in signatures.items():
         function = getattr(loaded, name)
@@ -150,6 +155,11 @@ class World:
         """The driver of a motor is through: it runs at full speed, whatever the pins say."""
         library().world_stick(self.handle, side, is_so)
 
+    @property
+    def resolution_bits(self) -> int:
+        """Of the duties that the board writes."""
+        return int(library().world_resolution_bits(self.handle))
+
     def pin(self, pin: int) -> int:
         return int(library().world_pin(self.handle, pin))
 
@@ -184,7 +194,7 @@ def world(left: MotorWorld | None = None, right: MotorWorld | None = None) -> It
     handle = library().world_new()
     try:
         for side, motor in ((LEFT, left or MotorWorld()), (RIGHT, right or MotorWorld())):
-            library().world_motor(handle, side, (ctypes.c_float * 8)(*map(float, astuple(motor))))
+            library().world_motor(handle, side, _values(motor))
         made = World(handle)
         made.run(QUIET_S)
         made.feed(TOPICS_REQUEST)
@@ -192,6 +202,20 @@ def world(left: MotorWorld | None = None, right: MotorWorld | None = None) -> It
         yield made
     finally:
         library().world_delete(handle)
+
+
+def _values(motor: MotorWorld) -> ctypes.Array[ctypes.c_float]:
+    return (ctypes.c_float * 8)(*map(float, astuple(motor)))
+
+
+@contextmanager
+def model(motor: MotorWorld) -> Iterator[int]:
+    """The firmware's model of a motor by its handle, for the length of the block."""
+    handle = library().motor_new(_values(motor))
+    try:
+        yield handle
+    finally:
+        library().motor_delete(handle)
 
 
 @st.composite

@@ -31,7 +31,10 @@ CODES = {
     "reboots": "reboots",
     "boot_noise": "boot_noise",
     "clock": "clock_trouble",
+    "stalled_wheel": "wheel_stalled",
+    "runaway_wheel": "wheel_runaway",
 }
+DRIVEN = ("stalled_wheel", "runaway_wheel")  # a wheel shows what is wrong with it only while it is driven
 Seen = dict[str, dict[str, dict[str, Any]]]  # robot -> code -> finding, over the whole time
 
 
@@ -61,6 +64,8 @@ async def seen() -> tuple[Seen, Seen]:
         while not all(CODES[name] in of_api[name] for name in FAULTS):
             view = await host.get("/api/links")
             note(of_api, [*view["links"], *view["ended"]], names)
+            for name in DRIVEN:  # refused until the robot is there
+                await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear": 0.3, "angular": 0.0}')
             await asyncio.sleep(LOOK_S)
         while not all(CODES[name] in of_doctor[name] for name in FAULTS):
             status, out, err = await run("doctor", "--json", "--url", host.url)

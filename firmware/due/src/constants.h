@@ -29,8 +29,8 @@ const float kRestS = 5.0f;             // and does not come to rest so long afte
 const int16_t kHighPwm = 2048;       // turns any wheel: what needs more is held
 const float kStalledS = 0.5f;        // with a high PWM and no edge
 const float kBlindS = 5.0f;          // with any PWM and no edge
-const float kRunawayFactor = 1.25f;  // too fast: by so much,
-const float kRunawayTicksS = 40.0f;  // and by so much, as the least PWM gives 48
+const float kRunawayFactor = 1.1f;   // too fast, although it has braked since 1.05: by so much,
+const float kRunawayTicksS = 20.0f;  // and by so much,
 const float kRunawayS = 0.5f;        // for so long
 const float kSlowingFactor = 0.9f;   // without having slowed to this share
 

@@ -109,10 +109,10 @@ bool Robot::tell_fault(const Wheel& wheel, const char* side) {
   if (wheel.fault() == WheelFault::kStalled) {
     text.add(" wheel stalled: no edge at PWM ").add(static_cast<int32_t>(wheel.pwm()));
   } else {
-    text.add(" wheel runs away: ").add(wheel.speed_ticks_s(), 0).add(" ticks/s, asked for ");
-    text.add(wheel.set_point_ticks_s(), 0);
+    text.add(" wheel runs away: ").add(wheel.speed_ticks_s(), 0).add(" of ");
+    text.add(wheel.set_point_ticks_s(), 0).add(" ticks/s");
   }
-  node_.log(kError, text.add("; motors off until a zero velocity").chars());
+  node_.log(kError, text.add("; off until a zero").chars());
   return true;
 }
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from hostlink.diagnosis.evidence import EarlierLink, Evidence, Tally
+from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, Tally
 from hostlink.diagnosis.finding import finding, words
 from hostlink.diagnosis.rules import diagnose
 from hostlink.protocol.frame import Id, encode
@@ -24,6 +24,9 @@ HEALTHY = Evidence(
 NEW = Evidence(age_s=6.0, silent_s=0.1, asks=3)
 SLOW = resample(encode(Id.TIME, bytes(8)) * 60, ratio=2.0)[:512]
 BOOT = resample(b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\nload 0x4010f000, len 3424\r\n", ratio=1.54)
+
+
+STALLED = Complaint("left wheel stalled: no edge at PWM 4095", 42.0)
 
 
 def foreign(sample: bytes, *, frames: int = 0, of: int | None = None) -> Evidence:
@@ -53,6 +56,12 @@ CASES = [
     ("went_silent", replace(HEALTHY, silent_s=6.0), "for 6 s"),
     ("time_stopped", replace(HEALTHY, time_requested_s=8.0), "for 8 s"),
     ("time_stopped", replace(HEALTHY, time_requested_s=None, negotiated_s=9.0), "for 9 s"),
+    ("wheel_stalled", replace(HEALTHY, wheel_stalled=STALLED), "left wheel stalled: no edge at PWM 4095"),
+    (
+        "wheel_runaway",
+        replace(HEALTHY, wheel_runaway=Complaint("right wheel runs away", 599.0)),
+        "right wheel runs away",
+    ),
     ("clock_trouble", replace(HEALTHY, time_intervals_s=(2.0, 2.0, 2.6)), "every 2.00 s, not every 2.5 s"),
     ("clock_trouble", replace(HEALTHY, stamps_behind_s=-3600.0), "its stamps are 3600.0 s ahead"),
     ("clock_trouble", replace(HEALTHY, host_clock="its clock is not set"), "this computer: its clock is not set"),
@@ -85,6 +94,7 @@ def test_what_is_enough(code: str, evidence: Evidence, detail: str) -> None:
         replace(HEALTHY, earlier=lives(3, seconds=31.0)),
         replace(HEALTHY, earlier=lives(9, was_negotiated=False)),
         replace(HEALTHY, revivals=2),
+        replace(HEALTHY, wheel_stalled=STALLED._replace(ago_s=600.0)),
         replace(HEALTHY, silent_s=5.9),
         replace(HEALTHY, time_requested_s=7.9),
         replace(HEALTHY, time_requested_s=None, negotiated_s=7.9),

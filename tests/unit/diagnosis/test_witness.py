@@ -4,6 +4,7 @@ import errno
 
 import pytest
 
+from hostlink.diagnosis.evidence import Complaint
 from hostlink.diagnosis.host_clock import MIN_WALL_NS, HostClock
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.witness import Witness
@@ -72,6 +73,36 @@ def test_what_does_not_fit_is_told_by_what_was_announced_refused_and_logged() ->
         "/cmd_vel: frame of 56 bytes, the device takes 48",
         "Message from device dropped: message larger than buffer.",
     )
+
+
+STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
+
+
+@pytest.mark.parametrize(
+    ("level", "text", "is_taken"),
+    [
+        (3, STALLED, True),
+        (2, STALLED, False),
+        (3, "left wheel stalled", True),
+        (3, "the left wheel stalled", False),
+        (3, "left wheel stalled\x1b[2J", False),
+        (3, "left wheel stalled: " + "x" * 200, False),
+    ],
+)
+def test_an_error_line_of_a_wheel_is_taken_as_it_is(level: int, text: str, is_taken: bool) -> None:
+    witness = Witness(session(), now_s=0.0)
+    witness.note(DeviceLogged(level, text), 5.0)
+    evidence = witness.evidence(12.0, silent_s=0.0)
+    assert evidence.wheel_stalled == (Complaint(text, 7.0) if is_taken else None)
+    assert evidence.wheel_runaway is None
+
+
+def test_the_last_line_of_a_wheel_counts() -> None:
+    witness = Witness(session(), now_s=0.0)
+    for at_s, side in ((1.0, "left"), (2.0, "right")):
+        witness.note(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
+    told = witness.evidence(3.0, silent_s=0.0).wheel_runaway
+    assert told == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
 
 def test_refused_topics_are_told_with_the_reason() -> None:

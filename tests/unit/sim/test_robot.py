@@ -3,13 +3,17 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.frame import TOPICS_REQUEST, Frame, encode
+from hostlink.protocol.control import decode_log
+from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.controller import LEFT_GAINS, MinimumJerk, WheelController, motor_output
 from hostlink.sim.device import SimulatedDevice
-from hostlink.sim.drive_train import DriveTrain
+from hostlink.sim.drive_train import FULL_PWM, DriveTrain, MotorWorld
+from hostlink.sim.faults import FAULTS
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 
 CATALOG = Catalog()
@@ -133,6 +137,72 @@ def test_the_encoder_keeps_its_sign_until_the_wheel_has_stopped() -> None:
         control.aim(250.0 if turn < 200 else -250.0)
         rolled += control.step(wheel.step(control.pwm, LOOP_S), LOOP_S)
     assert rolled == pytest.approx(wheel.rolled_ticks, abs=12)
+
+
+def errors(track: Track) -> list[str]:
+    logs = [decode_log(frame.payload) for frame in track.frames if frame.topic_id == Id.LOG]
+    return [log.text for log in logs if log is not None and log.level == 3]
+
+
+def pwms(track: Track) -> list[int]:
+    return [control.pwm for control in track.robot.controllers]
+
+
+def test_a_held_wheel_stops_both_is_told_once_and_waits_for_a_zero() -> None:
+    track = Track()
+    held, track.robot.wheels[1].world = track.robot.wheels[1].world, MotorWorld(dead_zone_pwm=FULL_PWM + 1)
+    track.drive(0.2, 0.0, 4.0)
+    assert pwms(track) == [0, 0]
+    assert [text.partition(":")[0] for text in errors(track)] == ["right wheel stalled"]
+    track.robot.wheels[1].world = held
+    track.drive(0.2, 0.0, 2.0)
+    assert pwms(track) == [0, 0]
+    track.drive(0.0, 0.0, 0.5)
+    track.drive(0.2, 0.0, 3.0)
+    assert min(pwms(track)) > 0
+    assert len(errors(track)) == 1
+
+
+@pytest.mark.parametrize(("fault", "told"), [("stalled_wheel", "stalled"), ("runaway_wheel", "runs away")])
+def test_the_faults_of_a_wheel_are_found_when_it_is_driven(fault: str, told: str) -> None:
+    track = Track()
+    FAULTS[fault].break_wheel(track.robot.wheels[0])
+    track.drive(0.0, 0.0, 3.0)
+    assert errors(track) == []
+    track.drive(0.1, 0.0, 4.0)
+    assert [text.partition(":")[0] for text in errors(track)] == [f"left wheel {told}"]
+    assert pwms(track) == [0, 0]
+
+
+worlds = st.builds(
+    MotorWorld,
+    full_speed_ticks_s=st.floats(250.0, 310.0),
+    time_constant_s=st.floats(0.02, 0.2),
+    coast_constant_s=st.floats(0.2, 1.0),
+    brake_constant_s=st.floats(0.02, 0.2),
+    dead_zone_pwm=st.floats(0.0, 800.0),
+    has_jump=st.booleans(),
+    caster_pwm=st.sampled_from([0.0, 300.0]),
+)
+speeds = st.sampled_from([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])
+stories = st.lists(st.tuples(speeds, st.floats(0.1, 3.0), st.floats(0.0, 0.3)), min_size=1, max_size=6)
+
+
+@given(worlds, stories)
+def test_its_odometry_tells_what_its_wheels_do_in_any_world(
+    motor: MotorWorld, story: list[tuple[float, float, float]]
+) -> None:
+    track = Track()
+    for wheel in track.robot.wheels:
+        wheel.world = motor
+    for linear, seconds, pause_s in story:
+        track.drive(linear, 0.0, seconds)
+        track.drive(0.0, 0.0, pause_s)
+    track.drive(0.0, 0.0, 1.5)
+    truth_m = sum(wheel.rolled_ticks for wheel in track.robot.wheels) / 2 * track.robot.drive.metres_per_tick
+    assert track.robot.pose.x_m == pytest.approx(truth_m, abs=0.003 * (1 + len(story)))
+    assert abs(track.robot.speed_m_s) < 0.006
+    assert errors(track) == []
 
 
 def test_the_drive_train_does_not_depend_on_the_length_of_its_steps() -> None:

@@ -1,0 +1,82 @@
+"""The Due's pins and what is behind them: shield, mirrored motor, brake; and the model of the motors."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.sim.drive_train import DriveTrain, MotorWorld
+from tests.firmware.worlds import LEFT, RIGHT, World, library, model, motors, world
+
+HIGH, LOW, FULL = 1, 0, 4095
+DIRECTION, BRAKE, PWM = {LEFT: 2, RIGHT: 5}, {LEFT: 9, RIGHT: 8}, {LEFT: 3, RIGHT: 6}
+SIDES = (LEFT, RIGHT)
+
+
+def levels(made: World, side: int) -> tuple[int, int, int]:
+    return made.pin(DIRECTION[side]), made.pin(BRAKE[side]), made.pin(PWM[side])
+
+
+@pytest.mark.parametrize(("linear", "left", "right"), [(0.2, HIGH, LOW), (-0.2, LOW, HIGH)])
+def test_the_paper_s_right_motor_is_mirrored(linear: float, left: int, right: int) -> None:
+    """Forwards is DIR HIGH on the left and DIR LOW on the right, and the robot moves in a line."""
+    with world() as made:
+        made.drive(linear, 0.0, 2.0)
+        assert [levels(made, side)[:2] for side in SIDES] == [(left, LOW), (right, LOW)]
+        assert made.trace.x_m[-1] * linear > 0.01
+        assert abs(made.trace.theta_rad[-1]) < 0.2
+        assert made.resolution_bits == 12
+
+
+def test_every_way_to_stand_brakes_with_the_enable_on() -> None:
+    """On the shield's L298 the PWM is the enable: BRAKE HIGH with a PWM of 0 would let the motors run free."""
+    with world() as made:
+        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # never driven
+        made.drive(0.2, 0.0, 2.0)
+        assert all(levels(made, side)[1] == LOW for side in SIDES)
+        made.drive(0.0, 0.0, 0.01)
+        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # a zero, at once
+        made.drive(0.2, 0.0, 2.0)
+        made.run(0.6)
+        assert [levels(made, side)[1:] for side in SIDES] == [(HIGH, FULL)] * 2  # silence
+
+
+@given(story=st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.3, -0.1, -0.3]), st.floats(0.05, 1.0)), max_size=5))
+def test_no_write_on_the_way_drives_a_motor_harder_than_before_or_after(story: list[tuple[float, float]]) -> None:
+    """The full duty of a brake never stands beside an open one."""
+    with world() as made:
+        made.writes()
+        pins = {pin: made.pin(pin) for side in SIDES for pin in (DIRECTION[side], BRAKE[side], PWM[side])}
+        for linear, seconds in story:
+            for _ in range(round(seconds / 0.05)):
+                made.drive(linear, 0.0, 0.05)
+                for pin, value in made.writes():
+                    pins[pin] = value
+                    assert all(pins[BRAKE[side]] or pins[PWM[side]] < FULL for side in SIDES)
+
+
+def test_a_board_that_brakes_with_the_enable_off_would_coast() -> None:
+    """What the model makes of the mistake."""
+    motor = MotorWorld(friction_ticks_s=0.0)
+    rolled = {}
+    for duty in (0, FULL):
+        with model(motor) as handle:
+            for _ in range(1000):
+                library().motor_step(handle, HIGH, LOW, FULL, 0.001)
+            rolled[duty] = sum(library().motor_step(handle, HIGH, HIGH, duty, 0.001) for _ in range(600))
+    assert rolled[0] > 5 * rolled[FULL]
+
+
+@given(pair=motors(), story=st.lists(st.tuples(st.integers(-4095, 4095) | st.just(0), st.integers(1, 20)), max_size=8))
+def test_the_model_of_a_motor_is_that_of_the_simulator(
+    pair: tuple[MotorWorld, MotorWorld], story: list[tuple[int, int]]
+) -> None:
+    twin = DriveTrain(pair[0])
+    counted = 0
+    with model(pair[0]) as handle:
+        for pwm, turns in story:
+            for _ in range(turns):
+                duty = abs(pwm) if pwm else FULL
+                library().motor_step(handle, int(pwm >= 0), int(pwm == 0), duty, 0.01)
+                counted += twin.step(pwm, 0.01)
+                assert library().motor_speed(handle) == pytest.approx(twin.speed_ticks_s, abs=0.05)
+        assert abs(library().motor_edges(handle) - counted) <= 1
