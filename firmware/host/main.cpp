@@ -1,4 +1,5 @@
-// due_native: the Due's firmware as a process: its UART is a TCP connection, its motors are a model.
+// due_native: the Due's firmware as a process: its UART is a TCP connection, as slow as the line in both directions,
+// its motors are a model.
 //
 //   due_native HOST PORT [BAUD]     connects (and connects again), runs until it is killed; BAUD 0: as fast as TCP
 //
@@ -20,6 +21,7 @@
 #include "../due/src/hal.h"
 #include "../due/src/robot.h"
 #include "plant.h"
+#include "uart_out.h"
 #include "uart_ring.h"
 #include "witness.h"
 
@@ -32,7 +34,7 @@ const uint32_t kPaperBaud = 38400;
 
 class PosixHal : public hostlink::Hal {
  public:
-  PosixHal(const sockaddr_in& host, uint32_t baud) : ring_(baud), host_(host) {}
+  PosixHal(const sockaddr_in& host, uint32_t baud) : baud_(baud), ring_(baud), out_(baud), host_(host) {}
 
   uint32_t millis() override { return static_cast<uint32_t>(now_us() / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us()); }
@@ -40,10 +42,9 @@ class PosixHal : public hostlink::Hal {
 
   size_t write(const uint8_t* data, size_t size) override {
     if (socket_ < 0) return size;  // a UART that nobody listens to takes everything
-    const ssize_t taken = ::send(socket_, data, size, MSG_NOSIGNAL | MSG_DONTWAIT);
-    if (taken >= 0) return static_cast<size_t>(taken);
-    if (errno != EAGAIN && errno != EWOULDBLOCK) hang_up();
-    return 0;
+    const size_t taken = out_.put(data, size, micros());
+    send();
+    return taken;
   }
 
   void drive(int16_t left_pwm, int16_t right_pwm) override { plant_.drive(left_pwm, right_pwm); }
@@ -66,6 +67,7 @@ class PosixHal : public hostlink::Hal {
       for (ssize_t i = 0; i < got; ++i) ring_.put_on_line(bytes[i], micros());
     }
     ring_.run_until(micros());
+    send();
     plant_.run_until(micros());
   }
 
@@ -82,6 +84,20 @@ class PosixHal : public hostlink::Hal {
     timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
     return static_cast<uint64_t>(now.tv_sec) * 1000000u + static_cast<uint64_t>(now.tv_nsec) / 1000u;
+  }
+
+  // What has passed the line goes on to the host; what a full socket does not take holds the line up.
+  void send() {
+    size_t size = 0;
+    while (socket_ >= 0 && (size = out_.ready(micros())) > 0) {
+      const ssize_t taken = ::send(socket_, out_.data(), size, MSG_NOSIGNAL | MSG_DONTWAIT);
+      if (taken > 0) {
+        out_.drop(static_cast<size_t>(taken));
+      } else {
+        if (errno != EAGAIN && errno != EWOULDBLOCK) hang_up();
+        return;
+      }
+    }
   }
 
   void connect_again() {
@@ -101,9 +117,12 @@ class PosixHal : public hostlink::Hal {
   void hang_up() {
     ::close(socket_);
     socket_ = -1;
+    out_ = hostlink::UartOut(baud_);  // what was on its way to that host is for no other
   }
 
+  uint32_t baud_;
   hostlink::UartRing ring_;
+  hostlink::UartOut out_;
   hostlink::Plant plant_;
   sockaddr_in host_;
   int socket_ = -1;

@@ -10,6 +10,7 @@
 #include "../due/src/robot.h"
 #include "../due/src/wheel.h"
 #include "../host/plant.h"
+#include "../host/uart_out.h"
 #include "../host/uart_ring.h"
 
 using namespace hostlink;
@@ -154,6 +155,43 @@ void test_ring() {
   CHECK(ring.lost() >= 25 && ring.lost() <= 28);
 }
 
+void test_out() {
+  const uint8_t bytes[200] = {};
+  UartOut out(38400);
+  CHECK(out.put(bytes, sizeof bytes, 1000) == 128);
+  CHECK(out.ready(1000) == 0);
+  CHECK(out.ready(1000 + 2600) == 10);
+  out.drop(10);
+  CHECK(out.put(bytes, 50, 1000 + 2600) == 10);
+  CHECK(out.ready(1000 + 200 * 260) == 118);  // in one piece: up to the ring's end
+  out.drop(118);
+  CHECK(out.ready(1000 + 200 * 260) == 10);
+  out.drop(10);
+  CHECK(out.put(bytes, 1, 1000000) == 1);  // an idle line: the byte begins now
+  CHECK(out.ready(1000000 + 250) == 0);
+  CHECK(out.ready(1000000 + 270) == 1);
+}
+
+void test_motor_levels() {
+  CHECK(motor_levels(700, false).direction && !motor_levels(700, true).direction);
+  CHECK(!motor_levels(-700, false).direction && motor_levels(-700, true).direction);
+  CHECK(motor_levels(-700, true).duty == 700 && !motor_levels(-700, true).brake);
+  CHECK(motor_levels(0, false).brake && motor_levels(0, false).duty == kPwmMax);
+}
+
+// On the shield's L298 the PWM is the enable: without it BRAKE does nothing.
+void test_brake() {
+  float rolled[2] = {0.0f, 0.0f};
+  for (int is_enabled = 0; is_enabled < 2; ++is_enabled) {
+    Motor motor(false);
+    const MotorLevels braked = {true, true, static_cast<int16_t>(is_enabled * kPwmMax)};
+    for (int ms = 0; ms < 1000; ++ms) motor.step(motor_levels(kPwmMax, false), 0.001f);
+    for (int ms = 0; ms < 1000; ++ms) rolled[is_enabled] += motor.step(braked, 0.001f);
+    CHECK(motor.speed_ticks_s() == 0.0f);
+  }
+  CHECK(rolled[0] > 5.0f * rolled[1]);
+}
+
 }  // namespace
 
 int main() {
@@ -163,6 +201,9 @@ int main() {
   test_kinematics();
   test_float64();
   test_ring();
+  test_out();
+  test_motor_levels();
+  test_brake();
   test_robot();
   printf("%d checks, %d failed\n", checks, failures);
   return failures == 0 ? 0 : 1;

@@ -1,0 +1,62 @@
+"""The native board's line to the host is as slow as the real one: nothing hides behind a fast socket."""
+
+import contextlib
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id
+from hostlink.protocol.stream import FrameStream
+from tests.firmware.boards import build_native
+
+BYTES_S = 38400 / 10
+RING_BYTES = 128  # of the Due's UART: so many may be under way already
+TOPICS = 6
+
+
+@contextlib.contextmanager
+def board(*words: str) -> Iterator[socket.socket]:
+    """The board's connection to a host that says nothing by itself."""
+    program = build_native() / "due_native"
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        command = [program, "127.0.0.1", str(server.getsockname()[1]), *words]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+            try:
+                server.settimeout(20.0)
+                connection, _ = server.accept()
+                with connection:
+                    connection.settimeout(20.0)
+                    yield connection
+            finally:
+                process.kill()
+
+
+def answer(connection: socket.socket) -> tuple[int, float]:
+    """Ask for the topics: the bytes until the last TopicInfo, and how long they took."""
+    stream, infos, size = FrameStream(), 0, 0
+    began_s = time.monotonic()
+    connection.sendall(TOPICS_REQUEST)
+    while infos < TOPICS:
+        data = connection.recv(4096)
+        assert data, "the board hung up"
+        size += len(data)
+        infos += sum(
+            isinstance(item, Frame) and item.topic_id in (Id.PUBLISHER, Id.SUBSCRIBER) for item in stream.feed(data)
+        )
+    return size, time.monotonic() - began_s
+
+
+@pytest.mark.parametrize("words", [(), ("38400",)], ids=["default", "38400 baud"])
+def test_the_topics_take_as_long_as_their_bytes_on_the_line(words: tuple[str, ...]) -> None:
+    with board(*words) as connection:
+        size, took_s = answer(connection)
+        assert size > 500
+        assert took_s >= (size - RING_BYTES) / BYTES_S * 0.99
+
+
+def test_a_line_without_a_speed_is_as_fast_as_tcp() -> None:
+    with board("0") as connection:
+        assert min(answer(connection)[1] for _ in range(5)) < 0.1  # on the line it would be 0.17 s
