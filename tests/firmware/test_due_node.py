@@ -1,5 +1,8 @@
 """NodeHandle: against the simulated device byte for byte, under any bytes, and its own better policy."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -175,18 +178,119 @@ def test_eleven_seconds_without_time_silence_it_also_when_the_clock_wraps() -> N
             assert not device.is_configured
 
 
-def test_a_full_line_to_the_host_drops_whole_frames_and_counts_them() -> None:
+QUEUE_FRAMES = 2048 // 32  # of Pose2Ds
+
+
+def pose(number: int) -> bytes:
+    return number.to_bytes(4, "little") + bytes(20)
+
+
+def numbers(received: list[Frame]) -> list[int]:
+    return [int.from_bytes(frame.payload[:4], "little") for frame in received if frame.topic_id == 125]
+
+
+@contextmanager
+def blocked() -> Iterator[Node]:
+    """A device with its topics told, on a line that takes nothing more."""
     with node() as device:
         device.feed(TOPICS_REQUEST)
         spin(device, 1.0)
         device.sent()
         device.room(0)
-        accepted = sum(device.publish(125, bytes(24)) for _ in range(100))
-        assert accepted == 2048 // 32
-        assert device.dropped_to_host == 100 - accepted
+        yield device
+
+
+def test_a_full_line_to_the_host_keeps_the_newest_messages_and_counts_the_oldest() -> None:
+    with blocked() as device:
+        assert all(device.publish(125, pose(number)) for number in range(100))
+        assert device.dropped_to_host == 100 - QUEUE_FRAMES
         device.room(2**32)
         spin(device, 1.1)
-        assert frames(device.sent()) == [Frame(125, bytes(24))] * accepted
+        assert numbers(frames(device.sent())) == list(range(100 - QUEUE_FRAMES, 100))
+
+
+@pytest.mark.parametrize("begun_bytes", [1, 5, 31, 32, 33, 70])
+def test_a_frame_that_is_on_the_wire_already_is_sent_to_its_end(begun_bytes: int) -> None:
+    with blocked() as device:
+        for number in range(10):
+            device.publish(125, pose(number))
+        device.room(begun_bytes)
+        spin(device, 1.1)
+        for number in range(10, 100):
+            device.publish(125, pose(number))
+        device.room(2**32)
+        spin(device, 1.2)
+        received = device.sent()
+        begun = -(-begun_bytes // 32)
+        kept = numbers(frames(received))
+        assert kept[:begun] == list(range(begun))
+        assert kept[begun:] == list(range(100 - len(kept) + begun, 100))
+        assert len(received) == 32 * len(kept), "no byte of another frame is between them"
+
+
+def test_what_is_no_message_is_not_dropped_for_one_and_finds_room() -> None:
+    """An error of the device, its topics and its questions are said once; a pose comes again in a tenth of a second."""
+    with blocked() as device:
+        device.log(2, "first")
+        for number in range(100):
+            device.publish(125, pose(number))
+        device.log(3, "left wheel stalled")
+        device.ask("/gain")
+        device.feed(TOPICS_REQUEST)
+        spin(device, 1.1)
+        device.room(2**32)
+        spin(device, 1.2)
+        received = frames(device.sent())
+        others = [frame.topic_id for frame in received if frame.topic_id != 125]
+        assert others == [Id.LOG, Id.LOG, Id.PARAMETER, Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER, Id.SUBSCRIBER]
+        assert numbers(received)[-1] == 99
+        assert device.is_configured
+
+
+def test_a_queue_without_messages_refuses_and_counts() -> None:
+    with blocked() as device:
+        for _ in range(60):
+            device.log(2, "x" * 100)
+        lines = 2048 // 113
+        assert device.dropped_to_host == 60 - lines
+        assert not device.publish(125, bytes(200))
+        device.room(2**32)
+        spin(device, 1.1)
+        assert [frame.topic_id for frame in frames(device.sent())] == [Id.LOG] * lines
+
+
+@given(
+    story=st.lists(
+        st.tuples(st.sampled_from(["pose", "pose", "plot", "log", "spin"]), st.integers(0, 300)), max_size=150
+    )
+)
+def test_whatever_the_line_takes_the_host_gets_whole_frames_in_order(story: list[tuple[str, int]]) -> None:
+    with blocked() as device:
+        data, published, accepted = b"", 0, 0
+        now_s = 1.0
+        for kind, size in story:
+            if kind == "spin":
+                device.room(size)
+                now_s += 0.001
+                spin(device, now_s)
+                data += device.sent()
+            elif kind == "log":
+                device.log(2, "x" * (size % 100))
+            else:
+                published += 1
+                accepted += device.publish(125, pose(published) + bytes(24 if kind == "plot" else 0))
+        device.room(2**32)
+        spin(device, now_s + 0.001)
+        data += device.sent()
+        received = frames(data)
+        assert sum(len(frame.payload) + 8 for frame in received) == len(data), "nothing but frames"
+        kept = numbers(received)
+        assert kept == sorted(kept)
+        lost_logs = sum(kind == "log" for kind, _ in story) - sum(frame.topic_id == Id.LOG for frame in received)
+        assert device.dropped_to_host == published - len(kept) + lost_logs
+        if sum(kind == "log" for kind, _ in story) <= 10:  # with 113 bytes each at most there is always room
+            assert accepted == published
+            assert kept[-1:] == ([published] if published else [])
 
 
 def test_a_frame_found_among_bytes_that_are_read_again_has_its_own_quarter_of_a_second() -> None:

@@ -236,9 +236,13 @@ bool NodeHandle::tell(uint8_t kind, uint16_t topic_id, const Topic& topic) {
   return true;
 }
 
-// A frame goes into the queue whole, or not at all.
+// A frame goes into the queue whole, or not at all. Where there is no room the oldest messages of topics go: the next
+// ones say what they said, and newer. Topics, questions and lines of the log are said once, and stay.
 bool NodeHandle::begin_frame(uint16_t topic_id, size_t payload_bytes) {
-  if (payload_bytes + kOverheadBytes > kQueueBytes - queue_size_) {
+  const size_t size = payload_bytes + kOverheadBytes;
+  bool has_room = size <= kQueueBytes;
+  while (has_room && size > kQueueBytes - queue_size_) has_room = drop_oldest();
+  if (!has_room) {
     ++dropped_to_host_;
     return false;
   }
@@ -250,6 +254,27 @@ bool NodeHandle::begin_frame(uint16_t topic_id, size_t payload_bytes) {
   const uint8_t id[2] = {static_cast<uint8_t>(topic_id), static_cast<uint8_t>(topic_id >> 8)};
   put(id, sizeof id);
   return true;
+}
+
+// The oldest message of a topic that is not on its way yet; false when there is none.
+bool NodeHandle::drop_oldest() {
+  for (size_t at = begun_bytes_; at < queue_size_; at += frame_bytes(at)) {
+    if (peek(at + 6) == 0 && peek(at + 5) < kFirstTopicId) continue;
+    const size_t gone = frame_bytes(at);
+    for (size_t from = at + gone; from < queue_size_; ++from) {
+      queue_[(queue_head_ + from - gone) % kQueueBytes] = peek(from);
+    }
+    queue_size_ -= gone;
+    ++dropped_to_host_;
+    --published_;
+    return true;
+  }
+  return false;
+}
+
+// Of the frame that begins there in the queue, by its header.
+size_t NodeHandle::frame_bytes(size_t at) const {
+  return kOverheadBytes + (static_cast<size_t>(peek(at + 2)) | static_cast<size_t>(peek(at + 3)) << 8);
 }
 
 void NodeHandle::put(const uint8_t* bytes, size_t count) {
@@ -278,8 +303,19 @@ void NodeHandle::flush() {
     const size_t to_end = kQueueBytes - queue_head_;
     const size_t taken = hal_.write(queue_ + queue_head_, queue_size_ < to_end ? queue_size_ : to_end);
     if (taken == 0) return;
-    queue_head_ = (queue_head_ + taken) % kQueueBytes;
-    queue_size_ -= taken;
+    leave(taken);
+  }
+}
+
+// So many bytes are on the wire: of which frame the rest must follow?
+void NodeHandle::leave(size_t count) {
+  while (count > 0) {
+    if (begun_bytes_ == 0) begun_bytes_ = frame_bytes(0);
+    const size_t step = count < begun_bytes_ ? count : begun_bytes_;
+    queue_head_ = (queue_head_ + step) % kQueueBytes;
+    queue_size_ -= step;
+    begun_bytes_ -= step;
+    count -= step;
   }
 }
 

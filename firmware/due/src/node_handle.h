@@ -38,12 +38,13 @@ class NodeHandle : private Expected {
   uint32_t spin();
 
   bool is_configured() const { return is_configured_; }
-  bool publish(uint16_t topic_id, const uint8_t* payload, size_t size);  // false: dropped and counted
+  // False: dropped and counted. One that is queued may still go for a newer one, when the line is full.
+  bool publish(uint16_t topic_id, const uint8_t* payload, size_t size);
   void log(uint8_t level, const char* text);
   void ask_parameter(const char* ns, const char* name, FloatsCallback callback, void* context);
 
   uint32_t delivered() const { return delivered_; }  // messages that reached their callback
-  uint32_t published() const { return published_; }  // messages of topics that were queued for the host
+  uint32_t published() const { return published_; }  // messages of topics that went to the host, or will
   uint32_t dropped_from_host() const { return reader_.dropped(); }
   uint32_t dropped_to_host() const { return dropped_to_host_; }
   // Good frames with an id or a size that no topic of ours has; kKeepState counts them as dropped, by their header.
@@ -75,7 +76,11 @@ class NodeHandle : private Expected {
   void put_text(const char* first, const char* second);
   void end_frame();
   void put_raw(uint8_t byte);
+  uint8_t peek(size_t at) const { return queue_[(queue_head_ + at) % kQueueBytes]; }
+  size_t frame_bytes(size_t at) const;
+  bool drop_oldest();
   void flush();
+  void leave(size_t count);
 
   Hal& hal_;
   Retry retry_;
@@ -96,6 +101,7 @@ class NodeHandle : private Expected {
   uint8_t queue_[kQueueBytes] = {};
   size_t queue_head_ = 0;
   size_t queue_size_ = 0;
+  size_t begun_bytes_ = 0;  // of the first frame, which is on the wire in part: what is left of it
   uint8_t checksum_ = 0;
   uint32_t dropped_to_host_ = 0;
   uint32_t refused_ = 0;
