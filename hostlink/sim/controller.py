@@ -162,7 +162,8 @@ class WheelController:
 
     @property
     def _is_too_fast(self) -> bool:
-        ticks, seconds = (sum(column) for column in zip(*self._recent, strict=True))
+        ticks = sum(ticks for ticks, _ in self._recent)
+        seconds = sum(seconds for _, seconds in self._recent)
         return ticks > TOO_FAST_FACTOR * self.asked_ticks_s * seconds + 0.49  # nearly half a tick: the count may be off
 
 

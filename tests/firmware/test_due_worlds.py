@@ -66,14 +66,14 @@ def brake_s(motor: MotorWorld, speed_ticks_s: float) -> float:
 
 
 def check_stop(made: World, pair: tuple[MotorWorld, MotorWorld]) -> None:
-    """A zero stands as soon as the brake allows, which is 0.6 s for any motor with a constant of 0.15 s or less."""
+    """A zero stands as soon as the brake allows, which is 0.6 s for any motor with a constant of 0.14 s or less."""
     before = sum(map(len, made.rows)) - 1
     made.drive(0.0, 0.0, 1.2)
     for motor, (speed, *_) in zip(pair, wheels(made), strict=True):
         after = np.abs(speed[before:])
         stood_s = float(np.max(np.flatnonzero(after > STANDING_TICKS_S), initial=-1) + 1) * ROW_S
         assert stood_s <= brake_s(motor, float(after[0])) + 2 * ROW_S
-        assert stood_s <= STOP_S + ROW_S or motor.brake_constant_s > 0.15
+        assert stood_s <= STOP_S + ROW_S or motor.brake_constant_s > 0.14
 
 
 @WORLDS
