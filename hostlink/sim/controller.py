@@ -22,7 +22,7 @@ TOO_FAST_FACTOR = 1.05  # of what was asked for: from here a wheel brakes, whate
 RUNAWAY_FACTOR = 1.1  # too fast, although it has braked since 1.05: by so much,
 RUNAWAY_TICKS_S = 20.0  # and by so much,
 RUNAWAY_S = 0.5  # for so long
-SLOWING_FACTOR = 0.9  # without having slowed to this share
+SLOWING_FACTOR = 0.9  # without having slowed to this share of its peak
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,10 +161,19 @@ class WheelController:
         return 0.0 if self._is_too_fast else output
 
     @property
+    def recent_ticks_s(self) -> float:
+        """The mean speed over the last fifth of a second, without a sign."""
+        return sum(ticks for ticks, _ in self._recent) / self._recent_s
+
+    @property
+    def _recent_s(self) -> float:
+        return sum(seconds for _, seconds in self._recent)
+
+    @property
     def _is_too_fast(self) -> bool:
         ticks = sum(ticks for ticks, _ in self._recent)
-        seconds = sum(seconds for _, seconds in self._recent)
-        return ticks > TOO_FAST_FACTOR * self.asked_ticks_s * seconds + 0.49  # nearly half a tick: the count may be off
+        allowed_ticks = TOO_FAST_FACTOR * self.asked_ticks_s * self._recent_s
+        return ticks > allowed_ticks + 0.49  # nearly half a tick: the count may be so much off
 
 
 class WheelWatch:
@@ -177,7 +186,7 @@ class WheelWatch:
         self._blind_s = 0.0  # driven without an edge
         self._strained_s = 0.0  # the same with a high PWM
         self._over_s = 0.0  # too fast
-        self._over_from_ticks_s = 0.0  # how fast it was then
+        self._peak_ticks_s = 0.0  # the fastest that it was meanwhile
 
     def step(self, wheel: WheelController, *, has_edges: bool, is_reversal: bool, dt_s: float) -> None:
         """Look at a wheel after each of its turns."""
@@ -191,7 +200,7 @@ class WheelWatch:
     def forgive(self) -> None:
         """Begin anew."""
         self.fault = None
-        self._waited_s = self._blind_s = self._strained_s = self._over_s = 0.0
+        self._waited_s = self._blind_s = self._strained_s = self._over_s = self._peak_ticks_s = 0.0
 
     def _is_stalled(self, pwm: int, has_edges: bool, dt_s: float) -> bool:
         is_blind = pwm != 0 and not has_edges
@@ -203,18 +212,18 @@ class WheelWatch:
         """A wheel that coasts or was told to go slower slows down; one that somebody else drives does not."""
         if has_lasted(self._waited_s, REST_S):
             return True
-        asked_ticks_s, speed_ticks_s = wheel.asked_ticks_s, abs(wheel.speed_ticks_s)
+        asked_ticks_s, speed_ticks_s = wheel.asked_ticks_s, wheel.recent_ticks_s
         allowed_ticks_s = max(asked_ticks_s + RUNAWAY_TICKS_S, asked_ticks_s * RUNAWAY_FACTOR)
         if self._has_stood or speed_ticks_s <= allowed_ticks_s:
-            self._over_s = 0.0
+            self._over_s = self._peak_ticks_s = 0.0
             return False
-        if self._over_s == 0:
-            self._over_from_ticks_s = speed_ticks_s
         self._over_s += dt_s
+        self._peak_ticks_s = max(self._peak_ticks_s, speed_ticks_s)
         if not has_lasted(self._over_s, RUNAWAY_S):
             return False
-        self._over_s = 0.0
-        return speed_ticks_s > self._over_from_ticks_s * SLOWING_FACTOR
+        slows_down = speed_ticks_s <= self._peak_ticks_s * SLOWING_FACTOR
+        self._over_s = self._peak_ticks_s = 0.0
+        return not slows_down
 
 
 def has_lasted(time_s: float, wanted_s: float) -> bool:

@@ -32,7 +32,7 @@ const float kBlindS = 5.0f;          // with any PWM and no edge
 const float kRunawayFactor = 1.1f;   // too fast, although it has braked since 1.05: by so much,
 const float kRunawayTicksS = 20.0f;  // and by so much,
 const float kRunawayS = 0.5f;        // for so long
-const float kSlowingFactor = 0.9f;   // without having slowed to this share
+const float kSlowingFactor = 0.9f;   // without having slowed to this share of its peak
 
 const uint32_t kLoopUs = 33333;   // 30 Hz
 const uint8_t kPublishEvery = 3;  // turns: 10 Hz

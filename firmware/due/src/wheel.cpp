@@ -154,21 +154,22 @@ bool Wheel::is_stalled(bool has_edges, float dt_s) {
 bool Wheel::runs_away(float dt_s) {
   if (has_lasted(waited_s_, kRestS)) return true;
   const float asked = asked_ticks_s();
-  const float speed = magnitude(speed_ticks_s_);
+  const float speed = recent_.ticks() / recent_.seconds();
   if (has_stood_ || speed <= asked + kRunawayTicksS || speed <= asked * kRunawayFactor) {
-    over_s_ = 0.0f;
+    over_s_ = peak_ticks_s_ = 0.0f;
     return false;
   }
-  if (over_s_ == 0.0f) over_from_ticks_s_ = speed;
   over_s_ += dt_s;
+  peak_ticks_s_ = speed > peak_ticks_s_ ? speed : peak_ticks_s_;
   if (!has_lasted(over_s_, kRunawayS)) return false;
-  over_s_ = 0.0f;
-  return speed > over_from_ticks_s_ * kSlowingFactor;
+  const bool slows_down = speed <= peak_ticks_s_ * kSlowingFactor;
+  over_s_ = peak_ticks_s_ = 0.0f;
+  return !slows_down;
 }
 
 void Wheel::forgive() {
   fault_ = WheelFault::kNone;
-  waited_s_ = blind_s_ = strained_s_ = over_s_ = 0.0f;
+  waited_s_ = blind_s_ = strained_s_ = over_s_ = peak_ticks_s_ = 0.0f;
 }
 
 }  // namespace hostlink

@@ -106,14 +106,14 @@ class Wheel {
   RecentSpeed recent_;
   float speed_ticks_s_ = 0.0f;
   int16_t pwm_ = 0;
-  int8_t direction_ = 1;            // the sign that the edges are given: one channel has none of its own
-  float still_s_ = 0.0f;            // since the last edge
-  bool has_stood_ = true;           // since it was last driven: what rolls then is rolled by somebody else
-  float waited_s_ = 0.0f;           // for a standstill, to reverse
-  float blind_s_ = 0.0f;            // driven without an edge
-  float strained_s_ = 0.0f;         // the same with a high PWM
-  float over_s_ = 0.0f;             // too fast
-  float over_from_ticks_s_ = 0.0f;  // how fast it was then
+  int8_t direction_ = 1;       // the sign that the edges are given: one channel has none of its own
+  float still_s_ = 0.0f;       // since the last edge
+  bool has_stood_ = true;      // since it was last driven: what rolls then is rolled by somebody else
+  float waited_s_ = 0.0f;      // for a standstill, to reverse
+  float blind_s_ = 0.0f;       // driven without an edge
+  float strained_s_ = 0.0f;    // the same with a high PWM
+  float over_s_ = 0.0f;        // too fast
+  float peak_ticks_s_ = 0.0f;  // the fastest that it was meanwhile
   WheelFault fault_ = WheelFault::kNone;
 };
 
