@@ -11,6 +11,7 @@ LEAST_PWM = 700
 FILTER = 0.1  # weight of the newest speed
 S_PER_TICK_S = 0.018  # of minimum jerk: how long a change of one tick/s takes
 LOOP_S = 1 / 30
+HALF_TURN_S = LOOP_S / 2
 NOTHING_TICKS_S = 0.001  # a set-point of less is zero: rounding must not decide a sign
 STANDING_S = 0.1  # without an edge: a wheel has come to rest, or all but
 REST_S = 5.0  # and does not come to rest so long after it was told to: it runs away
@@ -72,6 +73,29 @@ class MinimumJerk:
         return self.value
 
 
+class RecentSpeed:
+    """Ticks and seconds of the last fifth of a second: the filter of the PID is late by a third of one."""
+
+    def __init__(self) -> None:
+        self.ticks = 0
+        self.seconds = 0.0
+        self._turns: deque[tuple[int, float]] = deque()
+
+    def add(self, ticks: int, dt_s: float) -> None:
+        """A turn of the loop."""
+        self._turns.append((ticks, dt_s))
+        self.ticks += ticks
+        self.seconds += dt_s
+        if len(self._turns) > RECENT_TURNS:
+            old_ticks, old_s = self._turns.popleft()
+            self.ticks -= old_ticks
+            self.seconds -= old_s
+
+    def is_above(self, ticks_s: float) -> bool:
+        """Whether the mean speed, which has no sign, is more; the count of ticks may be off by nearly half a one."""
+        return self.ticks > ticks_s * self.seconds + 0.49
+
+
 class WheelFault(Enum):
     """Why a wheel does not do what it is told."""
 
@@ -100,7 +124,7 @@ class WheelController:
         self.pwm = 0
         self.direction = 1  # the sign that the encoder's ticks are given
         self.watch = WheelWatch()
-        self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT_TURNS)  # ticks and seconds of a turn
+        self.recent = RecentSpeed()
         self._still_s = 0.0  # since the last edge
         self._output = self._integral = self._last_error = 0.0
 
@@ -125,7 +149,7 @@ class WheelController:
         """One turn of the loop; returns the signed ticks that the wheel rolled since the last one."""
         signed = ticks * self.direction
         self.speed_ticks_s += FILTER * (signed / dt_s - self.speed_ticks_s)
-        self._recent.append((ticks, dt_s))
+        self.recent.add(ticks, dt_s)
         self._still_s = 0.0 if ticks else min(self._still_s + dt_s, 1.0)
         wanted = self.set_point.step(dt_s)
         is_reversal = wanted * self.direction < -NOTHING_TICKS_S
@@ -158,22 +182,7 @@ class WheelController:
             self._integral = integral
         self._last_error = error
         self._output = output
-        return 0.0 if self._is_too_fast else output
-
-    @property
-    def recent_ticks_s(self) -> float:
-        """The mean speed over the last fifth of a second, without a sign."""
-        return sum(ticks for ticks, _ in self._recent) / self._recent_s
-
-    @property
-    def _recent_s(self) -> float:
-        return sum(seconds for _, seconds in self._recent)
-
-    @property
-    def _is_too_fast(self) -> bool:
-        ticks = sum(ticks for ticks, _ in self._recent)
-        allowed_ticks = TOO_FAST_FACTOR * self.asked_ticks_s * self._recent_s
-        return ticks > allowed_ticks + 0.49  # nearly half a tick: the count may be so much off
+        return 0.0 if self.recent.is_above(TOO_FAST_FACTOR * self.asked_ticks_s) else output
 
 
 class WheelWatch:
@@ -212,11 +221,10 @@ class WheelWatch:
         """A wheel that coasts or was told to go slower slows down; one that somebody else drives does not."""
         if has_lasted(self._waited_s, REST_S):
             return True
-        asked_ticks_s, speed_ticks_s = wheel.asked_ticks_s, wheel.recent_ticks_s
-        allowed_ticks_s = max(asked_ticks_s + RUNAWAY_TICKS_S, asked_ticks_s * RUNAWAY_FACTOR)
-        if self._has_stood or speed_ticks_s <= allowed_ticks_s:
+        if self._has_stood or not self._is_over(wheel):
             self._over_s = self._peak_ticks_s = 0.0
             return False
+        speed_ticks_s = wheel.recent.ticks / wheel.recent.seconds
         self._over_s += dt_s
         self._peak_ticks_s = max(self._peak_ticks_s, speed_ticks_s)
         if not has_lasted(self._over_s, RUNAWAY_S):
@@ -225,10 +233,15 @@ class WheelWatch:
         self._over_s = self._peak_ticks_s = 0.0
         return not slows_down
 
+    def _is_over(self, wheel: WheelController) -> bool:
+        asked_ticks_s = wheel.asked_ticks_s
+        allowed_ticks_s = max(asked_ticks_s + RUNAWAY_TICKS_S, asked_ticks_s * RUNAWAY_FACTOR)
+        return wheel.recent.ticks > allowed_ticks_s * wheel.recent.seconds
+
 
 def has_lasted(time_s: float, wanted_s: float) -> bool:
     """Times are sums of turns: half a turn less, so that rounding decides nothing."""
-    return time_s > wanted_s - LOOP_S / 2
+    return time_s > wanted_s - HALF_TURN_S
 
 
 def motor_output(wanted: float) -> int:

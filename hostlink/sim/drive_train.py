@@ -50,7 +50,7 @@ class DriveTrain:
     def step(self, pwm: float, dt_s: float) -> int:
         """Drive with a signed PWM for `dt_s`, 0 brakes; returns the edges that the encoder saw."""
         self._is_stuck |= self._is_broken and pwm != 0
-        if self._is_held:
+        if self._is_held or (pwm == self.speed_ticks_s == 0 and not self._is_stuck):
             return 0
         if self._is_stuck:
             pwm = FULL_PWM
