@@ -153,11 +153,13 @@ class WheelController:
         self._still_s = 0.0 if ticks else min(self._still_s + dt_s, 1.0)
         wanted = self.set_point.step(dt_s)
         is_reversal = wanted * self.direction < -NOTHING_TICKS_S
-        if wanted * self.direction < NOTHING_TICKS_S:
+        is_resting = wanted * self.direction < NOTHING_TICKS_S
+        if is_resting:
             self._rest(is_reversal=is_reversal)
         else:
             self.pwm = motor_output(self._regulate(wanted, dt_s))
-        self.watch.step(self, has_edges=ticks > 0, is_reversal=is_reversal, dt_s=dt_s)
+        is_waiting = is_resting and self.set_point.target != 0
+        self.watch.step(self, has_edges=ticks > 0, is_waiting=is_waiting, dt_s=dt_s)
         return signed
 
     def _rest(self, *, is_reversal: bool) -> None:
@@ -197,10 +199,10 @@ class WheelWatch:
         self._over_s = 0.0  # too fast
         self._peak_ticks_s = 0.0  # the fastest that it was meanwhile
 
-    def step(self, wheel: WheelController, *, has_edges: bool, is_reversal: bool, dt_s: float) -> None:
+    def step(self, wheel: WheelController, *, has_edges: bool, is_waiting: bool, dt_s: float) -> None:
         """Look at a wheel after each of its turns."""
         self._has_stood = wheel.pwm == 0 and (self._has_stood or wheel.stands)
-        self._waited_s = self._waited_s + dt_s if is_reversal else 0.0
+        self._waited_s = self._waited_s + dt_s if is_waiting else 0.0
         is_stalled = self._is_stalled(wheel.pwm, has_edges, dt_s)
         runs_away = self._runs_away(wheel, dt_s)
         if self.fault is None and (is_stalled or runs_away):

@@ -92,13 +92,14 @@ def test_a_robot_that_is_pushed_while_it_stands_has_no_fault() -> None:
         assert made.errors == []
 
 
-def test_an_encoder_that_never_rests_does_not_let_the_robot_reverse_and_is_told() -> None:
+@pytest.mark.parametrize("speed", [0.02, 0.2, 0.33])
+def test_an_encoder_that_never_rests_does_not_let_the_robot_reverse_and_is_told(speed: float) -> None:
     with world() as made:
         made.drive(0.2, 0.0, 2.0)
         made.drive(0.0, 0.0, 0.1)
         made.grip(RIGHT, 30.0)
         made.rows.clear()
-        made.drive(-0.2, 0.0, 6.0)
+        made.drive(-speed, 0.0, 6.0)
         assert not (made.trace.right_drive != 0).any()
         assert [line.partition(":")[0] for line in made.errors] == ["right wheel runs away"]
 

@@ -13,7 +13,7 @@ STOP_S = 0.6
 OVER_S = 0.3
 LATE_TICKS = 12.0  # odometry is a turn of the loop late: 9.3 ticks at full speed; and a wheel has parts of a tick
 REVERSAL_TICKS = 2.0  # what rolls on unseen, under 10 ticks/s, while the sign changes
-WORLDS = settings(max_examples=settings.default.max_examples * 3)  # a quick test each
+WORLDS = settings(max_examples=settings.default.max_examples * 2)  # 20 ms each
 
 speeds = st.floats(0.02, 0.34).flatmap(lambda size: st.sampled_from([size, -size]))
 turns = st.one_of(st.just(0.0), st.floats(-1.5, 1.5))

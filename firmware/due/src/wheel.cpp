@@ -120,7 +120,7 @@ float Wheel::regulate(float dt_s) {
   const float wanted = set_point_.step(dt_s);
   const float along = wanted * static_cast<float>(direction_);
   const bool is_reversal = along < -kNothingTicksS;
-  waited_s_ = is_reversal ? waited_s_ + dt_s : 0.0f;
+  waited_s_ = along < kNothingTicksS && set_point_.target() != 0.0f ? waited_s_ + dt_s : 0.0f;
   if (along < kNothingTicksS) {
     pid_.reset();
     if (stands()) speed_ticks_s_ = 0.0f;  // the filter need not find out

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
@@ -188,6 +188,7 @@ speeds = st.sampled_from([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])
 stories = st.lists(st.tuples(speeds, st.floats(0.1, 3.0), st.floats(0.0, 0.3)), min_size=1, max_size=6)
 
 
+@settings(max_examples=settings.default.max_examples // 2)
 @given(worlds, stories)
 def test_its_odometry_tells_what_its_wheels_do_in_any_world(
     motor: MotorWorld, story: list[tuple[float, float, float]]
