@@ -8,6 +8,7 @@ from hostlink.sim.drive_train import MotorWorld
 from tests.firmware.worlds import LEFT, RIGHT, Trace, World, motors, world
 
 STANDING_TICKS_S = 5.0  # 6 mm/s
+CREEP_TICKS_S = 15.0  # 18 mm/s: what the least PWM gives to a wheel without friction before the encoder has two edges
 ROW_S = 0.01
 STOP_S = 0.6
 OVER_S = 0.3
@@ -44,11 +45,19 @@ def check_odometry(trace: Trace, reversals: int) -> None:
         assert float(off[-1]) <= 2.0 + REVERSAL_TICKS * reversals
 
 
+def of_late(values: np.ndarray) -> np.ndarray:
+    """The most in the last 0.3 s: who is told to go slower has to brake first."""
+    rows = round(OVER_S / ROW_S)
+    padded = np.concatenate([np.full(rows - 1, values[0]), values])
+    return np.max(np.lib.stride_tricks.sliding_window_view(padded, rows), axis=1)
+
+
 def too_fast_s(made: World) -> float:
     """How long a wheel was faster than 1.1 times what was asked for and a tick in 0.2 s, while it was driven."""
     found = []
     for speed, set_point, asked, _ in wheels(made):
-        allowed = 1.1 * np.maximum(np.abs(asked), np.abs(set_point)) + STANDING_TICKS_S
+        most = of_late(np.maximum(np.abs(asked), np.abs(set_point)))
+        allowed = np.maximum(1.1 * most + STANDING_TICKS_S, CREEP_TICKS_S)
         found.append(longest_s((np.abs(speed) > allowed) & (asked != 0)))
     return max(found)
 
