@@ -85,7 +85,7 @@ def _model(baud: int, ratio: float) -> _Model:
     pairs: Counter[bytes] = Counter()
     for error in _CLOCK_ERRORS:
         for gap_bits in _GAPS_BITS:
-            pairs += _pairs(resample(data, ratio=ratio * error, gap_bits=gap_bits))
+            pairs.update(_pairs(resample(data, ratio=ratio * error, gap_bits=gap_bits)))
     return pairs, pairs.total()
 
 

@@ -4,46 +4,49 @@ Both ends use 8N1. The reader waits for a falling edge, takes the middle of each
 waits for the next edge; as PC drivers do, it passes bytes on whose stop bit was wrong.
 """
 
-from collections.abc import Iterator
+from bisect import bisect_right
+
+import numpy as np
+import numpy.typing as npt
 
 STANDARD_BAUDS = (9600, 19200, 38400, 57600, 74880, 115200, 230400, 250000, 460800, 500000, 921600, 1000000)
+_Times = npt.NDArray[np.float64]
+_Bits = npt.NDArray[np.uint8]
 _DATA_BITS = 8
 _FRAME_BITS = 10  # start, eight of data, stop
 
 
 def resample(data: bytes, *, ratio: float, gap_bits: float = 0.0) -> bytes:
     """What comes out where the reader's speed is `ratio` times the sender's; `gap_bits` of idle line between bytes."""
-    return bytes(_read(_levels(data, ratio, gap_bits)))
+    return _read(*_levels(data, ratio, gap_bits))
 
 
-def _levels(data: bytes, ratio: float, gap_bits: float) -> list[tuple[float, int]]:
-    """The line as (time at which a level ends, level); the unit is one bit of the reader's."""
-    levels: list[tuple[float, int]] = [(_FRAME_BITS * 1.0, 1)]
-    at = levels[0][0]
-    for byte in data:
-        bits = (byte << 1) | 1 << (_FRAME_BITS - 1)  # the start bit is 0, the stop bit 1, the lowest bit first
-        for number in range(_FRAME_BITS):
-            at += ratio
-            levels.append((at, bits >> number & 1))
-        at += gap_bits * ratio
-        levels[-1] = (at, 1)
-    levels.append((at + 2 * _FRAME_BITS, 1))
-    return levels
+def _levels(data: bytes, ratio: float, gap_bits: float) -> tuple[_Times, _Bits]:
+    """The line as times at which a level ends, and these levels; the unit is one bit of the reader's."""
+    count = len(data)
+    bits = np.ones((count, _FRAME_BITS), np.uint8)  # the start bit is 0, the stop bit 1, the lowest bit first
+    bits[:, 0] = 0
+    bits[:, 1:-1] = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little").reshape(count, _DATA_BITS)
+    lengths = np.full((count, _FRAME_BITS), float(ratio))
+    lengths[:, -1] += gap_bits * ratio
+    ends = np.cumsum(np.concatenate(([_FRAME_BITS], lengths.ravel(), [2 * _FRAME_BITS])))
+    return ends, np.concatenate(([1], bits.ravel(), [1])).astype(np.uint8)
 
 
-def _read(levels: list[tuple[float, int]]) -> Iterator[int]:
-    index, at = 0, 0.0
-    while True:
-        while index < len(levels) and (levels[index][1] or levels[index][0] <= at):
-            index += 1
-        if index == len(levels):
-            return
-        start = max(at, levels[index - 1][0])
-        byte = 0
-        for bit in range(_DATA_BITS):
-            middle = start + 1.5 + bit
-            while index < len(levels) - 1 and levels[index][0] <= middle:
-                index += 1
-            byte |= levels[index][1] << bit
-        at = start + 1.5 + _DATA_BITS
-        yield byte
+def _read(ends: _Times, levels: _Bits) -> bytes:
+    starts = np.array(_starts(ends, levels))
+    middles = starts[:, np.newaxis] + 1.5 + np.arange(_DATA_BITS)
+    at = np.minimum(np.searchsorted(ends, middles.ravel(), side="right"), len(ends) - 1)
+    return np.packbits(levels[at].reshape(-1, _DATA_BITS), axis=1, bitorder="little").tobytes()
+
+
+def _starts(ends: _Times, levels: _Bits) -> list[float]:
+    """When the reader takes a level of 0 for a start bit; each depends on the one before."""
+    low = np.flatnonzero(levels == 0)
+    low_ends, low_begins = ends[low].tolist(), ends[low - 1].tolist()
+    found: list[float] = []
+    at = 0.0
+    while (number := bisect_right(low_ends, at)) < len(low_ends):
+        found.append(max(at, low_begins[number]))
+        at = found[-1] + 1.5 + _DATA_BITS
+    return found
