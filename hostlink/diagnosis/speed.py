@@ -95,12 +95,12 @@ def _pairs(data: bytes) -> Counter[bytes]:
 
 def _most_likely(sample: bytes, models: dict[int, _Model]) -> tuple[int, float]:
     """The best model, and by how much a byte it beats the next."""
-    likelihoods = sorted(((_mean_likelihood(sample, model), name) for name, model in models.items()), reverse=True)
+    seen = _pairs(sample)
+    likelihoods = sorted(((_mean_likelihood(seen, model), name) for name, model in models.items()), reverse=True)
     return likelihoods[0][1], likelihoods[0][0] - likelihoods[1][0]
 
 
-def _mean_likelihood(sample: bytes, model: _Model) -> float:
+def _mean_likelihood(seen: Counter[bytes], model: _Model) -> float:
     pairs, total = model
-    seen = _pairs(sample)
     whole = math.log(total + _SMOOTHING * _PAIRS)
     return sum(count * (math.log(pairs[pair] + _SMOOTHING) - whole) for pair, count in seen.items()) / seen.total()

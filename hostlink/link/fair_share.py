@@ -4,12 +4,16 @@ import asyncio
 from collections import deque
 
 TURN_S = 0.001  # of all links together; what drives a robot comes in between, within a few turns
+MAX_DEFERRALS = 3  # then one is let in though the turn is used up: nobody waits without end
+_SOME_S = 1e-9  # enough for one
+_Queue = deque[tuple[asyncio.Future[None], float]]
 
 
 class FairShare:
-    """Links that read wait here when a turn of the loop is used up; first come, first served.
+    """Links that read wait here when a turn of the loop is used up.
 
-    A flooding device so has no more of the loop than any other, and all together have TURN_S of each turn.
+    Those of which no more waits than one read takes go first, in the order in which they came: a robot's own questions do
+    not wait behind a flood. Those that flood take turns in what is left, at least one in each turn of the loop.
     """
 
     def __init__(self, turn_s: float = TURN_S) -> None:
@@ -17,15 +21,19 @@ class FairShare:
         self._turn_s = turn_s
         self._spent_s = 0.0  # in this turn
         self._is_turn_due = False
-        self._waiting: deque[tuple[asyncio.Future[None], float]] = deque()
+        self._calm: _Queue = deque()
+        self._flooding: _Queue = deque()
 
-    async def wait(self, expected_s: float) -> None:
+    async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
         """Returns when the caller may compute for about `expected_s`: at once while something of the turn is left."""
-        is_let_in = not self._waiting
-        while not is_let_in or self._spent_s >= self._turn_s:  # those before may cost more than was expected
+        queue = self._flooding if is_flooding else self._calm
+        is_let_in = not queue and not (is_flooding and self._calm)
+        deferrals = 0
+        while not is_let_in or (self._is_used_up and deferrals < MAX_DEFERRALS):
+            deferrals += is_let_in  # those before have cost more than was expected
             turn = asyncio.get_running_loop().create_future()
-            queue = self._waiting.appendleft if is_let_in else self._waiting.append
-            queue((turn, expected_s))
+            put = queue.appendleft if is_let_in else queue.append
+            put((turn, expected_s))
             self.waits += 1
             self._expect_turn()
             await turn
@@ -36,19 +44,28 @@ class FairShare:
         self._spent_s += seconds
         self._expect_turn()
 
+    @property
+    def _is_used_up(self) -> bool:
+        return self._spent_s >= self._turn_s
+
     def _expect_turn(self) -> None:
         if not self._is_turn_due:
             self._is_turn_due = True
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
     def _begin_turn(self) -> None:
-        """Let in as many as are expected to fill the turn, at least one."""
+        """Let in as many as are expected to fill the turn."""
         self._is_turn_due = False
-        self._spent_s = expected_s = 0.0
-        while self._waiting and expected_s < self._turn_s:
-            turn, cost_s = self._waiting.popleft()
+        self._spent_s = 0.0
+        left_s = self._let_in(self._calm, self._turn_s)
+        self._let_in(self._flooding, max(left_s, _SOME_S))
+        if self._calm or self._flooding:
+            self._expect_turn()
+
+    def _let_in(self, queue: _Queue, left_s: float) -> float:
+        while queue and left_s > 0:
+            turn, cost_s = queue.popleft()
             if not turn.done():  # else its link has ended
                 turn.set_result(None)
-                expected_s += cost_s
-        if self._waiting:
-            self._expect_turn()
+                left_s -= cost_s
+        return left_s

@@ -17,7 +17,7 @@ from hostlink.link.fair_share import TURN_S, FairShare
 from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
-from hostlink.transport.base import Transport
+from hostlink.transport.base import READ_BYTES, Transport
 
 log = structlog.get_logger()
 
@@ -157,7 +157,7 @@ class Link:
                     now_s = self.heard_at_s = loop.time()
                     self.tape_from_device.add(data, now_s)
                     for at in range(0, len(data), PIECE_BYTES):
-                        await self._read_piece(data[at : at + PIECE_BYTES])
+                        await self._read_piece(data[at : at + PIECE_BYTES], is_flooding=len(data) >= READ_BYTES)
                         if self._end is not None:
                             return self._end
                     self._trouble.look(self.session, now_s)
@@ -167,10 +167,10 @@ class Link:
             self._deadline = None
         return LinkEnd.PEER_CLOSED
 
-    async def _read_piece(self, piece: bytes) -> None:
+    async def _read_piece(self, piece: bytes, *, is_flooding: bool) -> None:
         """Take a piece of what came, when it is this link's turn."""
         loop = asyncio.get_running_loop()
-        await self._share.wait(self._piece_s)
+        await self._share.wait(self._piece_s, is_flooding=is_flooding)
         began_s = loop.time()
         try:
             self._tell(self.session.receive(piece, now_s=began_s))

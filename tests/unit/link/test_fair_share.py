@@ -3,7 +3,7 @@
 import asyncio
 
 from hostlink.config import LinkConfig
-from hostlink.link.fair_share import TURN_S, FairShare
+from hostlink.link.fair_share import MAX_DEFERRALS, TURN_S, FairShare
 from hostlink.link.link import Link
 from hostlink.protocol.events import Event
 from hostlink.protocol.frame import encode
@@ -91,6 +91,58 @@ def test_links_that_wait_take_turns() -> None:
         assert max(counts) - min(counts) <= 2
 
 
+def test_one_of_which_little_waits_goes_before_those_that_flood() -> None:
+    async def run() -> tuple[list[str], int]:
+        share, served = FairShare(), []
+
+        async def work(name: str, *, is_flooding: bool) -> None:
+            for _ in range(50):
+                await share.wait(TURN_S, is_flooding=is_flooding)
+                served.append(name)
+                share.spend(TURN_S)
+                if not is_flooding:
+                    await asyncio.sleep(0)
+
+        async with asyncio.TaskGroup() as tasks:
+            for number in range(10):
+                tasks.create_task(work(f"flood {number}", is_flooding=True))
+            tasks.create_task(work("robot", is_flooding=False))
+        return served, served.index("robot")
+
+    served, first = run_virtual(run())
+    assert first <= 2
+    assert served[:110].count("robot") >= 40  # of what the others have had by then ten times as many wait
+    assert len(served) == 11 * 50  # and nobody is left out
+
+
+def test_nobody_who_floods_waits_without_end() -> None:
+    async def run() -> int:
+        share, reads = FairShare(), 0
+
+        async def flood() -> None:
+            nonlocal reads
+            while True:
+                await share.wait(TURN_S, is_flooding=True)
+                reads += 1
+                share.spend(TURN_S)
+
+        async def busy() -> None:
+            while True:
+                await share.wait(TURN_S)
+                share.spend(TURN_S)
+                await asyncio.sleep(0)
+
+        async with asyncio.TaskGroup() as tasks:
+            others = [tasks.create_task(work()) for work in (flood, busy, busy, busy)]
+            for _ in range(1000):
+                await asyncio.sleep(0)
+            for task in others:
+                task.cancel()
+        return reads
+
+    assert run_virtual(run()) > 50
+
+
 def test_small_work_of_many_fits_into_one_turn() -> None:
     async def run() -> int:
         share = FairShare()
@@ -131,11 +183,11 @@ def test_one_that_costs_more_than_was_expected_makes_the_others_wait() -> None:
             share.spend(TURN_S)
 
         async with asyncio.TaskGroup() as tasks:
-            for _ in range(6):
+            for _ in range(MAX_DEFERRALS + 1):
                 tasks.create_task(work())
             for turn in range(30):  # noqa: B007 - `work` reads it
                 await asyncio.sleep(0)
         return turns
 
     turns = run_virtual(run())
-    assert len(turns) == len(set(turns)) == 6
+    assert len(turns) == len(set(turns)) == MAX_DEFERRALS + 1
