@@ -12,8 +12,8 @@ _Queue = deque[tuple[asyncio.Future[None], float]]
 class FairShare:
     """Links that read wait here when a turn of the loop is used up.
 
-    Those of which no more waits than one read takes go first, in the order in which they came: a robot's own questions do
-    not wait behind a flood. Those that flood take turns in what is left, at least one in each turn of the loop.
+    Those of which no more waits than one read takes go first, in the order in which they came: a robot's own questions
+    do not wait behind a flood. Those that flood take turns in what is left, at least one in each turn of the loop.
     """
 
     def __init__(self, turn_s: float = TURN_S) -> None:
