@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import errno
+import functools
 import itertools
 import mimetypes
 import socket as sockets
@@ -43,6 +44,8 @@ log = structlog.get_logger()
 PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
 LINGER_S = 1.0  # for a body that nobody asked for, before its connection is closed
+REQUEST_S = 0.0005  # what a small request costs
+FLOOD_GAP_S = 0.003  # from one message of a client to the next: whoever drives does so 200 times a second at the most
 DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
 SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
@@ -84,6 +87,7 @@ class ApiServer:
         )
         self._metrics = Metrics(hub, self._clients, self._limit, connections)
         self._sockets: set[web.WebSocketResponse] = set()
+        self._turns = hub.turns()  # of all requests together
         self._routes: list[Route] = []
         self._by_handler: dict[Handler, Route] = {}
         RosApi(hub).offer()
@@ -128,6 +132,7 @@ class ApiServer:
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
             self._check(request)
+            await self._turns.wait(REQUEST_S)
             await self._receive_body(request)
             answer = await handler(request)
         if origin is not None and not answer.prepared:
@@ -210,11 +215,14 @@ class ApiServer:
             )
             sender = tasks.create_task(self._send(socket, client, rosbridge, queue), name=f"{client.name} sender")
             try:
+                turns, before_s = self._hub.turns(), float("-inf")
                 async for message in socket:
                     if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                         continue
                     client.messages_from_client += 1
-                    rosbridge.receive(message.data)
+                    now_s = loop.time()
+                    is_flooding, before_s = now_s < before_s + FLOOD_GAP_S, now_s
+                    await turns.take(functools.partial(rosbridge.receive, message.data), is_flooding=is_flooding)
                     if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
                         await self._refuse_flood(socket)
                         break

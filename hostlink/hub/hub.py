@@ -25,7 +25,7 @@ from hostlink.hub.robot_topics import RobotTopics
 from hostlink.hub.robots import ENDING, PROGRAM_PRIORITY, Robot, Robots
 from hostlink.hub.services import Services
 from hostlink.hub.subscriptions import Topic, TopicGraph, resolve
-from hostlink.link.fair_share import FairShare
+from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import log_what_is_missing, of_peer, printable
 from hostlink.messages.catalog import Catalog
@@ -124,6 +124,10 @@ class Hub:
     async def _isolated(self, work: Coroutine[Any, Any, object], name: str) -> None:
         with self.isolation.around("task", task=name):
             await work
+
+    def turns(self) -> Turns:
+        """The part of somebody new in what the loop does for all."""
+        return Turns(self._share)
 
     def open(self, transport: Transport, link_config: LinkConfig | None = None) -> Link:
         """A link for one connection, to be served from now on."""

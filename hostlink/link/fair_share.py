@@ -1,16 +1,17 @@
-"""FairShare: how much of each turn of the event loop goes into reading devices, and which link is next."""
+"""FairShare: how much of each turn of the event loop goes into what links and clients send, and who is next."""
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
 
-TURN_S = 0.001  # of all links together; what drives a robot comes in between, within a few turns
+TURN_S = 0.001  # of all together; what drives a robot comes in between, within a few turns
 MAX_DEFERRALS = 3  # then one is let in though the turn is used up: nobody waits without end
 _SOME_S = 1e-9  # enough for one
 _Queue = deque[tuple[asyncio.Future[None], float]]
 
 
 class FairShare:
-    """Links that read wait here when a turn of the loop is used up.
+    """Links and clients that read wait here when a turn of the loop is used up.
 
     Those of which no more waits than one read takes go first, in the order in which they came: a robot's own questions
     do not wait behind a flood. Those that flood take turns in what is left, at least one in each turn of the loop.
@@ -69,3 +70,27 @@ class FairShare:
                 turn.set_result(None)
                 left_s -= cost_s
         return left_s
+
+
+class Turns:
+    """The part of one link or one client in a FairShare; it remembers what its work costs."""
+
+    def __init__(self, share: FairShare) -> None:
+        self._share = share
+        self._cost_s = TURN_S  # of the first piece nobody knows
+
+    async def take(self, work: Callable[[], None], *, is_flooding: bool) -> None:
+        """Do a piece of work when it is its turn."""
+        now_s = asyncio.get_running_loop().time
+        await self._share.wait(self._cost_s, is_flooding=is_flooding)
+        began_s = now_s()
+        try:
+            work()
+        finally:
+            self._cost_s = now_s() - began_s
+            self._share.spend(self._cost_s)
+
+    async def wait(self, cost_s: float) -> None:
+        """Returns when it is its turn, for work of about this cost that can only be begun here."""
+        await self._share.wait(cost_s)
+        self._share.spend(cost_s)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -13,7 +14,7 @@ import structlog
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
-from hostlink.link.fair_share import TURN_S, FairShare
+from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
@@ -67,8 +68,7 @@ class Link:
         self._transport = transport
         self._config = config
         self._on_event = on_event
-        self._share = FairShare() if share is None else share
-        self._piece_s = TURN_S  # what the last piece cost; of the first nobody knows
+        self._turns = Turns(FairShare() if share is None else share)
         self._wake = asyncio.Event()
         self._is_drained = asyncio.Event()
         self._sleeps_until_s = 0.0
@@ -157,7 +157,8 @@ class Link:
                     now_s = self.heard_at_s = loop.time()
                     self.tape_from_device.add(data, now_s)
                     for at in range(0, len(data), PIECE_BYTES):
-                        await self._read_piece(data[at : at + PIECE_BYTES], is_flooding=len(data) >= READ_BYTES)
+                        read = functools.partial(self._read_piece, data[at : at + PIECE_BYTES])
+                        await self._turns.take(read, is_flooding=len(data) >= READ_BYTES)
                         if self._end is not None:
                             return self._end
                     self._trouble.look(self.session, now_s)
@@ -167,16 +168,8 @@ class Link:
             self._deadline = None
         return LinkEnd.PEER_CLOSED
 
-    async def _read_piece(self, piece: bytes, *, is_flooding: bool) -> None:
-        """Take a piece of what came, when it is this link's turn."""
-        loop = asyncio.get_running_loop()
-        await self._share.wait(self._piece_s, is_flooding=is_flooding)
-        began_s = loop.time()
-        try:
-            self._tell(self.session.receive(piece, now_s=began_s))
-        finally:
-            self._piece_s = loop.time() - began_s
-            self._share.spend(self._piece_s)
+    def _read_piece(self, piece: bytes) -> None:
+        self._tell(self.session.receive(piece, now_s=asyncio.get_running_loop().time()))
 
     def _silent_at_s(self) -> float:
         """When the link ends if not a byte comes; sooner for a device that has shown that it asks for the time."""
