@@ -16,6 +16,7 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
+from hostlink import logs
 from hostlink.api.clients import Clients
 from hostlink.api.connections import Connections
 from hostlink.api.rate_limit import RateLimit
@@ -95,6 +96,21 @@ class _Graph(Collector):
         )
         yield CounterMetricFamily(
             "hostlink_messages_unheard", "Messages of devices that were not known in time", value=self._hub.unheard
+        )
+        crashes = CounterMetricFamily("hostlink_crashes", "Faults of hostlink, by what they ended", labels=["what"])
+        for what, count in self._hub.isolation.crashes.items():
+            crashes.add_metric([what], count)
+        yield crashes
+        yield CounterMetricFamily(
+            "hostlink_device_calls_refused",
+            "Calls of services by devices that were over a bound",
+            value=self._hub.device_calls.refused,
+        )
+        yield CounterMetricFamily(
+            "hostlink_log_lines_lost", "Lines that could not be written", value=logs.output.lost_lines
+        )
+        yield CounterMetricFamily(
+            "hostlink_log_lines_left_out", "Lines over the budget of who caused them", value=logs.budget.left_out
         )
         refused = CounterMetricFamily("hostlink_connections_refused", "Devices turned away, by cause", labels=["cause"])
         for cause, count in self._hub.refused.items():

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import dataclasses
 import math
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping
@@ -16,6 +15,8 @@ from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
+from hostlink.hub.refusals import Refusals
+from hostlink.hub.robot_settings import limits_of, of_namesake
 from hostlink.hub.shown_names import ShownNames
 from hostlink.hub.subscriptions import Deliver, Unsubscribe
 from hostlink.link.link import Link, LinkEnd
@@ -26,7 +27,7 @@ from hostlink.robot.directory import RobotTopics
 from hostlink.robot.odometry import OdometryView, Twist
 from hostlink.robot.presence import SURE_S
 from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import Limits, VelocityGate
+from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
 
@@ -39,26 +40,6 @@ DEMO_PRIORITY = 0  # whoever comes is more important
 PROGRAM_PRIORITY = 50  # a client of the API that does not say
 MAX_PRIORITY = 100  # a person at keys or a joystick says 60
 MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is taken
-LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats his command ten times a second
-
-
-@dataclass(slots=True)
-class Refusals:
-    """Velocities that a robot's device could not take."""
-
-    count: int = 0
-    cause: str | None = None  # of the last velocity; None: it was taken
-    log_at_s: float = float("-inf")
-    logged: int = 0
-
-    def add(self, robot: str, error: HostlinkError) -> None:
-        """Log the first, then one in LOG_INTERVAL_S with the number of those since."""
-        self.count += 1
-        self.cause = str(error)
-        now_s = _now_s()
-        if now_s >= self.log_at_s:
-            log.warning("robot.unreachable", robot=robot, cause=self.cause, count=self.count - self.logged)
-            self.log_at_s, self.logged = now_s + LOG_INTERVAL_S, self.count
 
 
 @dataclass(slots=True)
@@ -128,7 +109,7 @@ class Robots:
         self.max_robots = MAX_ROBOTS + len(configs)
         self._configs = configs
         for config in configs.values():
-            _limits(config)  # a ConfigError belongs to the start, not to the robot's first connection
+            limits_of(config)  # a ConfigError belongs to the start, not to the robot's first connection
         self.guard: Guard | None = None  # who stops the robots when this process cannot
         self._subscribe, self._show = subscribe, show
         self._on_forgotten = on_forgotten
@@ -313,10 +294,10 @@ class Robots:
             self._forget_some()
 
     def _make(self, name: str, topics: RobotTopics, shown: RobotTopics) -> Robot:
-        config = self._configs.get(name) or _likewise(self._configs.get(topics.name))
+        config = self._configs.get(name) or of_namesake(self._configs.get(topics.name))
         fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
         odometry = OdometryView(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
-        return Robot(name, config, VelocityGate(name, _limits(config)), odometry, topics, shown)
+        return Robot(name, config, VelocityGate(name, limits_of(config)), odometry, topics, shown)
 
     def _lock_likewise(self, robot: Robot) -> None:
         """If a locked robot of the same own name may be this one."""
@@ -422,34 +403,6 @@ class Robots:
         robot.link.wake()
         self._show(robot, payload)
         return None
-
-
-def _likewise(config: RobotConfig | None) -> RobotConfig:
-    """The limits that hold for a robot hold for others that call themselves the same; its names are its own."""
-    if config is None:
-        return RobotConfig()
-    return dataclasses.replace(
-        config,
-        address=None,
-        odom_topic=None,
-        cmd_vel_topic=None,
-        cmd_vel_stamped_topic=None,
-        odom_frame=None,
-        base_frame=None,
-    )
-
-
-def _limits(config: RobotConfig) -> Limits:
-    return Limits(
-        max_linear_m_s=config.max_linear_m_s,
-        max_angular_rad_s=config.max_angular_rad_s,
-        max_wheel_m_s=config.max_wheel_m_s,
-        wheel_separation_m=config.wheel_separation_m,
-        max_linear_acceleration_m_s2=config.max_linear_acceleration_m_s2,
-        max_angular_acceleration_rad_s2=config.max_angular_acceleration_rad_s2,
-        max_linear_deceleration_m_s2=config.max_linear_deceleration_m_s2,
-        max_angular_deceleration_rad_s2=config.max_angular_deceleration_rad_s2,
-    )
 
 
 def _read_by_link(message: Message) -> None:
