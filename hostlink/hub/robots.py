@@ -57,6 +57,7 @@ class Robot:
     shown: RobotTopics  # as the graph calls them
     link: Link | None = None
     locked_link: Link | None = None  # the one that it had when it was locked
+    last_frame: bytes = b""  # its zero, as its device takes it
     sent: Velocity = ZERO
     sent_at_s: float = 0.0
     left_at_s: float = 0.0
@@ -314,9 +315,12 @@ class Robots:
     def _send_last_zero(self, robot: Robot, link: Link) -> None:
         """To a device that may have told new topics, or has another link by now; most often it is gone."""
         if robot.gate.may_move:
-            with contextlib.suppress(HostlinkError):
+            try:
                 link.session.publish(robot.topics.velocity, self.twist.encode(ZERO.to_twist()), is_urgent=True)
-                link.wake()
+            except HostlinkError:
+                if robot.last_frame:
+                    link.session.send_last(robot.last_frame)
+            link.wake()
 
     def _put_away(self, robot: Robot) -> None:
         """It may be forgotten from now on, unless it is configured or locked."""
@@ -340,7 +344,8 @@ class Robots:
     def _guard_link(self, robot: Robot, link: Link) -> None:
         """Let link and guard stop this robot when nobody else can; one that takes no velocity cannot be driven."""
         with contextlib.suppress(HostlinkError):
-            link.last_frame = link.session.frame_to(robot.topics.velocity, self.twist.encode(ZERO.to_twist()))
+            zero = link.session.frame_to(robot.topics.velocity, self.twist.encode(ZERO.to_twist()))
+            link.last_frame = robot.last_frame = zero
             if self.guard is not None:
                 topic_id = link.session.topic_id(robot.topics.velocity)
                 longest = link.session.longest_to_device_bytes

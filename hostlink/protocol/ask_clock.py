@@ -47,13 +47,15 @@ class AskClock:
     def forget_same_asks(self) -> None:
         self._same_asks.clear()
 
-    def finish(self, gap_at: int | None) -> None:
+    def finish(self, gap_at: int | None, *, is_short: bool = False) -> None:
         """A negotiation ended: earlier wishes are granted, what was lost in it is a new one."""
         self._wish = None
         if gap_at is not None:
             self.wish("gap", about="loss")
         elif self.is_negotiation_damaged:
             self.wish("damaged", about="loss")
+        elif is_short:
+            self.wish("missing", about="loss")
         else:
             self._same_asks.pop("loss", None)
         self.is_negotiation_damaged = False

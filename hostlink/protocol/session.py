@@ -22,6 +22,7 @@ from hostlink.protocol.control import (
 from hostlink.protocol.foreign import ForeignBytes
 from hostlink.protocol.frame import (
     FIRST_TOPIC_ID,
+    HEADER,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
     TOPICS_REQUEST,
@@ -209,6 +210,12 @@ class Session:
         else:
             self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
 
+    def send_last(self, frame: bytes) -> None:
+        """Queue a frame for an endpoint that the device may still have, unless its id is another's by now."""
+        topic_id: int = HEADER.unpack_from(frame)[3]
+        if self._topics.get(topic_id) is None:
+            self._outbox.put_urgent(topic_id, frame)
+
     @property
     def is_stopped(self) -> bool:
         """Whether `stop` was called."""
@@ -365,7 +372,7 @@ class Session:
             yield events.TopicRefused(info, BadRequest(reason))
 
     def _finish_negotiation(self) -> events.TopicsNegotiated:
-        self._topics.finish()
+        self._topics.finish(refused=self._refused)
         self._stream.limit_bytes = max(DEFAULT_LIMIT_BYTES, self._topics.largest_from_device_bytes())
         self._refused = {topic_id: why for topic_id, why in self._refused.items() if self._topics.get(topic_id)}
         self.counts.negotiations += 1
@@ -376,7 +383,7 @@ class Session:
             self._clock.forget_same_asks()
         self._known = known
         gap_at = self._topics.gap()
-        self._clock.finish(gap_at)
+        self._clock.finish(gap_at, is_short=bool(self._topics.missing))
         return events.TopicsNegotiated(known, is_changed, gap_at)
 
     def _ask_if_due(self, now_s: float) -> Iterator[events.Event]:

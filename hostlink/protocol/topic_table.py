@@ -1,13 +1,21 @@
 """TopicTable: what one device announced, by id; one negotiation replaces the one before it."""
 
+from collections import Counter
+from collections.abc import Container
+
 from hostlink.protocol.control import IS_TO_DEVICE, TopicInfo
 from hostlink.protocol.frame import FIRST_TOPIC_ID, Id
 
+MAX_MISSED = 3  # negotiations, so two more requests for topics
 MAX_TOPICS = 256  # ten times what rosserial's own library allows by default
 
 
 class TopicTable:
     """The topics of the last complete negotiation, and those that the present one has told so far.
+
+    One that tells only a part of what was told before, and nothing else, has most likely lost a TopicInfo on the way: a
+    topic to the device that it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose velocity topic
+    went at once could not be stopped any more.
 
     `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have. What is over
     `max_topics` is not taken: `excess` counts it, in the present negotiation.
@@ -20,6 +28,8 @@ class TopicTable:
         self.excess = 0
         self._by_name: dict[tuple[str, int], TopicInfo] = {}
         self._told: dict[int, TopicInfo] = {}  # by the present negotiation
+        self._complete: dict[int, TopicInfo] = {}  # what the negotiation before it left
+        self._missed: Counter[int] = Counter()  # negotiations in a row that lacked an id
         self._topics: dict[int, TopicInfo] = {}  # told so far, then those of the negotiation before
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
@@ -27,7 +37,7 @@ class TopicTable:
         if not self.is_negotiating:
             self.is_negotiating = True
             self.excess = 0
-            self._told = {}
+            self._told, self._complete = {}, dict(self._topics)
         before = self._topics.get(info.topic_id)
         if before is not None and self._by_name.get((before.name, before.kind)) == before:
             del self._by_name[before.name, before.kind]
@@ -44,13 +54,23 @@ class TopicTable:
         """Whether one more TopicInfo may be taken."""
         return not self.is_negotiating or topic_id in self._told or len(self._told) < self.max_topics
 
-    def finish(self) -> None:
-        """The device has told all: what it did not name again is gone."""
+    def finish(self, *, refused: Container[int] = ()) -> None:
+        """The device has told all: what it did not name again is gone, or lost for now; `refused` is never used."""
         self.is_negotiating = False
-        for gone in self._topics.keys() - self._told.keys():
+        is_part = self._told.items() <= self._complete.items()
+        usable = [each for each, info in self._complete.items() if info.kind is Id.SUBSCRIBER and each not in refused]
+        lacked = [each for each in usable if is_part and each not in self._told]
+        self._missed = Counter({each: self._missed[each] + 1 for each in lacked})
+        kept = {each: self._complete[each] for each in self.missing}
+        for gone in self._topics.keys() - self._told.keys() - kept.keys():
             self.fixed_bytes.pop(gone, None)
-        self._topics = dict(self._told)
-        self._by_name = {(info.name, info.kind): info for info in reversed(self._told.values())}
+        self._topics = kept | self._told
+        self._by_name = {(info.name, info.kind): info for info in reversed(self._topics.values())}
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """Ids that the last negotiation lacked, and that are kept for now."""
+        return tuple(each for each, count in self._missed.items() if count < MAX_MISSED)
 
     def get(self, topic_id: int) -> TopicInfo | None:
         """What the device announced under this id."""

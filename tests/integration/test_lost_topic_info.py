@@ -1,0 +1,78 @@
+"""A TopicInfo that is lost on the line while a robot is driven: it can be stopped all the same."""
+
+import asyncio
+
+import pytest
+
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.waiting import expect
+
+ZERO = (0.0, 0.0)
+CURVE = (0.2, 0.5)
+VELOCITY_FIRST = robot_topics()
+VELOCITY_LAST = [
+    topic(Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
+    topic(Id.SUBSCRIBER, 99 + 1, "/robot_0/reset_odometry", "std_msgs/Empty"),
+    topic(Id.SUBSCRIBER, 101, "/robot_0/velocity_commands", "geometry_msgs/Twist"),
+]
+
+
+def told(infos: list[TopicInfo]) -> bytes:
+    return (
+        encode(Id.TIME, bytes(8))
+        + b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
+        + encode(Id.TIME, bytes(8))
+    )
+
+
+def without_velocity(infos: list[TopicInfo]) -> bytes:
+    return told([info for info in infos if info.type != "geometry_msgs/Twist"])
+
+
+async def velocity(device: FakeDevice, topic_id: int, *, other_than: bytes) -> bytes:
+    while (payload := await device.frame(topic_id)) == other_than:
+        pass
+    return payload
+
+
+async def moving(host: Daemon, device: FakeDevice, topic_id: int) -> bytes:
+    await expect(lambda: host.hub.robots.find("robot_0").link)
+    robot = host.hub.robots.find("robot_0")
+    host.hub.robots.command(robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+    return await velocity(device, topic_id, other_than=bytes(48))
+
+
+@pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
+async def test_a_stop_still_reaches_it_and_it_is_asked_again(infos: list[TopicInfo], topic_id: int) -> None:
+    async with daemon() as host, fake_device(host.tcp, infos) as device:
+        driven = await moving(host, device, topic_id)
+        asks = host.hub.links()[0].session.counts.asks
+        await device.send(without_velocity(infos))
+        await expect(lambda: host.hub.links()[0].session.counts.negotiations == 2)
+        assert (await host.rest("POST", "/api/stop"))[0] == 200
+        assert await velocity(device, topic_id, other_than=driven) == bytes(48)
+        await expect(lambda: host.hub.links()[0].session.counts.asks > asks)
+        await device.send(told(infos))
+        await expect(lambda: host.hub.links()[0].session.counts.negotiations == 3)
+        assert await moving(host, device, topic_id) == driven
+
+
+@pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
+async def test_one_that_never_tells_it_again_hears_zero_before_it_is_no_robot_any_more(
+    infos: list[TopicInfo], topic_id: int
+) -> None:
+    async with daemon() as host, fake_device(host.tcp, infos) as device:
+        driven = await moving(host, device, topic_id)
+        for count in (2, 3, 4):
+            host.hub.robots.command(
+                host.hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
+            )
+            await device.send(without_velocity(infos))
+            await expect(lambda count=count: host.hub.links()[0].session.counts.negotiations == count)  # type: ignore[misc]
+        assert host.hub.robots.find("robot_0").link is None
+        async with asyncio.timeout(5):
+            assert await velocity(device, topic_id, other_than=driven) == bytes(48)
