@@ -1,5 +1,6 @@
 """Device: what one link means to the graph: its topics, its services, and the routes of its frames."""
 
+import asyncio
 import struct
 import time
 from collections import deque
@@ -10,6 +11,7 @@ from hostlink.errors import BadRequest, WrongType
 from hostlink.hub.services import DeviceService, Services
 from hostlink.hub.shown_names import ShownNames
 from hostlink.hub.subscriptions import SendToDevice, Topic, TopicGraph
+from hostlink.hub.ungated import UngatedVelocities, is_velocity
 from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -46,8 +48,11 @@ def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
 class Device:
     """A link in the graph, from its first negotiation to its end."""
 
-    def __init__(self, link: Link, topics: TopicGraph, services: Services, catalog: Catalog) -> None:
+    def __init__(
+        self, link: Link, topics: TopicGraph, services: Services, catalog: Catalog, ungated: UngatedVelocities
+    ) -> None:
         self.link = link
+        self._ungated = ungated
         self.routes: dict[int, Topic] = {}  # where the messages of an id go
         self.odometry: dict[int, MessageType] = {}  # the ids that tell where its robot is
         self.shown = ShownNames()
@@ -96,7 +101,7 @@ class Device:
             if topic.type is not None and topic.type.fields[:1] == (_HEADER,):
                 self._stamped.add(info.topic_id)
         elif info.kind is Id.SUBSCRIBER:
-            self._topics.take(name, self.link, self._sender(info.name), type_name=info.type)
+            self._topics.take(name, self.link, self._sender(info), type_name=info.type)
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
             type_ = self._catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
@@ -113,12 +118,15 @@ class Device:
         if (info.name, info.type) == (robot.odometry, robot.odometry_type) and type_ is not None:
             self.odometry[info.topic_id] = type_
 
-    def _sender(self, name: str) -> SendToDevice:
+    def _sender(self, info: TopicInfo) -> SendToDevice:
         def send(payload: bytes) -> None:
-            self.link.session.publish(name, payload, depth=COMMAND_DEPTH)
+            self.link.session.publish(info.name, payload, depth=COMMAND_DEPTH)
             self.link.wake()
 
-        return send
+        def drive(payload: bytes) -> None:
+            self._ungated.send(self.link, info.name, payload, now_s=asyncio.get_running_loop().time())
+
+        return drive if is_velocity(info) else send  # a robot's own velocity topic has a gate, and comes here never
 
     def _call(self, name: str, payload: bytes) -> None:
         self.link.session.call(name, payload)

@@ -138,7 +138,7 @@ class Hub:
             max_topics=config.max_topics,
         )
         link = Link(transport, session, config, number=next(self._numbers), on_event=self._react, share=self._share)
-        self._devices[link.number] = Device(link, self.topics, self.services, self.catalog)
+        self._devices[link.number] = Device(link, self.topics, self.services, self.catalog, self.robots.ungated)
         self.diagnoses.begin(link)
         return link
 
@@ -184,7 +184,8 @@ class Hub:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL_TIMEOUT_S):
                 connected = [robot for robot in self.robots.all() if robot.link is not None]
-                for _ in range(STOP_REPEATS if connected else 0):
+                for _ in range(STOP_REPEATS if connected or self.robots.ungated.is_active else 0):
+                    self.robots.ungated.stop(now_s=asyncio.get_running_loop().time())
                     for robot in connected:
                         self.robots.halt(robot)
                     await asyncio.sleep(STOP_INTERVAL_S)

@@ -15,6 +15,7 @@ from hostlink.hub.robot_topics import RobotTopics
 from hostlink.hub.robots import Robot, Robots
 from hostlink.hub.services import Services
 from hostlink.hub.shown_names import ShownNames
+from hostlink.hub.ungated import is_velocity
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol.control import TopicInfo
@@ -133,6 +134,8 @@ class Identities:
         if robot is None:
             robots.vanish(link)
             device.announce(device.infos, ShownNames())
+            for info in filter(is_velocity, device.infos[::-1]):  # the first is the one that counts
+                robots.guard_link(link, info.name)
         else:
             own = dataclasses.replace(robot, name=claim.own_name)
             shown = ShownNames(own, robot.name)

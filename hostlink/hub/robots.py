@@ -11,7 +11,7 @@ from typing import Any
 import structlog
 
 from hostlink.config import RobotConfig
-from hostlink.errors import BadPayload, DeviceGone, HostlinkError, UnknownTopic
+from hostlink.errors import BadPayload, DeviceGone, HostlinkError, RobotHeld, UnknownTopic
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
@@ -19,6 +19,7 @@ from hostlink.hub.refusals import Refusals
 from hostlink.hub.robot_settings import limits_of, of_namesake
 from hostlink.hub.shown_names import ShownNames
 from hostlink.hub.subscriptions import Deliver, Unsubscribe
+from hostlink.hub.ungated import UngatedVelocities
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -122,6 +123,8 @@ class Robots:
         self._by_velocity_topic: defaultdict[str, dict[str, Robot]] = defaultdict(dict)
         self._by_reset_topic: defaultdict[str, dict[str, Robot]] = defaultdict(dict)
         self._wake = asyncio.Event()
+        zero = twist.encode(ZERO.to_twist())
+        self.ungated = UngatedVelocities(zero, check=self._check_lock, on_active=self._wake.set)
 
     def all(self) -> list[Robot]:
         """Every robot that is connected, or was and is not forgotten, by name."""
@@ -184,7 +187,8 @@ class Robots:
             self._by_reset_topic[shown.reset][name] = robot
         robot.unsubscribe = self._subscribe(shown.odometry, _read_by_link)
         robot.gate.restart()
-        self._guard_link(robot, link)
+        self.guard_link(link, topics.velocity)
+        robot.last_frame = link.last_frame
         self._activate(robot)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
         if not is_certain and before is not robot:
@@ -193,6 +197,7 @@ class Robots:
 
     def vanish(self, link: Link) -> Robot | None:
         """A link has no robot any more: the one that it had is told to stop, and stands without a device."""
+        self.ungated.stop(link, now_s=_now_s())
         if self.guard is not None:
             self.guard.release(link.number)
         robot = self._of_link.pop(link, None)
@@ -232,11 +237,13 @@ class Robots:
     def stop(self, robot: Robot) -> None:
         """Stop, whoever drives, as fast as the robot's decelerations allow; raises what `command` does of a device."""
         robot.gate.stop(now_s=_now_s())
+        self._stop_ungated(robot)
         _raise(self._tell(robot))
 
     def stop_all(self) -> None:
         """Stop every robot; a refusal of one is raised when the others have been told."""
         refusals = []
+        self.ungated.stop(now_s=_now_s())
         for robot in self.all():
             robot.gate.stop(now_s=_now_s())
             refusals.append(self._tell(robot))
@@ -245,6 +252,7 @@ class Robots:
     def halt(self, robot: Robot) -> None:
         """Zero at once, whatever the limits say; for the daemon's own end."""
         robot.gate.halt()
+        self._stop_ungated(robot)
         self._tell(robot)
 
     def lock(self, robot: Robot, reason: str) -> None:
@@ -257,6 +265,7 @@ class Robots:
         self._locked[robot.name] = robot
         self._away.remove(robot.name)
         log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
+        self._stop_ungated(robot)
         _raise(self._tell(robot))
 
     def unlock(self, robot: Robot) -> None:
@@ -284,7 +293,8 @@ class Robots:
                     self._step(robot)
                 elif not robot.gate.is_claimed(_now_s()):
                     self._active.pop(robot.name, None)
-            if self._active:
+            self.ungated.step(_now_s())
+            if self._active or self.ungated.is_active:
                 await asyncio.sleep(TICK_S)
             else:
                 self._wake.clear()
@@ -341,13 +351,23 @@ class Robots:
             log.info("robot.forgotten", robot=name)
             self._on_forgotten(robot)
 
-    def _guard_link(self, robot: Robot, link: Link) -> None:
-        """Let link and guard stop this robot when nobody else can; one that takes no velocity cannot be driven."""
+    def _stop_ungated(self, robot: Robot) -> None:
+        if robot.link is not None:
+            self.ungated.stop(robot.link, now_s=_now_s())
+
+    def _check_lock(self, link: Link) -> None:
+        robot = self._of_link.get(link)
+        if self._is_closed:
+            raise DeviceGone(str(link), ENDING)
+        if robot is not None and robot.gate.lock_reason is not None:
+            raise RobotHeld(robot.name, None, lock_reason=robot.gate.lock_reason)
+
+    def guard_link(self, link: Link, velocity_topic: str) -> None:
+        """Let link and guard stop this device when nobody else can; one that takes no velocity cannot be driven."""
         with contextlib.suppress(HostlinkError):
-            zero = link.session.frame_to(robot.topics.velocity, self.twist.encode(ZERO.to_twist()))
-            link.last_frame = robot.last_frame = zero
+            link.last_frame = link.session.frame_to(velocity_topic, self.twist.encode(ZERO.to_twist()))
             if self.guard is not None:
-                topic_id = link.session.topic_id(robot.topics.velocity)
+                topic_id = link.session.topic_id(velocity_topic)
                 longest = link.session.longest_to_device_bytes
                 self.guard.watch(link.number, link.descriptor, topic_id=topic_id, claim_bytes=longest)
 
