@@ -205,8 +205,13 @@ class Rest:
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
+        """An emergency stop does not fail for a word that comes with it: it is told, but the robot is locked."""
         robot = self._find(request)
-        wanted = _read(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty')
+        try:
+            wanted = _read(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
+        except BadRequest:
+            self._hub.robots.lock(robot, LOCK_REASON)
+            raise
         self._hub.robots.lock(robot, wanted.reason)
         return reply(robot_view(robot))
 

@@ -38,7 +38,7 @@ from hostlink.transport.tcp import serve_tcp
 log = structlog.get_logger()
 
 SWITCH_INTERVAL_S = 0.0005  # a tenth of the usual
-GC_THRESHOLDS = (100, 5, 1000)  # often, so that each takes a millisecond or two; the oldest rarely
+GC_THRESHOLDS = (100, 5, 100)  # often, so that each takes a millisecond or two; the oldest after 50,000 objects
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

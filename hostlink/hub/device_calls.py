@@ -24,6 +24,7 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
+from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -36,6 +37,7 @@ from hostlink.protocol.session import response_bytes
 
 log = structlog.get_logger()
 
+CALL_S = 0.0003  # what a call costs
 MAX_CALLS = 16  # of one device, under way and waiting; ros_lib makes one and stands still
 MAX_WAITING = 4  # of them for one service, behind the one that is under way
 RETRY_S = 0.05  # between looks for room among the replies
@@ -89,11 +91,13 @@ class DeviceCalls:
         spawn: Spawn,
         give_up: Callable[[Link], Coroutine[Any, Any, None]],
         name_of: Callable[[Link, str], str],
+        turns: Turns,
     ) -> None:
         """`give_up` ends the link of a device that cannot be answered; `name_of`: the service that a device means."""
         self.refused = 0  # over a bound
         self._services, self._catalog = services, catalog
         self._spawn, self._give_up, self._name_of = spawn, give_up, name_of
+        self._turns = turns
         self._calls: dict[int, dict[int, deque[_Call]]] = {}  # by link, by endpoint
 
     def take(self, link: Link, event: ServiceRequested) -> None:
@@ -132,6 +136,7 @@ class DeviceCalls:
         waiting = of_link[topic_id]
         try:
             while waiting:
+                await self._turns.wait(CALL_S)
                 await self._finish(waiting[0])
                 waiting.popleft()
         except Exception:  # a bug here must not leave a device waiting

@@ -59,8 +59,14 @@ class Hub:
         self.isolation = Isolation(reraises=reraises)
         self.topics = TopicGraph(catalog, self.isolation)
         self.services = Services(catalog)
+        self._share = FairShare()
         self.device_calls = DeviceCalls(
-            self.services, catalog, spawn=self.spawn, give_up=self._give_up, name_of=self._service_name
+            self.services,
+            catalog,
+            spawn=self.spawn,
+            give_up=self._give_up,
+            name_of=self._service_name,
+            turns=self.turns(),
         )
         self.diagnoses = Diagnoses(self.isolation)
         self.robots = Robots(
@@ -88,7 +94,6 @@ class Hub:
         )
         self._devices = self._identities.devices
         self._numbers = itertools.count(1)
-        self._share = FairShare()
         self._unknown_parameters: OrderedDict[str, None] = OrderedDict()  # that were told of, the latest last
         self._tasks: asyncio.TaskGroup | None = None
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {

@@ -109,7 +109,14 @@ class Identities:
         if not device.is_undecided:
             device.is_undecided = True
             self._leave_graph(device)
+            self._stand(device)
             self._spawn(self._decide(device), f"identity of link {device.link.number}")
+
+    def _stand(self, device: Device) -> None:
+        """It may be a robot that has come back and still obeys what it heard before: zero, whoever it is."""
+        for info in filter(is_velocity, device.infos[::-1]):
+            self._parts.robots.guard_link(device.link, info.name)
+            self._parts.robots.ungated.stand(device.link, info.name, now_s=asyncio.get_running_loop().time())
 
     async def _decide(self, device: Device) -> None:
         while device.is_undecided:

@@ -187,6 +187,7 @@ class Robots:
             self._by_reset_topic[shown.reset][name] = robot
         robot.unsubscribe = self._subscribe(shown.odometry, _read_by_link)
         robot.gate.restart()
+        self.ungated.forget(link, topics.velocity)
         self.guard_link(link, topics.velocity)
         robot.last_frame = link.last_frame
         self._activate(robot)

@@ -56,6 +56,16 @@ class UngatedVelocities:
             self._driven[key] = _Driven(link, now_s + LEASE_S)
             self._on_active()
 
+    def stand(self, link: Link, topic: str, *, now_s: float) -> None:
+        """Zero at once to a device that nobody drives here, and that may still obey what it heard elsewhere."""
+        self._driven[link.number, topic] = _Driven(link, now_s)
+        self.step(now_s)
+        self._on_active()
+
+    def forget(self, link: Link, topic: str) -> None:
+        """The topic has a gate now."""
+        self._driven.pop((link.number, topic), None)
+
     def stop(self, link: Link | None = None, *, now_s: float) -> None:
         """Zero at once, to all or to one device."""
         for driven in self._driven.values():
