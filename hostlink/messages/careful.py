@@ -81,6 +81,7 @@ def _encode_field(layout: Layout, field: Field, value: object, path: str) -> byt
         return count + elements
     if field.type in FORMATS and field.type != "bool":
         return count + _numbers(field.type, elements, path)
+    check_size(len(elements) * layout.element_minimum_bytes(field), path)  # before any of them is looked at
     encoded = (_encode_one(layout, field, element, f"{path}[{index}]") for index, element in enumerate(elements))
     return count + _joined(path, encoded)
 

@@ -103,9 +103,9 @@ async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: f
 
 
 @contextlib.asynccontextmanager
-async def chain(kind: str, *, with_esp: bool) -> AsyncIterator[tuple[Process, Board]]:
+async def chain(kind: str, *arguments: str, with_esp: bool) -> AsyncIterator[tuple[Process, Board]]:
     command(kind, 0)  # built before the clock of the daemon runs
-    async with serve() as daemon:
+    async with serve(*arguments) as daemon:
         if with_esp:
             with esp8266.running("esp8266_native", daemon.tcp[1]) as sketch:
                 async with board(kind, sketch.uart_port) as made:

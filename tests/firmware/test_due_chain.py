@@ -6,6 +6,7 @@ The firmware runs natively, and on a Cortex-M3 that QEMU emulates; with the ESP8
 import signal
 import socket
 import time
+from pathlib import Path
 
 import aiohttp
 import pytest
@@ -45,12 +46,25 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
 
 
 @pytest.mark.parametrize("kind", ["native", "cortex-m3"])
-async def test_a_killed_host_leaves_the_robot_standing(kind: str) -> None:
-    async with chain(kind, with_esp=True) as (daemon, made):
+async def test_a_killed_host_leaves_the_robot_standing(kind: str, tmp_path: Path) -> None:
+    """Without a guardian, by its own watchdog."""
+    config = tmp_path / "hostlink.toml"
+    config.write_text("guardian = false\n")
+    async with chain(kind, "--config", str(config), with_esp=True) as (daemon, made):
         await daemon.read_log("robot.appeared")
         await drive(daemon, made, 0.3, until_ticks_s=80.0)
         daemon.child.kill()
         await expect_stop(made)
+
+
+@pytest.mark.parametrize("kind", ["native", "cortex-m3"])
+async def test_a_killed_hosts_guardian_stops_the_robot_before_its_watchdog(kind: str) -> None:
+    async with chain(kind, with_esp=True) as (daemon, made):
+        await daemon.read_log("robot.appeared")
+        await drive(daemon, made, 0.3, until_ticks_s=80.0)
+        daemon.child.kill()
+        await made.expect_speed(-2.0, 2.0, within_s=2.2)
+        assert made.facts["rolled_ms"] - made.facts["got_ms"] < 500  # the last that it got is the guardian's zero
 
 
 @pytest.mark.parametrize(("kind", "number"), [("native", signal.SIGTERM), ("cortex-m3", signal.SIGKILL)])
