@@ -35,7 +35,7 @@ class Forked:
 
     def log(self, event: str) -> list[dict[str, Any]]:
         """Its log's lines of this event so far."""
-        lines = self.log_file.read_text().splitlines()
+        lines = self.log_file.read_text().splitlines() if self.log_file.exists() else []
         return [line for line in map(json.loads, lines) if line["event"] == event]
 
     async def logged(self, event: str, count: int = 1) -> dict[str, Any]:

@@ -34,7 +34,7 @@ async def robot_on_a_port(fault: Fault) -> AsyncIterator[str]:
         loop = asyncio.get_running_loop()
         reader = asyncio.StreamReader()
         stream = os.fdopen(os.dup(ours), "r+b", buffering=0)
-        await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), stream)
+        reading, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), stream)
         sink = os.fdopen(os.dup(ours), "wb", buffering=0)
         protocol = asyncio.StreamReaderProtocol(asyncio.StreamReader())
         transport, _ = await loop.connect_write_pipe(lambda: protocol, sink)
@@ -42,8 +42,11 @@ async def robot_on_a_port(fault: Fault) -> AsyncIterator[str]:
         robot = SimulatedRobot("robot_0", Catalog(), device=SimulatedDevice(baud=None))
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(run_over_streams(robot, reader, writer, fault=fault))
-            yield path
-            running.cancel()
+            try:
+                yield path
+            finally:
+                running.cancel()
+                reading.close()
 
 
 async def test_a_healthy_daemon_is_status_0() -> None:

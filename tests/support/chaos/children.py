@@ -115,4 +115,7 @@ async def talker(module: str, *arguments: str) -> AsyncIterator[Talker]:
     finally:
         if child.returncode is None:
             child.kill()
-        await child.communicate()
+        try:
+            await child.communicate()
+        finally:
+            child._transport.close()  # type: ignore[attr-defined]  # its pipes, too, when this wait is given up
