@@ -4,7 +4,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
-TURN_S = 0.001  # of all together; what drives a robot comes in between, within a few turns
+TURN_S = 0.0002  # of all together; what drives a robot comes in between, within a few turns of the loop
 MAX_DEFERRALS = 3  # then one is let in though the turn is used up: nobody waits without end
 _SOME_S = 1e-9  # enough for one
 _Queue = deque[tuple[asyncio.Future[None], float]]
