@@ -23,7 +23,7 @@ from hostlink.transport.base import READ_BYTES, Transport
 log = structlog.get_logger()
 
 TROUBLE_INTERVAL_S = 10.0  # dirt on the wire is counted, and told this often
-PIECE_BYTES = 256  # between two pieces others may have their turn; what a robot says at once is mostly less
+PIECE_BYTES = 512  # between two pieces others may have their turn; what a robot says at once is mostly less
 LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due
 
