@@ -124,7 +124,7 @@ class Robots:
         self._by_reset_topic: defaultdict[str, dict[str, Robot]] = defaultdict(dict)
         self._wake = asyncio.Event()
         zero = twist.encode(ZERO.to_twist())
-        self.ungated = UngatedVelocities(zero, check=self._check_lock, on_active=self._wake.set)
+        self.ungated = UngatedVelocities(zero, self._isolation, check=self._check_lock, on_active=self._wake.set)
 
     def all(self) -> list[Robot]:
         """Every robot that is connected, or was and is not forgotten, by name."""

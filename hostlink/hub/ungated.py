@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hostlink.errors import HostlinkError
+from hostlink.hub.isolation import Isolation
 from hostlink.link.link import Link
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
@@ -32,9 +33,11 @@ class _Driven:
 class UngatedVelocities:
     """Who is driven without a gate, and until when; bounded by the topics of the live links."""
 
-    def __init__(self, zero: bytes, *, check: Callable[[Link], None], on_active: Callable[[], None]) -> None:
+    def __init__(
+        self, zero: bytes, isolation: Isolation, *, check: Callable[[Link], None], on_active: Callable[[], None]
+    ) -> None:
         """`check` raises when nobody may drive what this link has; `on_active`: from now on `step` must be called."""
-        self._zero = zero
+        self._zero, self._isolation = zero, isolation
         self._check, self._on_active = check, on_active
         self._driven: dict[tuple[int, str], _Driven] = {}
 
@@ -78,9 +81,13 @@ class UngatedVelocities:
         for key, driven in list(self._driven.items()):
             if now_s < driven.deadline_s:
                 continue
-            with contextlib.suppress(HostlinkError):  # it has told other topics since
-                driven.link.session.publish(key[1], self._zero, is_urgent=True)
-                driven.link.wake()
             driven.zeros -= 1
             if driven.zeros <= 0:
                 del self._driven[key]
+            with self._isolation.around("link"):  # a crash is this link's; the clock of all gates goes on
+                self._send_zero(driven.link, key[1])
+
+    def _send_zero(self, link: Link, topic: str) -> None:
+        with contextlib.suppress(HostlinkError):  # it has told other topics since
+            link.session.publish(topic, self._zero, is_urgent=True)
+            link.wake()

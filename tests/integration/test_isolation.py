@@ -14,7 +14,7 @@ from hostlink.protocol import events
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
@@ -101,6 +101,29 @@ async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[st
         await hears_zero_and_is_cut(one)
         await is_driven(host, "b", other)
     assert "robot.crashed" in crashes(logged)
+
+
+async def test_a_crash_in_a_velocity_without_a_gate_leaves_the_clock_of_the_gates(
+    logged: list[dict[str, object]],
+) -> None:
+    cart = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
+
+    def crash(*_: object, **__: object) -> None:
+        raise ArithmeticError("a defect")
+
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("a"), local_host=OTHER) as robot,
+        fake_device(host.tcp, cart),
+    ):
+        await expect(lambda: host.hub.topics.find("/cart/cmd_vel").devices)
+        host.hub.publish("/cart/cmd_vel", {"linear": {"x": 0.2}}, source="test")
+        session = next(link for link in host.hub.links() if link.address != OTHER).session
+        session.publish = crash  # type: ignore[method-assign]
+        await expect(lambda: host.hub.isolation.crashes["link"] > 0)
+        await is_driven(host, "a", robot)
+        assert await robot.velocity_other_than(CURVE) == ZERO  # the lease ends by the clock
+    assert set(crashes(logged)) == {"link.crashed"}
 
 
 async def test_a_crash_of_a_task_or_a_diagnosis_ends_nothing_else(logged: list[dict[str, object]]) -> None:
