@@ -85,7 +85,6 @@ class Hub:
         self.parameters = dict(config.parameters)  # what devices ask for; clients may change it
         self._rosout = self.topics.advertise("/rosout", "hostlink", type_name="rosgraph_msgs/Log")
         self.config = config
-        self._is_ending = False
         self._identities = Identities(
             Parts(self.robots, self.robot_topics, self.services, self.diagnoses),
             Directory({name: robot.address for name, robot in config.robots.items()}),
@@ -184,7 +183,6 @@ class Hub:
 
         From its first moment on nobody moves a robot any more: the last velocity that leaves is zero.
         """
-        self._is_ending = True
         self.robots.close()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL_TIMEOUT_S):
@@ -364,7 +362,7 @@ class Hub:
         self.services.leave(source)
 
     def _spread(self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY) -> None:
-        if self._is_ending:
+        if self.robots.is_closed:
             raise DeviceGone(topic.name, ENDING)
         commands = self._commands(topic, payload)
         if commands is None:

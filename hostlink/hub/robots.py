@@ -106,7 +106,7 @@ class Robots:
         assert twist is not None  # noqa: S101 - of the store that the project is built on
         self.twist = twist
         self._isolation = Isolation(reraises=True) if isolation is None else isolation
-        self._is_closed = False
+        self.is_closed = False  # the daemon ends, and drives nobody any more
         self.forgotten = 0
         self.max_robots = MAX_ROBOTS + len(configs)
         self._configs = configs
@@ -219,7 +219,7 @@ class Robots:
         Raises DeviceGone, RobotHeld, BadRequest; FrameTooLarge, WrongType or UnknownTopic when the device cannot take
         it: then nobody drives.
         """
-        if self._is_closed:
+        if self.is_closed:
             raise DeviceGone(robot.name, ENDING)
         if robot.link is None:
             raise DeviceGone(robot.name)
@@ -233,7 +233,7 @@ class Robots:
 
     def close(self) -> None:
         """The daemon ends: no command is taken any more, for good."""
-        self._is_closed = True
+        self.is_closed = True
 
     def stop(self, robot: Robot) -> None:
         """Stop, whoever drives, as fast as the robot's decelerations allow; raises what `command` does of a device."""
@@ -358,7 +358,7 @@ class Robots:
 
     def _check_lock(self, link: Link) -> None:
         robot = self._of_link.get(link)
-        if self._is_closed:
+        if self.is_closed:
             raise DeviceGone(str(link), ENDING)
         if robot is not None and robot.gate.lock_reason is not None:
             raise RobotHeld(robot.name, None, lock_reason=robot.gate.lock_reason)
