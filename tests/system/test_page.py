@@ -132,10 +132,10 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
         await guest.shows("#drive-state", "You drive")
         await guest.shows("#robots", "you drive")
         begun = scene.robot.pose.x_m
-        await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.1)
+        await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.5)  # a shorter path hides under the robot's picture
         await guest.page.mouse.up()
         await scene.stands(within_s=1.0)
-        await guest.map_tells("length", r"^0\.[1-9]")
+        await guest.map_tells("length", r"^0\.[4-9]|^[1-9]")
         drawn = await guest.page.locator("#map-canvas").evaluate(ACCENT)
         await guest.page.get_by_role("button", name="Clear the path").click()
         await guest.map_tells("length", r"^0\.0")
