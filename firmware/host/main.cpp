@@ -23,7 +23,7 @@
 #include "plant.h"
 #include "uart_out.h"
 #include "uart_ring.h"
-#include "witness.h"
+#include "activity_recorder.h"
 
 namespace {
 
@@ -146,13 +146,13 @@ int main(int count, char** words) {
   PosixHal hal(host, count > 3 ? static_cast<uint32_t>(atoi(words[3])) : kPaperBaud);
   hostlink::Robot robot(hal);
   robot.setup();
-  hostlink::Witness witness;
+  hostlink::ActivityRecorder activity;
   uint32_t reported_at_ms = hal.millis();
   unsigned long loops = 0;
   for (;;) {
     hal.run();
     robot.loop();
-    witness.see(hal.plant(), robot.node().delivered(), hal.millis());
+    activity.see(hal.plant(), robot.node().delivered(), hal.millis());
     ++loops;
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
@@ -165,8 +165,8 @@ int main(int count, char** words) {
           static_cast<unsigned long>(hal.lost()), static_cast<unsigned long>(node.delivered()),
           static_cast<unsigned long>(node.published()),
           static_cast<unsigned long>(node.dropped_from_host() + node.dropped_to_host()), plant.x_m() * 1000.0,
-          plant.y_m() * 1000.0, static_cast<unsigned long>(witness.got_at_ms()),
-          static_cast<unsigned long>(witness.rolled_at_ms()), plant.rolled_m() * 1000.0);
+          plant.y_m() * 1000.0, static_cast<unsigned long>(activity.got_at_ms()),
+          static_cast<unsigned long>(activity.rolled_at_ms()), plant.rolled_m() * 1000.0);
       fflush(stdout);
     }
     hal.wait();

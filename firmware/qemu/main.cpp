@@ -5,7 +5,7 @@
 #include "../due/src/robot.h"
 #include "../host/plant.h"
 #include "../host/uart_ring.h"
-#include "../host/witness.h"
+#include "../host/activity_recorder.h"
 #include "mps2.h"
 
 namespace {
@@ -115,7 +115,7 @@ class QemuHal : public hostlink::Hal {
 
 QemuHal hal;
 hostlink::Robot robot(hal);
-hostlink::Witness witness;
+hostlink::ActivityRecorder activity;
 
 void say(const char* text) {
   for (; *text != '\0'; ++text) {
@@ -153,7 +153,7 @@ extern "C" int main() {
   for (;;) {
     hal.run();
     robot.loop();
-    witness.see(hal.plant(), robot.node().delivered(), hal.millis());
+    activity.see(hal.plant(), robot.node().delivered(), hal.millis());
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
       say_number("ms ", static_cast<int32_t>(hal.millis()));
@@ -165,8 +165,8 @@ extern "C" int main() {
       say_number(" dropped ", static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
       say_number(" x_mm ", static_cast<int32_t>(hal.plant().x_m() * 1000.0));
       say_number(" y_mm ", static_cast<int32_t>(hal.plant().y_m() * 1000.0));
-      say_number(" got_ms ", static_cast<int32_t>(witness.got_at_ms()));
-      say_number(" rolled_ms ", static_cast<int32_t>(witness.rolled_at_ms()));
+      say_number(" got_ms ", static_cast<int32_t>(activity.got_at_ms()));
+      say_number(" rolled_ms ", static_cast<int32_t>(activity.rolled_at_ms()));
       say_number(" rolled_mm ", static_cast<int32_t>(hal.plant().rolled_m() * 1000.0));
       say("\r\n");
     }

@@ -8,7 +8,6 @@ import hmac
 import ipaddress
 import math
 import ssl
-from contextvars import ContextVar
 from enum import IntEnum
 from typing import NamedTuple
 from urllib.parse import SplitResult, urlsplit
@@ -37,7 +36,7 @@ class Grant(NamedTuple):
     role: Role
 
 
-present_grant: ContextVar[Grant] = ContextVar("grant")  # of the request that is being answered
+GRANT = web.RequestKey("grant", Grant)  # what the request that is being answered may do
 
 
 class Access:

@@ -15,7 +15,7 @@ from aiohttp import web
 from hostlink.api.replies import reply
 from hostlink.api.routes import Route
 from hostlink.errors import UnknownTopic
-from hostlink.hub.diagnoses import Case
+from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
 
 MAX_DIGITS = 18  # no count is longer
@@ -69,42 +69,42 @@ class Captures:
         ]
 
     async def _whole(self, request: web.Request) -> web.Response:
-        case = self._find(request)
-        lines = b"".join(msgspec.json.encode(read) + b"\n" for read in reads(case))
+        diagnosis = self._find(request)
+        lines = b"".join(msgspec.json.encode(read) + b"\n" for read in reads(diagnosis))
         return web.Response(body=lines, content_type="application/x-ndjson", headers={"Cache-Control": "no-store"})
 
     async def _after(self, request: web.Request) -> web.Response:
         since = _parse_position(request.match_info["position"])
-        case = self._find(request)
-        from_device, to_device = case.link.tape_from_device, case.link.tape_to_device
+        diagnosis = self._find(request)
+        from_device, to_device = diagnosis.link.captured_from_device, diagnosis.link.captured_to_device
         view: CaptureView = {
-            "reads": list(reads(case, since)),
+            "reads": list(reads(diagnosis, since)),
             "position": f"{from_device.total_bytes}-{to_device.total_bytes}",
             "lost_bytes": from_device.lost_bytes(since[0]) + to_device.lost_bytes(since[1]),
-            "is_open": case.end is None,
+            "is_open": diagnosis.end is None,
         }
         return reply(view)
 
-    def _find(self, request: web.Request) -> Case:
+    def _find(self, request: web.Request) -> Diagnosis:
         number = request.match_info["number"]
         diagnoses = self._hub.diagnoses
-        case = diagnoses.case(int(number)) if _is_number(number) else None
-        if case is None:
+        diagnosis = diagnoses.find(int(number)) if _is_number(number) else None
+        if diagnosis is None:
             raise UnknownTopic("link", number, tuple(str(each) for each in diagnoses.numbers()))
-        return case
+        return diagnosis
 
 
-def reads(case: Case, since: tuple[int, int] = _START) -> Iterator[ReadView]:
+def reads(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> Iterator[ReadView]:
     """The lines of a recording, in order of time; `since`: bytes of each direction that are known already."""
-    link, number = case.link, case.link.number
+    link, number = diagnosis.link, diagnosis.link.number
     if since == _START:
         yield {"t": 0.0, "dir": "device", "hex": "", "conn": number, "event": "open"}
-    tapes = ((link.tape_from_device, "device", since[0]), (link.tape_to_device, "host", since[1]))
-    both = [[(piece.time_s, who, piece.data) for piece in tape.pieces(known)] for tape, who, known in tapes]
+    buffers = ((link.captured_from_device, "device", since[0]), (link.captured_to_device, "host", since[1]))
+    both = [[(piece.time_s, who, piece.data) for piece in buffer.pieces(known)] for buffer, who, known in buffers]
     for time_s, who, data in heapq.merge(*both):
         yield {"t": round(time_s - link.opened_at_s, 6), "dir": who, "hex": data.hex(), "conn": number}
-    if case.end is not None:
-        end_s = round(case.ended_at_s - link.opened_at_s, 6)
+    if diagnosis.end is not None:
+        end_s = round(diagnosis.ended_at_s - link.opened_at_s, 6)
         yield {"t": end_s, "dir": "device", "hex": "", "conn": number, "event": "close"}
 
 

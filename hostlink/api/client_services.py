@@ -12,7 +12,7 @@ from hostlink.api.client_queue import ClientQueue
 from hostlink.api.request import Request
 from hostlink.errors import BadRequest, ServiceFailed, UnknownTopic
 from hostlink.hub.services import Provider, Services
-from hostlink.hub.subscriptions import resolve
+from hostlink.hub.topic_graph import resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import ServiceType
 

@@ -12,7 +12,7 @@ from hostlink.api.request import Request
 from hostlink.api.throttle import Throttle
 from hostlink.errors import BadPayload, BadRequest
 from hostlink.hub.message import Message
-from hostlink.hub.subscriptions import TopicGraph, Unsubscribe
+from hostlink.hub.topic_graph import TopicGraph, Unsubscribe
 
 MAX_SUBSCRIPTIONS = 256  # ids of all topics together
 MAX_QUEUE_LENGTH = 256

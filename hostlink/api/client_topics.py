@@ -4,7 +4,7 @@ from collections import defaultdict
 
 from hostlink.api.request import Request
 from hostlink.errors import BadRequest
-from hostlink.hub.subscriptions import TopicGraph, resolve
+from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 
 MAX_ADVERTISED = 256  # ids of all topics together

@@ -54,7 +54,7 @@ class Connections:
             if leaving is None:
                 return self._refuse("too_many")
         if leaving is not None:
-            self.closed["gave_way"] += 1
+            self.closed["evicted"] += 1
             self.leave(leaving)
         self._last_number += 1
         new = self._all[self._last_number] = Connection(self._last_number, address)

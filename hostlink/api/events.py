@@ -12,7 +12,7 @@ from http import HTTPStatus
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import present_grant
+from hostlink.api.access import GRANT
 from hostlink.api.clients import Clients
 from hostlink.api.routes import Route
 from hostlink.api.views import links_view, odometry_view, robot_view
@@ -83,7 +83,7 @@ class Events:
     async def _stream(self, request: web.Request) -> AsyncIterator[tuple[web.StreamResponse, Send]]:
         """A response that is written until its reader is gone, which ends the block."""
         response = web.StreamResponse(headers=HEADERS)
-        client = self._clients.enter("events", request, present_grant.get())
+        client = self._clients.enter("events", request, request[GRANT])
 
         async def send(event: str, data: Mapping[str, object]) -> None:
             wire = b"event: " + event.encode() + b"\ndata: " + msgspec.json.encode(data) + b"\n\n"

@@ -6,7 +6,7 @@ import msgspec
 
 from hostlink.config import ParameterScalar, ParameterValue
 from hostlink.errors import BadRequest, UnknownTopic
-from hostlink.hub.subscriptions import resolve
+from hostlink.hub.topic_graph import resolve
 
 MAX_PARAMETERS = 1024
 MAX_VALUE_CHARACTERS = 4096  # of JSON; no device takes more

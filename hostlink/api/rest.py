@@ -1,4 +1,4 @@
-"""The REST door: robots, their velocity and odometry, links and topics; for curl and for scripts."""
+"""The REST API: robots, their velocity and odometry, links and topics; for curl and for scripts."""
 
 import asyncio
 from http import HTTPStatus
@@ -7,7 +7,7 @@ from typing import Annotated, TypedDict, TypeVar
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import Role, present_grant
+from hostlink.api.access import GRANT, Role
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.replies import refusal, reply
 from hostlink.api.routes import Route
@@ -260,4 +260,4 @@ def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:
 
 def _owner(request: web.Request) -> str:
     """Who drives by REST: all requests with one token, or from one computer, are one source of commands."""
-    return f"rest {present_grant.get().who or request.remote}"
+    return f"rest {request[GRANT].who or request.remote}"

@@ -11,7 +11,7 @@ from hostlink.api.typedefs import describe
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.services import Provider
-from hostlink.hub.subscriptions import DAEMON, Topic, resolve
+from hostlink.hub.topic_graph import DAEMON, Topic, resolve
 from hostlink.messages.message_type import MessageType, ServiceType
 
 Request = Mapping[str, Any]

@@ -18,7 +18,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
-from hostlink.api.access import Access, Role, check_role, present_grant, tls_context, token_of
+from hostlink.api.access import GRANT, Access, Role, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
 from hostlink.api.client_queue import ClientQueue
 from hostlink.api.clients import Client, Clients
@@ -153,7 +153,7 @@ class ApiServer:
         if role is not None:
             grant = self._access.grant(token_of(request))
             check_role(grant, role)
-            present_grant.set(grant)
+            request[GRANT] = grant
 
     async def _receive_body(self, request: web.Request) -> None:
         """Of a request that has one; its handler finds it read. Nothing else waits for a body: a stop has none."""
@@ -176,7 +176,7 @@ class ApiServer:
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         refuse_subprotocol(request)
         queue = ClientQueue(asyncio.get_running_loop().time)
-        client = self._clients.enter("rosbridge", request, present_grant.get(), queue)
+        client = self._clients.enter("rosbridge", request, request[GRANT], queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
             max_msg_size=self._config.max_message_bytes,

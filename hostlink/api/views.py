@@ -78,7 +78,7 @@ class TopicInfoView(TypedDict):
 
 
 class FindingView(TypedDict):
-    """One thing that is wrong: a name for programs, what it means, what to do, and the numbers of this case."""
+    """One thing that is wrong: a name for programs, what it means, what to do, and the numbers found."""
 
     code: str
     cause: str
@@ -243,14 +243,14 @@ def ended_views(hub: Hub) -> list[EndedLinkView]:
     now_s = asyncio.get_running_loop().time()
     return [
         {
-            "number": case.link.number,
-            "peer": case.link.peer,
-            "end": "" if case.end is None else case.end.value,
-            "seconds": round(case.ended_at_s - case.link.opened_at_s, 3),
-            "ended_ago_s": round(now_s - case.ended_at_s, 3),
-            "diagnosis": finding_views(case.findings),
+            "number": diagnosis.link.number,
+            "peer": diagnosis.link.peer,
+            "end": "" if diagnosis.end is None else diagnosis.end.value,
+            "seconds": round(diagnosis.ended_at_s - diagnosis.link.opened_at_s, 3),
+            "ended_ago_s": round(now_s - diagnosis.ended_at_s, 3),
+            "diagnosis": finding_views(diagnosis.findings),
         }
-        for case in reversed(hub.diagnoses.ended)
+        for diagnosis in reversed(hub.diagnoses.ended)
     ]
 
 

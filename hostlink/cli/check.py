@@ -17,9 +17,9 @@ from hostlink.cli.addresses import MAX_PORT, is_address
 from hostlink.cli.descriptors import fitted
 from hostlink.config import Config, SerialConfig
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.hub.door import Door
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
+from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.transport.ports import find_port
@@ -28,7 +28,7 @@ from hostlink.transport.ports import find_port
 async def check(config: Config, *, descriptors: int) -> list[str]:
     """A ConfigError for what cannot be served; returns what looks wrong."""
     _check_values(config)
-    Door(Hub(config, Catalog(config.message_folders)), config.tcp)  # message folders, limits of robots, the key
+    TcpAcceptor(Hub(config, Catalog(config.message_folders)), config.tcp)  # message folders, limits of robots, the key
     Access(config.api)
     tls_context(config.api)
     if config.tcp.mdns and not all(map(importlib.util.find_spec, ("ifaddr", "zeroconf"))):

@@ -14,8 +14,8 @@ import typer
 from hostlink import logs
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.looking import Report, look_at_network, look_at_port, look_at_recording, report_of
 from hostlink.cli.output import complain, say, show_progress
+from hostlink.cli.probe import Report, probe_capture, probe_network, probe_port, report_of
 from hostlink.client import DEFAULT_URL, connect
 from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError
@@ -48,9 +48,9 @@ def command(  # noqa: PLR0913 - the options of a command line
     logs.configure(level="critical")
     folders = tuple(messages or ())
     if file is not None:
-        report = look_at_recording(file, folders)
+        report = probe_capture(file, folders)
     elif serial is not None:
-        report = asyncio.run(look_at_port(parse_serial(serial), folders, _say))
+        report = asyncio.run(probe_port(parse_serial(serial), folders, _say))
     elif listen is not None:
         report = asyncio.run(_listen(listen, seconds, folders))
     else:
@@ -79,7 +79,7 @@ async def _ask_or_listen(url: str, token: str | None, seconds: float, folders: t
 
 
 async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Report:
-    return await look_at_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _say)  # noqa: S104
+    return await probe_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _say)  # noqa: S104
 
 
 def _lines(report: Report) -> list[str]:

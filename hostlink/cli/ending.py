@@ -13,7 +13,7 @@ log = structlog.get_logger()
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 LONGEST_END_S = 8.0  # half a second for the robots, one for each connection, two for mDNS, and as much again
-FAREWELL_S = 1.0  # after that the robots stand, and a second signal ends the process at once
+SHUTDOWN_S = 1.0  # after that the robots stand, and a second signal ends the process at once
 FORCED = 1  # exit status
 
 
@@ -36,7 +36,7 @@ class Ending:
             self.cause, self._asked_at_s = number.name, now_s
             self._is_asked.set()
             _force_after(LONGEST_END_S)
-        elif now_s > self._asked_at_s + FAREWELL_S:
+        elif now_s > self._asked_at_s + SHUTDOWN_S:
             _force(f"a second signal, {number.name}")
 
 

@@ -7,8 +7,8 @@ import msgspec
 import typer
 
 from hostlink.cli.output import plain, say
+from hostlink.inspection import Inspection, load_reads
 from hostlink.messages.catalog import Catalog
-from hostlink.recording import Inspection, load_reads
 
 LAST_LOGS = 8
 

@@ -27,10 +27,10 @@ from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
 from hostlink.guardian.guardian import guarded
-from hostlink.hub.door import Door
 from hostlink.hub.guard import Guard
 from hostlink.hub.hub import Hub
-from hostlink.hub.serial_port import serve_serial
+from hostlink.listeners.serial_ports import serve_serial
+from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.transport.mdns import advertised
 from hostlink.transport.tcp import serve_tcp
@@ -66,7 +66,7 @@ async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterato
                 raise
             finally:
                 log.info("daemon.stopping")
-                await hub.farewell()
+                await hub.shutdown()
     except BaseExceptionGroup as group:  # one error has one line; the others are its consequences
         raise group.exceptions[0] from None
     logs.log_what_is_missing()
@@ -89,8 +89,8 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 async def _ways_in(hub: Hub, config: Config) -> AsyncIterator[Addresses]:
     """Listeners and ports, for devices and for programs."""
     async with serve_api(config.api, hub) as api, contextlib.AsyncExitStack() as last:  # mDNS may take its time
-        door = Door(hub, config.tcp)
-        async with serve_tcp(config.tcp, door.enter) as listener, _serial_ports(hub, config):
+        acceptor = TcpAcceptor(hub, config.tcp)
+        async with serve_tcp(config.tcp, acceptor.accept) as listener, _serial_ports(hub, config):
             await last.enter_async_context(advertised(config.tcp, listener.address))
             yield Addresses(listener.address, api)
 

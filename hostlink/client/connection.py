@@ -13,7 +13,7 @@ import aiohttp
 import msgspec
 from aiohttp import WSMsgType
 
-from hostlink.client.door import REQUEST_TIMEOUT_S, Door
+from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient
 from hostlink.errors import HostlinkError
 
 PING_INTERVAL_S = 0.2
@@ -39,12 +39,12 @@ class Connection:
     | lost      | `send`, `ask`                       | lost      | HostlinkError                                    |
     """
 
-    def __init__(self, door: Door, *, reconnects: bool) -> None:
+    def __init__(self, http: HttpClient, *, reconnects: bool) -> None:
         self.is_connected = False
         self.handlers: dict[str, Callable[[Message], None]] = {}  # by op, for what is no answer to `ask`
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
-        self._door = door
+        self._http = http
         self._reconnects = reconnects
         self._socket: aiohttp.ClientWebSocketResponse | None = None
         self._reason = "not open yet"
@@ -54,7 +54,7 @@ class Connection:
 
     async def open(self) -> None:
         """Connect. HostlinkError when that cannot be done."""
-        self._socket = await self._door.open_socket()
+        self._socket = await self._http.open_socket()
         self.is_connected = True
         for restore in self.on_open:
             await restore()
@@ -88,7 +88,7 @@ class Connection:
                 await self.send({**request, "id": key})
                 answer = await waiting
         except TimeoutError:
-            raise HostlinkError(f"hostlink at {self._door.url} did not answer within {timeout_s:g} s") from None
+            raise HostlinkError(f"hostlink at {self._http.url} did not answer within {timeout_s:g} s") from None
         finally:
             del self._answers[key]
         if answer is None:
@@ -113,7 +113,7 @@ class Connection:
         """The error of everything that needs the connection while there is none."""
         what_next = "; it is made again by itself" if self._reconnects else ""
         cause = reason or self._reason
-        return HostlinkError(f"the connection to hostlink at {self._door.url} is lost: {cause}{what_next}")
+        return HostlinkError(f"the connection to hostlink at {self._http.url} is lost: {cause}{what_next}")
 
     # -- reading ------------------------------------------------------------------------------------------------------
 

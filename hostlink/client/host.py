@@ -8,8 +8,8 @@ from collections.abc import AsyncIterator, Mapping
 from typing import Any, cast
 
 from hostlink.client.connection import Connection
-from hostlink.client.door import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, Door
 from hostlink.client.driver import Driver
+from hostlink.client.http_client import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, HttpClient
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
 from hostlink.client.topics import Subscription, Topics
@@ -35,22 +35,22 @@ async def connect(
 
     Raises HostlinkError when there is no hostlink at `url`, or it refuses.
     """
-    door = Door(url, token, ssl)
+    http = HttpClient(url, token, ssl)
     try:
-        host = Host(door, reconnect=reconnect)
+        host = Host(http, reconnect=reconnect)
         async with host.running():
             yield host
     finally:
-        await door.aclose()
+        await http.aclose()
 
 
 class Host:
     """A running hostlink. Get one from `connect`."""
 
-    def __init__(self, door: Door, *, reconnect: bool) -> None:
-        self.url = door.url
-        self._door = door
-        self._connection = Connection(door, reconnects=reconnect)
+    def __init__(self, http: HttpClient, *, reconnect: bool) -> None:
+        self.url = http.url
+        self._http = http
+        self._connection = Connection(http, reconnects=reconnect)
         self._connection.on_open.append(self._begin)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
@@ -97,7 +97,7 @@ class Host:
         `priority`, 0 to 100: a command of a higher one takes the robot over, one of a lower is refused. A program is
         50, teleop 60.
         """
-        return Robot(name, priority, door=self._door, driver=self._driver, connection=self._connection)
+        return Robot(name, priority, http=self._http, driver=self._driver, connection=self._connection)
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -158,12 +158,12 @@ class Host:
         return watcher
 
     async def get(self, path: str) -> dict[str, Any]:
-        """A GET of the REST door; HostlinkError with the daemon's reason when it refuses."""
-        return await self._door.request("GET", path)
+        """A GET of the REST API; HostlinkError with the daemon's reason when it refuses."""
+        return await self._http.request("GET", path)
 
     async def post(self, path: str) -> dict[str, Any]:
-        """A POST of the REST door; HostlinkError with the daemon's reason when it refuses."""
-        return await self._door.request("POST", path)
+        """A POST of the REST API; HostlinkError with the daemon's reason when it refuses."""
+        return await self._http.request("POST", path)
 
     async def send(self, request: Mapping[str, Any]) -> None:
         """Send one rosbridge operation; HostlinkError when there is no connection."""
@@ -183,7 +183,7 @@ class Host:
 
     def _lose(self, lost: HostlinkError) -> None:
         self._lost = lost
-        self._door.cut_streams()
+        self._http.cut_streams()
         dropped = self._driver.break_all(str(lost))
         if self._ends_when_lost:
             self._topics.end(lost)

@@ -7,8 +7,8 @@ from typing import cast
 from urllib.parse import quote
 
 from hostlink.client.connection import Connection, waits
-from hostlink.client.door import CLOSE_TIMEOUT_S, Door
 from hostlink.client.driver import Driver
+from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient
 from hostlink.client.views import Odometry, RobotState
 from hostlink.errors import HostlinkError
 
@@ -18,10 +18,10 @@ PRIORITY = 50  # of a program; a person at the keys is 60
 class Robot:
     """One robot of a host; get one from `Host.robot`."""
 
-    def __init__(self, name: str, priority: int, *, door: Door, driver: Driver, connection: Connection) -> None:
+    def __init__(self, name: str, priority: int, *, http: HttpClient, driver: Driver, connection: Connection) -> None:
         self.name = name.strip("/")
         self.priority = priority
-        self._door, self._driver, self._connection = door, driver, connection
+        self._http, self._driver, self._connection = http, driver, connection
         self._path = f"/api/robots/{quote(self.name, safe='')}"
 
     @property
@@ -34,7 +34,7 @@ class Robot:
 
         HostlinkError: no robot of that name, no hostlink.
         """
-        return cast(RobotState, await self._door.request("GET", self._path))
+        return cast(RobotState, await self._http.request("GET", self._path))
 
     async def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
@@ -55,7 +55,7 @@ class Robot:
         HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
         """
         self._driver.let_go(self.name)
-        await self._door.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
+        await self._http.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
 
     async def lock(self, reason: str) -> None:
         """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
@@ -63,15 +63,15 @@ class Robot:
         HostlinkError: hostlink was not reached within a second.
         """
         self._driver.let_go(self.name)
-        await self._door.request("POST", f"{self._path}/lock", {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
+        await self._http.request("POST", f"{self._path}/lock", {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
 
     async def unlock(self) -> None:
         """Let it be driven again; nothing that was held before drives it. HostlinkError: hostlink was not reached."""
-        await self._door.request("POST", f"{self._path}/unlock")
+        await self._http.request("POST", f"{self._path}/unlock")
 
     async def reset_odometry(self) -> None:
         """Make the present place the origin. HostlinkError: the robot cannot do that, or is not connected."""
-        await self._door.request("POST", f"{self._path}/odometry/reset")
+        await self._http.request("POST", f"{self._path}/odometry/reset")
 
     async def odometry(self) -> AsyncIterator[Odometry]:
         """The newest pose (m, rad), then each new one once, with twist (m/s, rad/s), stamp (ns), age (s) and rate (Hz).
@@ -84,7 +84,7 @@ class Robot:
         count, pauses_s = None, waits()
         while True:
             with contextlib.suppress(HostlinkError):  # it is tried again
-                async for odometry in self._door.events(f"{self._path}/odometry/events"):
+                async for odometry in self._http.events(f"{self._path}/odometry/events"):
                     if odometry["count"] != count:
                         count, pauses_s = odometry["count"], waits()
                         yield cast(Odometry, odometry)

@@ -1,4 +1,4 @@
-"""What the client hands to its users: the JSON of hostlink's REST door as typed dicts; numbers carry their unit."""
+"""What the client hands to its users: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
 
 from dataclasses import dataclass
 from typing import NotRequired, TypedDict

@@ -1,4 +1,4 @@
-"""Evidence: what is known of one link at one moment. Rules read it, a Witness gathers it."""
+"""Evidence: what is known of one link at one moment. Rules read it, a LinkMonitor gathers it."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -48,8 +48,8 @@ class Evidence:
     time_requested_s: float | None = None  # since the last request for the time that the host did not provoke
     time_intervals_s: tuple[float, ...] = ()  # between requests for the time, none of them provoked
     stamps_behind_s: float | None = None  # what the device's header stamps lack to the time of their arrival
-    early_foreign: bytes = b""  # what was skipped before the first negotiation, the last of it
-    foreign: bytes = b""  # what was skipped of late
+    early_non_rosserial: bytes = b""  # what was skipped before the first negotiation, the last of it
+    non_rosserial: bytes = b""  # what was skipped of late
     is_protocol_1: bool = False
     refused: tuple[str, ...] = ()  # why topics were refused, a text each
     too_small: tuple[str, ...] = ()  # what does not fit a buffer, a text each

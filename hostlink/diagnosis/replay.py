@@ -1,17 +1,17 @@
-"""The diagnosis of a recording: what a witness would have seen had it been there. Pure."""
+"""The diagnosis of a recording: what a LinkMonitor would have seen. Pure."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
 
 from hostlink.diagnosis.finding import Finding, words
+from hostlink.diagnosis.link_monitor import LOOK_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
-from hostlink.diagnosis.witness import LOOK_INTERVAL_S, Witness
+from hostlink.inspection import Read
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived, TopicsAsked
 from hostlink.protocol.frame import MAX_PAYLOAD_BYTES, Frame, Id
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
-from hostlink.recording import Read
 
 
 class Replay:
@@ -20,7 +20,7 @@ class Replay:
     def __init__(self, check: Callable[[TopicInfo], int | None], *, now_s: float) -> None:
         self.session = Session(check=check)
         self.opened_at_s = self.ended_at_s = now_s
-        self._witness = Witness(self.session, now_s=now_s)
+        self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
         self._heard_at_s = self._looked_at_s = now_s
         self._asks = 0
@@ -36,12 +36,12 @@ class Replay:
             self._heard_at_s = read.t
             for event in self.session.receive(bytes.fromhex(read.hex), now_s=read.t):
                 if not isinstance(event, (MessageReceived, TopicsAsked)):
-                    self._witness.note(event, read.t)
+                    self._monitor.note(event, read.t)
         elif read.hex:
             for item in self._to_device.feed(bytes.fromhex(read.hex)):
                 if isinstance(item, Frame) and item.topic_id == Id.PUBLISHER:
                     self._asks += 1  # the host's of that time, not those that the session would send
-                    self._witness.note(TopicsAsked("recorded"), read.t)
+                    self._monitor.note(TopicsAsked("recorded"), read.t)
 
     def findings(self) -> list[Finding]:
         """All that was wrong at any time, most telling first."""
@@ -52,9 +52,9 @@ class Replay:
         self._looked_at_s = now_s
         for event in self.session.tick(now_s=now_s):
             if not isinstance(event, TopicsAsked) or event.reason == "no_time_requests":
-                self._witness.note(event, now_s)
-        self._witness.look(now_s)
-        evidence = self._witness.evidence(now_s, silent_s=now_s - self._heard_at_s)
+                self._monitor.note(event, now_s)
+        self._monitor.look(now_s)
+        evidence = self._monitor.evidence(now_s, silent_s=now_s - self._heard_at_s)
         self._found |= {each.code: each for each in diagnose(dataclasses.replace(evidence, asks=self._asks))}
 
 

@@ -43,18 +43,18 @@ def diagnose(evidence: Evidence) -> list[Finding]:
         detail = rule(evidence)
         if detail is not None:
             found[code] = detail
-    foreign = _foreign(evidence)
-    if foreign is not None:
-        found[foreign[0]] = foreign[1]
+    non_rosserial = _non_rosserial(evidence)
+    if non_rosserial is not None:
+        found[non_rosserial[0]] = non_rosserial[1]
     return [finding(code, found[code]) for code in words() if code in found]
 
 
 # -- bytes that are no frames -----------------------------------------------------------------------------------------
 
 
-def _foreign(evidence: Evidence) -> tuple[str, str] | None:
+def _non_rosserial(evidence: Evidence) -> tuple[str, str] | None:
     """The one code for what was skipped of late, and its detail."""
-    recent, sample = evidence.recent, evidence.foreign
+    recent, sample = evidence.recent, evidence.non_rosserial
     if evidence.is_protocol_1:
         return "protocol_1", ""
     if recent.skipped_bytes >= FOREIGN_BYTES:
@@ -71,13 +71,13 @@ def _foreign(evidence: Evidence) -> tuple[str, str] | None:
 def _unreadable(evidence: Evidence) -> tuple[str, str]:
     recent = evidence.recent
     share = f"{recent.skipped_bytes} of {recent.bytes_from_device} bytes in no frame"
-    speed = guess_speed(evidence.foreign, evidence.baud)
+    speed = guess_speed(evidence.non_rosserial, evidence.baud)
     return ("no_sync", share) if speed is None else ("wrong_baud", f"{speed}; {share}")
 
 
 def _burst(evidence: Evidence) -> tuple[str, str] | None:
     """Bytes before the first topics, and none since."""
-    early = evidence.early_foreign
+    early = evidence.early_non_rosserial
     is_new = evidence.recent.skipped_bytes >= len(early) >= BURST_BYTES
     if not is_new or evidence.total.skipped_bytes - len(early) >= FOREIGN_BYTES:
         return None

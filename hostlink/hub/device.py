@@ -10,7 +10,7 @@ import structlog
 from hostlink.errors import BadRequest, WrongType
 from hostlink.hub.services import DeviceService, Services
 from hostlink.hub.shown_names import ShownNames
-from hostlink.hub.subscriptions import SendToDevice, Topic, TopicGraph
+from hostlink.hub.topic_graph import SendToDevice, Topic, TopicGraph
 from hostlink.hub.ungated import UngatedVelocities, is_velocity
 from hostlink.link.link import Link
 from hostlink.logs import printable
@@ -20,7 +20,7 @@ from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
-from hostlink.robot.directory import RobotTopics
+from hostlink.robot.directory import RobotTopicNames
 
 log = structlog.get_logger()
 
@@ -64,7 +64,7 @@ class Device:
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
         self._topics, self._services, self._catalog = topics, services, catalog
 
-    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: RobotTopics | None = None) -> None:
+    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: RobotTopicNames | None = None) -> None:
         """Put the device's endpoints into the graph in place of those that it had."""
         self.leave()
         self.shown = shown
@@ -101,7 +101,7 @@ class Device:
             if topic.type is not None and topic.type.fields[:1] == (_HEADER,):
                 self._stamped.add(info.topic_id)
         elif info.kind is Id.SUBSCRIBER:
-            self._topics.take(name, self.link, self._sender(info), type_name=info.type)
+            self._topics.subscribe_device(name, self.link, self._sender(info), type_name=info.type)
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
             type_ = self._catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
@@ -113,7 +113,7 @@ class Device:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}
         return sums.get(Id.SERVICE_SERVER_SUBSCRIBER, ""), sums.get(Id.SERVICE_SERVER_PUBLISHER, "")
 
-    def _add_odometry(self, info: TopicInfo, robot: RobotTopics) -> None:
+    def _add_odometry(self, info: TopicInfo, robot: RobotTopicNames) -> None:
         type_ = self._catalog.message(info.type)
         if (info.name, info.type) == (robot.odometry, robot.odometry_type) and type_ is not None:
             self.odometry[info.topic_id] = type_

@@ -11,9 +11,9 @@ import structlog
 from hostlink.diagnosis.evidence import EarlierLink, Evidence
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.host_clock import HostClock
+from hostlink.diagnosis.link_monitor import LOOK_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
-from hostlink.diagnosis.witness import LOOK_INTERVAL_S, Witness
 from hostlink.hub.isolation import Isolation
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
@@ -21,18 +21,18 @@ from hostlink.protocol import events
 
 log = structlog.get_logger()
 
-ENDED_LINKS = 16  # with their tapes 2 MiB at most
+ENDED_LINKS = 16  # with their buffers 2 MiB at most
 EARLIER_S = 60.0  # what ended before that says nothing of now
 TELL_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
 MAX_TOLD = 256
 
 
 @dataclass(slots=True, eq=False)
-class Case:
-    """One link, what its witness knows, and what is wrong with it."""
+class Diagnosis:
+    """One link, what its monitor knows, and what is wrong with it."""
 
     link: Link
-    witness: Witness
+    monitor: LinkMonitor
     findings: list[Finding] = field(default_factory=list)
     end: LinkEnd | None = None
     ended_at_s: float = 0.0
@@ -40,15 +40,19 @@ class Case:
     robot: str = ""  # what its robot is called here
     own_name: str = ""  # what that calls itself, if it had to be given a number
 
+    def renaming(self) -> str:
+        """What to say of a device whose name was another's; empty: it has its own."""
+        return f"{self.own_name} is another device's name; this is {self.robot}" if self.own_name else ""
+
 
 class Diagnoses:
-    """Owns the cases. `run` looks at each of them once a second; the rest of the hub only tells what happens."""
+    """Owns the diagnoses. `run` looks at each of them once a second; the rest of the hub only tells what happens."""
 
     def __init__(self, isolation: Isolation | None = None) -> None:
         words()  # read now: later there may be no descriptor for it
         self._isolation = Isolation(reraises=True) if isolation is None else isolation
-        self.ended: deque[Case] = deque(maxlen=ENDED_LINKS)
-        self._live: dict[int, Case] = {}
+        self.ended: deque[Diagnosis] = deque(maxlen=ENDED_LINKS)
+        self._live: dict[int, Diagnosis] = {}
         self._clock = HostClock()
         self._host_clock = ""
         self._told_at_s: dict[tuple[str, str], float] = {}
@@ -63,100 +67,100 @@ class Diagnoses:
 
     def begin(self, link: Link) -> None:
         """A link has opened."""
-        self._live[link.number] = Case(link, Witness(link.session, now_s=link.opened_at_s))
+        self._live[link.number] = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s))
 
     def see_baud(self, link: Link, baud: int) -> None:
         """The link's serial port is read at this speed from now on."""
-        case = self._live.get(link.number)
-        if case is not None:
-            case.witness.see_baud(baud, _now_s())
+        diagnosis = self._live.get(link.number)
+        if diagnosis is not None:
+            diagnosis.monitor.see_baud(baud, _now_s())
 
     def identify(self, link: Link, robot: str, *, own_name: str = "") -> None:
         """It is known which robot the link's device is, if any; `own_name` if it had to be given a number."""
-        case = self._live.get(link.number)
-        if case is not None:
-            case.robot, case.own_name = robot, own_name
+        diagnosis = self._live.get(link.number)
+        if diagnosis is not None:
+            diagnosis.robot, diagnosis.own_name = robot, own_name
 
     def note(self, link: Link, event: events.Event) -> None:
         """The session of a live link saw something other than a message."""
-        case = self._live.get(link.number)
-        if case is not None:
-            case.witness.note(event, _now_s())
+        diagnosis = self._live.get(link.number)
+        if diagnosis is not None:
+            diagnosis.monitor.note(event, _now_s())
 
     def finish(self, link: Link, end: LinkEnd) -> None:
-        """A link has ended; its case and its tapes are kept for a while."""
-        case = self._live.pop(link.number, None)
-        if case is not None:
-            case.end, case.ended_at_s = end, _now_s()
-            case.last_evidence = self._evidence(case, case.ended_at_s)
-            self.ended.append(case)
+        """A link has ended; its diagnosis and its buffers are kept for a while."""
+        diagnosis = self._live.pop(link.number, None)
+        if diagnosis is not None:
+            diagnosis.end, diagnosis.ended_at_s = end, _now_s()
+            diagnosis.last_evidence = self._evidence(diagnosis, diagnosis.ended_at_s)
+            self.ended.append(diagnosis)
 
     def of(self, link: Link) -> list[Finding]:
         """What is wrong with a live link, as of the last look."""
-        case = self._live.get(link.number)
-        return [] if case is None else case.findings
+        diagnosis = self._live.get(link.number)
+        return [] if diagnosis is None else diagnosis.findings
 
-    def case(self, number: int) -> Case | None:
+    def find(self, number: int) -> Diagnosis | None:
         """The link of that number, live or among the last that ended."""
-        ended = (case for case in self.ended if case.link.number == number)
+        ended = (diagnosis for diagnosis in self.ended if diagnosis.link.number == number)
         return self._live.get(number) or next(ended, None)
 
     def numbers(self) -> list[int]:
-        """Of every link that has a case."""
-        return sorted([*self._live, *(case.link.number for case in self.ended)])
+        """Of every link that has a diagnosis."""
+        return sorted([*self._live, *(diagnosis.link.number for diagnosis in self.ended)])
 
     async def run(self) -> None:
-        """Look at every case, again and again, until cancelled."""
+        """Look at every diagnosis, again and again, until cancelled."""
         while True:
             now_s = _now_s()
             self._host_clock = self._clock.look(now_s, time.time_ns())
-            for case in list(self._live.values()):
-                with self._isolation.around("diagnosis", link=case.link.number):
-                    case.witness.look(now_s)
-                    await self._judge(case, self._evidence(case, now_s))
+            for diagnosis in list(self._live.values()):
+                with self._isolation.around("diagnosis", link=diagnosis.link.number):
+                    diagnosis.monitor.look(now_s)
+                    await self._judge(diagnosis, self._evidence(diagnosis, now_s))
                 await asyncio.sleep(0)  # a thousand links are looked at one by one, between what they say
-            for case in list(self.ended):
-                if case.last_evidence is not None:
-                    evidence, case.last_evidence = case.last_evidence, None
-                    with self._isolation.around("diagnosis", link=case.link.number):
-                        await self._judge(case, evidence)
+            for diagnosis in list(self.ended):
+                if diagnosis.last_evidence is not None:
+                    evidence, diagnosis.last_evidence = diagnosis.last_evidence, None
+                    with self._isolation.around("diagnosis", link=diagnosis.link.number):
+                        await self._judge(diagnosis, evidence)
             await asyncio.sleep(LOOK_INTERVAL_S)
 
-    async def _judge(self, case: Case, evidence: Evidence) -> None:
+    async def _judge(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
         """In a thread where bytes must be looked at: the first look at a speed takes a good part of a second."""
         is_slow = evidence.recent.skipped_bytes > 0
         found = await asyncio.to_thread(diagnose, evidence) if is_slow else diagnose(evidence)
-        news = {each.code for each in found} - {each.code for each in case.findings}
-        case.findings = found
+        news = {each.code for each in found} - {each.code for each in diagnosis.findings}
+        diagnosis.findings = found
         for each in found:
             if each.code in news:
-                self._tell(case, each)
+                self._tell(diagnosis, each)
 
-    def _evidence(self, case: Case, now_s: float) -> Evidence:
+    def _evidence(self, diagnosis: Diagnosis, now_s: float) -> Evidence:
         earlier = tuple(
             EarlierLink(
                 end="" if other.end is None else other.end.value,
                 seconds=other.ended_at_s - other.link.opened_at_s,
                 ended_ago_s=now_s - other.ended_at_s,
-                was_negotiated=other.witness.was_negotiated,
+                was_negotiated=other.monitor.was_negotiated,
             )
             for other in self.ended
-            if (other.link.address, other.robot) == (case.link.address, case.robot)
+            if (other.link.address, other.robot) == (diagnosis.link.address, diagnosis.robot)
             and now_s - other.ended_at_s < EARLIER_S
         )
-        return case.witness.evidence(
+        return diagnosis.monitor.evidence(
             now_s,
-            silent_s=now_s - case.link.heard_at_s,
+            silent_s=now_s - diagnosis.link.heard_at_s,
             earlier=earlier,
-            end=None if case.end is None else case.end.value,
+            end=None if diagnosis.end is None else diagnosis.end.value,
             host_clock=self._host_clock,
-            numbered="" if not case.own_name else f"{case.own_name} is another device's name; this is {case.robot}",
+            numbered=diagnosis.renaming(),
         )
 
-    def _tell(self, case: Case, found: Finding) -> None:
+    def _tell(self, diagnosis: Diagnosis, found: Finding) -> None:
         """One line, not again for the same address within TELL_AGAIN_S."""
         now_s = _now_s()
-        key = (case.link.address, found.code)
+        key = (diagnosis.link.address, found.code)
         if now_s < self._told_at_s.get(key, float("-inf")) + TELL_AGAIN_S:
             return
         self._told_at_s.pop(key, None)
@@ -164,7 +168,7 @@ class Diagnoses:
         if len(self._told_at_s) > MAX_TOLD:
             del self._told_at_s[next(iter(self._told_at_s))]
         about = {key: printable(text) if key == "detail" else text for key, text in found.view().items()}
-        log.warning("link.diagnosed", link=case.link.number, peer=printable(case.link.peer), **about)
+        log.warning("link.diagnosed", link=diagnosis.link.number, peer=printable(diagnosis.link.peer), **about)
 
 
 def _now_s() -> float:

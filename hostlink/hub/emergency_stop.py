@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from hostlink.hub.robots import LOCK_REASON, Robot, Robots
 from hostlink.hub.services import Provider, Services
-from hostlink.hub.subscriptions import DAEMON, resolve
+from hostlink.hub.topic_graph import DAEMON, resolve
 
 _TYPE = "std_srvs/Trigger"
 _LOCK, _UNLOCK = "lock", "unlock"

@@ -21,10 +21,10 @@ from hostlink.hub.identities import Identities, Parts
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.parameters import find_parameter
-from hostlink.hub.robot_topics import RobotTopics
+from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import ENDING, PROGRAM_PRIORITY, Robot, Robots
 from hostlink.hub.services import Services
-from hostlink.hub.subscriptions import Topic, TopicGraph, resolve
+from hostlink.hub.topic_graph import Topic, TopicGraph, resolve
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import log_what_is_missing, of_peer, printable
@@ -41,7 +41,7 @@ log = structlog.get_logger()
 
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
-FAREWELL_TIMEOUT_S = 0.5
+SHUTDOWN_TIMEOUT_S = 0.5
 MAX_UNKNOWN_PARAMETERS = 256  # names that are remembered; a name can be as long as a frame
 LOG_INTERVAL_S = 10.0  # between two lines about lines that are missing
 _NS_PER_S = 1_000_000_000
@@ -79,7 +79,7 @@ class Hub:
             on_forgotten=self._forget_robot,
         )
         self.robots.guard = guard
-        self.robot_topics = RobotTopics(config.robots, self.topics, catalog)
+        self.robot_topics = RobotTopicPublisher(config.robots, self.topics, catalog)
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.refused: Counter[str] = Counter()  # connections that were not served or gave way, by cause
         self.parameters = dict(config.parameters)  # what devices ask for; clients may change it
@@ -178,14 +178,14 @@ class Hub:
         device = self._devices.get(link.number)
         return name if device is None else device.shown.of(name)
 
-    async def farewell(self) -> None:
-        """Stop every robot, tell every device to fall silent, end every link; bounded by FAREWELL_TIMEOUT_S.
+    async def shutdown(self) -> None:
+        """Stop every robot, tell every device to fall silent, end every link; bounded by SHUTDOWN_TIMEOUT_S.
 
         From its first moment on nobody moves a robot any more: the last velocity that leaves is zero.
         """
         self.robots.close()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(FAREWELL_TIMEOUT_S):
+            async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
                 connected = [robot for robot in self.robots.all() if robot.link is not None]
                 for _ in range(STOP_REPEATS if connected or self.robots.ungated.is_active else 0):
                     self.robots.ungated.stop(now_s=asyncio.get_running_loop().time())
@@ -234,7 +234,7 @@ class Hub:
         if topic is None:
             return
         try:
-            self._spread(topic, event.payload, source=link)
+            self._publish_to_topic(topic, event.payload, source=link)
         except HostlinkError as error:
             log.debug("message.refused", topic=topic.name, reason=str(error))
 
@@ -307,7 +307,7 @@ class Hub:
         link.session.stop()
         link.wake()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(FAREWELL_TIMEOUT_S):
+            async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
                 await link.drained()
         link.end(LinkEnd.UNANSWERABLE)
 
@@ -346,7 +346,7 @@ class Hub:
         else:
             raise WrongType(topic, "a type with a definition", type_name or "none")
         if known is not None:
-            self._spread(known, payload, source=source, priority=priority)
+            self._publish_to_topic(known, payload, source=source, priority=priority)
 
     def message_type(self, topic: str, type_name: str = "") -> MessageType | None:
         """What the messages of a topic are: as it is known, else the type of this name; None: nobody knows."""
@@ -361,13 +361,15 @@ class Hub:
         self.topics.leave(source)
         self.services.leave(source)
 
-    def _spread(self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY) -> None:
+    def _publish_to_topic(
+        self, topic: Topic, payload: bytes, *, source: str | Link, priority: int = PROGRAM_PRIORITY
+    ) -> None:
         if self.robots.is_closed:
             raise DeviceGone(topic.name, ENDING)
         commands = self._commands(topic, payload)
         if commands is None:
             self.robots.expect_reset(topic.name)
-            topic.spread(payload, time.time_ns(), source=source)
+            topic.publish(payload, time.time_ns(), source=source)
             return
         refusal: HostlinkError | None = None
         for robot, velocity in commands:

@@ -11,7 +11,7 @@ import structlog
 from hostlink.hub.device import Device
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.emergency_stop import offer_lock, withdraw_lock
-from hostlink.hub.robot_topics import RobotTopics
+from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robot, Robots
 from hostlink.hub.services import Services
 from hostlink.hub.shown_names import ShownNames
@@ -32,7 +32,7 @@ class Parts(NamedTuple):
     """What of the hub depends on who a device is."""
 
     robots: Robots
-    robot_topics: RobotTopics
+    robot_topics: RobotTopicPublisher
     services: Services
     diagnoses: Diagnoses
 

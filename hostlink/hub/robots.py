@@ -18,14 +18,14 @@ from hostlink.hub.message import Message
 from hostlink.hub.refusals import Refusals
 from hostlink.hub.robot_settings import limits_of, of_namesake
 from hostlink.hub.shown_names import ShownNames
-from hostlink.hub.subscriptions import Deliver, Unsubscribe
+from hostlink.hub.topic_graph import Deliver, Unsubscribe
 from hostlink.hub.ungated import UngatedVelocities
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.away import Away
-from hostlink.robot.directory import RobotTopics
-from hostlink.robot.odometry import OdometryView, Twist
+from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
 from hostlink.robot.presence import SURE_S
 from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.robot.velocity_gate import VelocityGate
@@ -53,9 +53,9 @@ class Robot:
     name: str
     config: RobotConfig
     gate: VelocityGate
-    odometry: OdometryView
-    topics: RobotTopics  # as its device calls them
-    shown: RobotTopics  # as the graph calls them
+    odometry: OdometryEstimator
+    topics: RobotTopicNames  # as its device calls them
+    shown: RobotTopicNames  # as the graph calls them
     link: Link | None = None
     locked_link: Link | None = None  # the one that it had when it was locked
     last_frame: bytes = b""  # its zero, as its device takes it
@@ -161,7 +161,13 @@ class Robots:
         return name in self._robots or len(self._robots) < self.max_robots
 
     def appear(
-        self, name: str, topics: RobotTopics, link: Link, *, shown: RobotTopics | None = None, is_certain: bool = True
+        self,
+        name: str,
+        topics: RobotTopicNames,
+        link: Link,
+        *,
+        shown: RobotTopicNames | None = None,
+        is_certain: bool = True,
     ) -> Robot:
         """A robot's device is ready: whatever was commanded before means nothing now, its first velocity is zero.
 
@@ -305,10 +311,10 @@ class Robots:
                         await self._wake.wait()
             self._forget_some()
 
-    def _make(self, name: str, topics: RobotTopics, shown: RobotTopics) -> Robot:
+    def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> Robot:
         config = self._configs.get(name) or of_namesake(self._configs.get(topics.name))
         fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
-        odometry = OdometryView(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
+        odometry = OdometryEstimator(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
         return Robot(name, config, VelocityGate(name, limits_of(config)), odometry, topics, shown)
 
     def _lock_likewise(self, robot: Robot) -> None:

@@ -22,7 +22,7 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.subscriptions import DAEMON, resolve
+from hostlink.hub.topic_graph import DAEMON, resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import ServiceType

@@ -1,7 +1,7 @@
 """ShownNames: by which names a device's topics and services stand in the graph."""
 
-from hostlink.hub.subscriptions import resolve
-from hostlink.robot.directory import RobotTopics
+from hostlink.hub.topic_graph import resolve
+from hostlink.robot.directory import RobotTopicNames
 
 
 class ShownNames:
@@ -12,7 +12,7 @@ class ShownNames:
     is shared with who else uses it, as in ROS.
     """
 
-    def __init__(self, robot: RobotTopics | None = None, name: str | None = None) -> None:
+    def __init__(self, robot: RobotTopicNames | None = None, name: str | None = None) -> None:
         """`name`: what the robot is called here."""
         self._is_renamed = robot is not None and name not in (None, robot.name)
         self._name = name or ""
@@ -31,9 +31,9 @@ class ShownNames:
         is_relative = self._prefix == "/" and not name.startswith("/")
         return f"/{self._name}{full}" if is_relative or full in self._own else full
 
-    def of_robot(self, robot: RobotTopics) -> RobotTopics:
+    def of_robot(self, robot: RobotTopicNames) -> RobotTopicNames:
         """The robot's topics, by their names in the graph."""
         reset = None if robot.reset is None else self.of(robot.reset)
-        return RobotTopics(
+        return RobotTopicNames(
             self._name or robot.name, self.of(robot.velocity), self.of(robot.odometry), robot.odometry_type, reset
         )

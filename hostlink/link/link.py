@@ -14,8 +14,8 @@ import structlog
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
+from hostlink.link.capture_buffer import CaptureBuffer
 from hostlink.link.fair_share import FairShare, Turns
-from hostlink.link.tape import Tape
 from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
 from hostlink.transport.base import READ_BYTES, Transport
@@ -35,8 +35,8 @@ class LinkEnd(Enum):
     IDLE = "idle"
     REPLACED = "replaced"
     REFUSED = "refused"
-    GAVE_WAY = "gave_way"
-    UNPROVEN = "unproven"
+    EVICTED = "evicted"
+    UNAUTHENTICATED = "unauthenticated"
     STOPPED = "stopped"
     BROKEN = "broken"
     CRASHED = "crashed"
@@ -63,7 +63,7 @@ class Link:
         self.session = session
         self.last_frame = b""  # of a robot: its zero
         self.command_latency = Latency()  # from a velocity's command to the transport
-        self.tape_from_device, self.tape_to_device = Tape(), Tape()
+        self.captured_from_device, self.captured_to_device = CaptureBuffer(), CaptureBuffer()
         self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
         self._transport = transport
         self._config = config
@@ -93,7 +93,7 @@ class Link:
                 finally:
                     writer.cancel()
         except* ConnectionRefusedError:  # by the transport: the device has no key
-            end = LinkEnd.UNPROVEN
+            end = LinkEnd.UNAUTHENTICATED
         except* OSError as broken:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
@@ -155,7 +155,7 @@ class Link:
                 self._tell(self.session.open(now_s=loop.time()))
                 while data := await self._transport.receive():
                     now_s = self.heard_at_s = loop.time()
-                    self.tape_from_device.add(data, now_s)
+                    self.captured_from_device.add(data, now_s)
                     for at in range(0, len(data), PIECE_BYTES):
                         read = functools.partial(self._read_piece, data[at : at + PIECE_BYTES])
                         await self._turns.take(read, is_flooding=len(data) >= READ_BYTES)
@@ -194,7 +194,7 @@ class Link:
                     await self._transport.send(frame)
                 if commanded_at_s is not None:
                     self.command_latency.add(loop.time() - commanded_at_s)
-                self.tape_to_device.add(frame, loop.time())
+                self.captured_to_device.add(frame, loop.time())
             now_s = loop.time()
             if self._silent_at_s() <= now_s + SOON_S:
                 self.end(LinkEnd.IDLE)

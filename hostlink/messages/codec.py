@@ -1,19 +1,20 @@
 """Payload <-> dict, compiled once a type: Python source with one struct for each run of fixed fields.
 
 What is compiled is fast and picky: it takes whole messages of plain values and intact payloads, and raises one of
-ODD for everything else. `careful` then does the same slowly, with all that is allowed, or says what is wrong.
+UNCOMMON_LAYOUT for everything else. `validating_codec` then does the same slowly, with all that is allowed, or says
+what is wrong.
 """
 
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any, Final, cast
 
-from hostlink.messages.fields import FORMATS, HOLLOW_ELEMENTS_MAX, SCALAR, VARIABLE, Field, Layout
+from hostlink.messages.fields import EMPTY_ELEMENTS_MAX, FORMATS, SCALAR, VARIABLE, Field, Layout
 
 Encoder = Callable[[Mapping[str, object]], bytes]
 Decoder = Callable[[bytes], dict[str, object]]
 
-ODD: Final = (ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error)
+UNCOMMON_LAYOUT: Final = (ValueError, TypeError, LookupError, AttributeError, OverflowError, struct.error)
 
 
 def compile_encoder(layout: Layout) -> Encoder:
@@ -34,7 +35,7 @@ class _Module:
     """The source of the functions for one type and for the types of the elements in its arrays."""
 
     def __init__(self) -> None:
-        self.names: dict[str, Any] = {"Odd": ValueError, "bools": frozenset({bool})}
+        self.names: dict[str, Any] = {"UncommonLayout": ValueError, "bools": frozenset({bool})}
         self.names |= {"pack": struct.pack, "unpack": struct.unpack_from}
         self._functions: dict[Layout, str] = {}
         self._lines: list[str] = []
@@ -54,7 +55,7 @@ class _Module:
         body = _DecoderBody(self)
         value = body.read_message(layout)
         self._lines += [f"def {name}(b):", " o = 0", " size = len(b)", *body.finish()]
-        self._lines += [" if o != size: raise Odd", f" return {value}"]
+        self._lines += [" if o != size: raise UncommonLayout", f" return {value}"]
         return name
 
     def add_reader(self, layout: Layout) -> str:
@@ -143,18 +144,21 @@ class _DecoderBody:
 
     def _read_strings(self, count: str) -> str:
         value = self._local("[]")
-        self._lines += [f"if {count} * 4 > size - o: raise Odd", f"for _ in range({count}):"]
-        self._lines += [" e = o + 4 + unpack('<I', b, o)[0]", " if e > size: raise Odd"]
+        self._lines += [f"if {count} * 4 > size - o: raise UncommonLayout", f"for _ in range({count}):"]
+        self._lines += [" e = o + 4 + unpack('<I', b, o)[0]", " if e > size: raise UncommonLayout"]
         self._lines += [f" {value}.append(b[o + 4:e].decode('utf-8', 'replace'))", " o = e"]
         return value
 
     def _read_messages(self, layout: Layout, field: Field, count: str) -> str:
         if layout.minimum_bytes == 0 and field.array_length == VARIABLE:
-            self._lines.append(f"if {count} > {HOLLOW_ELEMENTS_MAX}: raise Odd")
+            self._lines.append(f"if {count} > {EMPTY_ELEMENTS_MAX}: raise UncommonLayout")
         if layout.minimum_bytes and _is_flat(layout):
             return self._read_flat_messages(layout, count)
         value, reader = self._local("[]"), self._module.add_reader(layout)
-        self._lines += [f"if {count} * {layout.minimum_bytes} > size - o: raise Odd", f"for _ in range({count}):"]
+        self._lines += [
+            f"if {count} * {layout.minimum_bytes} > size - o: raise UncommonLayout",
+            f"for _ in range({count}):",
+        ]
         self._lines += [f" x, o = {reader}(b, o, size)", f" {value}.append(x)"]
         return value
 
@@ -181,7 +185,7 @@ class _DecoderBody:
             self._tuples += 1
 
     def _check_end(self, length: str) -> None:
-        self._lines += [f"e = o + {length}", "if e > size: raise Odd"]
+        self._lines += [f"e = o + {length}", "if e > size: raise UncommonLayout"]
 
     def _local(self, expression: str) -> str:
         self._locals += 1
@@ -208,7 +212,7 @@ class _EncoderBody:
 
     def write_message(self, layout: Layout, message: str) -> None:
         """All fields of the message that the expression names; more or fewer fields are odd."""
-        self._lines.append(f"if len({message}) != {len(layout.fields)}: raise Odd")
+        self._lines.append(f"if len({message}) != {len(layout.fields)}: raise UncommonLayout")
         for field in layout.fields:
             self._write_field(layout, field, f"{message}[{field.name!r}]")
 
@@ -219,7 +223,7 @@ class _EncoderBody:
             self._write_octets(self._local(f"{value}.encode()"))
         elif field.type == "bool":
             name = self._local(value)
-            self._lines.append(f"if {name} is not True and {name} is not False: raise Odd")
+            self._lines.append(f"if {name} is not True and {name} is not False: raise UncommonLayout")
             self._add("?", name)
         elif field.type in FORMATS:
             self._add(FORMATS[field.type], value)
@@ -228,11 +232,11 @@ class _EncoderBody:
 
     def _write_array(self, layout: Layout, field: Field, value: str) -> None:
         name = self._local(value)
-        self._lines.append(f"if type({name}) is not {'bytes' if field.is_octets else 'list'}: raise Odd")
+        self._lines.append(f"if type({name}) is not {'bytes' if field.is_octets else 'list'}: raise UncommonLayout")
         if field.array_length != VARIABLE:
-            self._lines.append(f"if len({name}) != {field.array_length}: raise Odd")
+            self._lines.append(f"if len({name}) != {field.array_length}: raise UncommonLayout")
         if field.type == "bool":
-            self._lines.append(f"if not bools.issuperset(map(type, {name})): raise Odd")
+            self._lines.append(f"if not bools.issuperset(map(type, {name})): raise UncommonLayout")
         if field.array_length != VARIABLE and field.type in FORMATS:
             self._write_fixed_array(field, name)
         elif field.is_octets:
@@ -263,7 +267,7 @@ class _EncoderBody:
 
     def _write_messages(self, layout: Layout, field: Field, name: str) -> None:
         if layout.minimum_bytes == 0 and field.array_length == VARIABLE:
-            self._lines.append(f"if len({name}) > {HOLLOW_ELEMENTS_MAX}: raise Odd")
+            self._lines.append(f"if len({name}) > {EMPTY_ELEMENTS_MAX}: raise UncommonLayout")
         self._parts.append(f"b''.join([{self._module.add_encoder(layout)}(x) for x in {name}])")
 
     def _add(self, code: str, argument: str) -> None:

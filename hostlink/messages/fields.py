@@ -36,7 +36,7 @@ ENCODED_BYTES_MAX: Final = 1024 * 1024
 
 # Messages without fields cost memory here and nothing on the wire, so the length of a list of them cannot be checked
 # against the payload; so many cost a payload byte about what the smallest other messages do.
-HOLLOW_ELEMENTS_MAX: Final = 16
+EMPTY_ELEMENTS_MAX: Final = 16
 
 
 class Constant(NamedTuple):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
-from hostlink.messages import careful
-from hostlink.messages.codec import ODD, Decoder, Encoder, compile_decoder, compile_encoder
+from hostlink.messages import validating_codec
+from hostlink.messages.codec import UNCOMMON_LAYOUT, Decoder, Encoder, compile_decoder, compile_encoder
 from hostlink.messages.fields import DURATION, TIME, Constant, Field, Layout
 from hostlink.messages.parsing import Definition
 
@@ -69,9 +69,9 @@ class MessageType:
         """Missing fields are zero; BadRequest names the field that is unknown or has a wrong value."""
         try:
             payload = self._encoder(message)
-        except ODD:
-            return careful.encode(self.layout, message)
-        careful.check_size(len(payload), self.name)
+        except UNCOMMON_LAYOUT:
+            return validating_codec.encode(self.layout, message)
+        validating_codec.check_size(len(payload), self.name)
         return payload
 
     def decode(self, payload: bytes | memoryview) -> dict[str, object]:
@@ -82,8 +82,8 @@ class MessageType:
         data = bytes(payload)
         try:
             return self._decoder(data)
-        except ODD:
-            return careful.decode(self.layout, data)
+        except UNCOMMON_LAYOUT:
+            return validating_codec.decode(self.layout, data)
 
     @cached_property
     def _encoder(self) -> Encoder:

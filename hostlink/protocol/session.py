@@ -9,7 +9,6 @@ from struct import error as StructError  # noqa: N812 - a class, named like one
 
 from hostlink.errors import BadRequest, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 from hostlink.protocol import events
-from hostlink.protocol.ask_clock import AskClock
 from hostlink.protocol.clock import DeviceClock
 from hostlink.protocol.control import (
     Parameter,
@@ -19,7 +18,6 @@ from hostlink.protocol.control import (
     decode_topic_info,
     encode_parameter,
 )
-from hostlink.protocol.foreign import ForeignBytes
 from hostlink.protocol.frame import (
     FIRST_TOPIC_ID,
     HEADER,
@@ -30,6 +28,8 @@ from hostlink.protocol.frame import (
     Id,
     encode,
 )
+from hostlink.protocol.negotiation import NegotiationScheduler
+from hostlink.protocol.non_rosserial import NonRosserialBytes
 from hostlink.protocol.outbox import Outbox
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
@@ -82,14 +82,14 @@ class Session:
         """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
         self.counts = SessionCounts()
         self.device_clock = DeviceClock()
-        self.foreign = ForeignBytes()
+        self.non_rosserial = NonRosserialBytes()
         self.too_large = ""  # the last frame that was refused for its size
         self._check = check
         self._topics = TopicTable(max_topics)
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._outbox = Outbox(uart_bytes_s=uart_bytes_s)
         self._refused: dict[int, HostlinkError] = {}
-        self._clock = AskClock()
+        self._clock = NegotiationScheduler()
         self._known: tuple[TopicInfo, ...] = ()
 
     # -- what the link tells ------------------------------------------------------------------------------------------
@@ -332,7 +332,7 @@ class Session:
         self.counts.skipped_bytes += len(data)
         if self._topics.is_negotiating:
             self._clock.is_negotiation_damaged = True
-        if self.foreign.take(data):
+        if self.non_rosserial.take(data):
             yield events.Protocol1Recognised()
 
     # -- negotiation --------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ Odometry = tuple[str, str]  # name, type
 
 
 @dataclass(frozen=True, slots=True)
-class RobotTopics:
+class RobotTopicNames:
     """A robot and the topics by which it is driven and read."""
 
     name: str
@@ -48,7 +48,7 @@ class Accepted:
     can have meant that name. `is_numbered`: nothing but the order tells it from another.
     """
 
-    robot: RobotTopics | None
+    robot: RobotTopicNames | None
     replaces: int | None
     own_name: str = ""
     is_certain: bool = True
@@ -215,7 +215,7 @@ class Directory:
             self._by_name.pop(entry.name, None)
 
 
-def find_robot(topics: Sequence[TopicClaim]) -> RobotTopics | None:
+def find_robot(topics: Sequence[TopicClaim]) -> RobotTopicNames | None:
     """A device that takes a Twist and tells a pose is a robot, named by their common namespace."""
     velocities = [topic for topic, type_name, is_to_device in topics if is_to_device and type_name == VELOCITY_TYPE]
     odometries = [
@@ -233,7 +233,7 @@ def find_robot(topics: Sequence[TopicClaim]) -> RobotTopics | None:
         if is_to_device and type_name == RESET_TYPE and "reset" in _leaf(topic) and _namespace(topic) in namespaces
     ]
     reset = min(resets, key=lambda topic: ("odom" not in _leaf(topic), topic), default=None)
-    return RobotTopics(_name(*namespaces), velocity, odometry, odometry_type, reset)
+    return RobotTopicNames(_name(*namespaces), velocity, odometry, odometry_type, reset)
 
 
 def _parts(topic: str) -> list[str]:

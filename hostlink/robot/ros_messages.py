@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import Twist
+from hostlink.robot.odometry_estimator import Twist
 
 UNMEASURED = 1e6  # the variance of what wheels cannot tell: height, roll and pitch
 POSE_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)  # diff_drive_controller's for x, y and yaw
@@ -16,7 +16,7 @@ TWIST_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)
 _AXES = 6
 
 
-class Frames(NamedTuple):
+class FrameIds(NamedTuple):
     """The names of the frames between which a robot's odometry is."""
 
     odom: str
@@ -34,7 +34,7 @@ UNTOLD = Variances()
 
 
 def odometry_of(
-    pose: Pose, twist: Twist, frames: Frames, stamp: Mapping[str, int], told: Variances = UNTOLD
+    pose: Pose, twist: Twist, frames: FrameIds, stamp: Mapping[str, int], told: Variances = UNTOLD
 ) -> dict[str, Any]:
     """A nav_msgs/Odometry of a planar pose."""
     half_rad = pose.theta_rad / 2

@@ -64,7 +64,7 @@ async def metric(host: Daemon, name: str) -> float:
 async def test_a_stop_gets_through_beside_connections_that_never_finish(said: bytes) -> None:
     async with daemon(SMALL) as host, fake_device(host.tcp, robot_topics()), connections(host, 60, said):
         assert await stop(host) == 200
-        assert await metric(host, 'hostlink_api_connections_closed_total{cause="gave_way"}') >= 30
+        assert await metric(host, 'hostlink_api_connections_closed_total{cause="evicted"}') >= 30
         assert await metric(host, "hostlink_api_connections ") <= 24
 
 

@@ -7,9 +7,9 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.inspection import Inspection, Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
-from hostlink.recording import Inspection, Read, load_reads
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect

@@ -51,7 +51,7 @@ async def test_a_crowd_that_says_nothing_does_not_keep_a_robot_out() -> None:
                     await device.send(pose(1.0))
                     await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
                     await expect(lambda: len(host.hub.links()) == 20)
-                    assert host.hub.refused == {"too_many_of_address": 285, "too_many": 5, "gave_way": 6}
+                    assert host.hub.refused == {"too_many_of_address": 285, "too_many": 5, "evicted": 6}
                     assert host.hub.robots.find("robot_0").link is not None
     told = [line for line in lines if line["event"] == "connection.refused"]
     assert len(told) == 1  # not one for each

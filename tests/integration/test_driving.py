@@ -192,7 +192,7 @@ async def test_the_daemon_stops_every_robot_and_then_silences_it() -> None:
         drive(host)
         assert await device.velocity() == CURVE
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(host.hub.farewell())
+            tasks.create_task(host.hub.shutdown())
             frames = []
             while not frames or frames[-1].topic_id != Id.STOP:
                 frames.append(await device.next())

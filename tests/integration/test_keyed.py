@@ -57,7 +57,7 @@ async def test_a_device_with_another_key_is_closed_and_counted(config: Config) -
             await expect(lambda: not host.hub.links())
             assert host.hub.refused == {"wrong_key": 1}
     assert [line["cause"] for line in lines if line["event"] == "connection.refused"] == ["wrong_key"]
-    assert [line["reason"] for line in lines if line["event"] == "link.closed"] == ["unproven"]
+    assert [line["reason"] for line in lines if line["event"] == "link.closed"] == ["unauthenticated"]
 
 
 @pytest.mark.parametrize(

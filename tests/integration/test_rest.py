@@ -1,4 +1,4 @@
-"""The REST door: what a script gets, and what it is told when it asks for something else."""
+"""The REST API: what a script gets, and what it is told when it asks for something else."""
 
 import io
 

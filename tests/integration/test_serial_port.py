@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import SerialConfig
 from hostlink.hub.hub import Hub
-from hostlink.hub.serial_port import serve_serial
+from hostlink.listeners.serial_ports import serve_serial
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from hostlink.transport.ports import choose_by_serial, find_port

@@ -71,7 +71,7 @@ class TestBoth:
         async with daemon() as host, fake_device(host.tcp, infos) as device:
             await driven(host, device, topic_id, name)
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(host.hub.farewell())
+                tasks.create_task(host.hub.shutdown())
                 frames = []
                 while not frames or frames[-1].topic_id != Id.STOP:
                     frames.append(await device.next())

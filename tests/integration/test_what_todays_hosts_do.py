@@ -34,7 +34,7 @@ NO_SUCH_SERVICE = b"no service named /toggle"
 ODOMETRY = "/robot_0/odometry"
 
 
-async def works(host: Daemon, name: str = "witness") -> bool:
+async def works(host: Daemon, name: str = "monitor") -> bool:
     """Whether a robot that connects now is heard and can be driven."""
     async with fake_device(host.tcp, robot_topics(name)) as device:
         await device.send(pose(1.0))

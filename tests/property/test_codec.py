@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import BadPayload
-from hostlink.messages import careful
+from hostlink.messages import validating_codec
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Field, Layout, integer_range
 from hostlink.messages.message_type import MessageType
@@ -164,8 +164,8 @@ def test_bytes_are_those_of_rosbags_and_come_back(name: str, data: st.DataObject
 def test_the_careful_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
     value = draw_message(data, ours.layout)
     payload = ours.encode(value)
-    assert careful.encode(ours.layout, value) == payload
-    assert same(careful.decode(ours.layout, payload), ours.decode(payload))
+    assert validating_codec.encode(ours.layout, value) == payload
+    assert same(validating_codec.decode(ours.layout, payload), ours.decode(payload))
 
 
 @PATIENT
@@ -187,5 +187,5 @@ def test_any_bytes_are_a_message_or_a_bad_payload(ours: MessageType, parts: list
     except BadPayload as error:
         assert error.type_name == ours.name  # noqa: PT017 -- most random bytes are bad, a few are not
     else:
-        assert same(careful.decode(ours.layout, payload), decoded)
+        assert same(validating_codec.decode(ours.layout, payload), decoded)
         assert same(ours.decode(ours.encode(decoded)), decoded)

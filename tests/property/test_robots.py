@@ -18,7 +18,7 @@ from hostlink.config import LinkConfig, RobotConfig
 from hostlink.errors import DeviceGone, RobotHeld
 from hostlink.hub.device import check_type
 from hostlink.hub.robots import TICK_S, Robots
-from hostlink.hub.subscriptions import TopicGraph
+from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info

@@ -30,7 +30,7 @@ class Visit:
     page: Page
     host: str
     complaints: list[str] = field(default_factory=list)
-    foreign: list[str] = field(default_factory=list)
+    other_hosts: list[str] = field(default_factory=list)
 
     def hear(self, message: ConsoleMessage) -> None:
         if message.type in ("error", "warning"):  # a violation of the Content-Security-Policy is one of them
@@ -38,7 +38,7 @@ class Visit:
 
     def see(self, request: Request) -> None:
         if urlsplit(request.url).netloc != self.host:
-            self.foreign.append(request.url)
+            self.other_hosts.append(request.url)
 
     async def shows(self, selector: str, text: str, *, timeout_s: float = 5.0) -> None:
         await expect(self.page.locator(selector)).to_contain_text(text, timeout=1000 * timeout_s)

@@ -15,7 +15,7 @@ from hostlink.hub.hub import Hub
 
 @dataclass
 class Daemon:
-    """A running daemon, and a client of its REST door."""
+    """A running daemon, and a client of its REST API."""
 
     hub: Hub
     tcp: tuple[str, int]

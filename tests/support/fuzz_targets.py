@@ -10,9 +10,9 @@ from collections.abc import Callable
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol import control
-from hostlink.protocol.ask_clock import ASK_INTERVAL_S
 from hostlink.protocol.events import TopicsAsked
 from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
+from hostlink.protocol.negotiation import ASK_INTERVAL_S
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream, Skipped
 

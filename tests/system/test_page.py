@@ -90,10 +90,10 @@ async def scene(everything: Scene) -> Scene:
 
 @contextlib.asynccontextmanager
 async def connected(scene: Scene, url: str = "", **options: object) -> AsyncIterator[Visit]:
-    async with visit(scene.browser, url or scene.host.url, **options) as guest:
-        await guest.is_connected()
-        await guest.shows("#robots", "robot_0")
-        yield guest
+    async with visit(scene.browser, url or scene.host.url, **options) as tab:
+        await tab.is_connected()
+        await tab.shows("#robots", "robot_0")
+        yield tab
 
 
 @contextlib.asynccontextmanager
@@ -114,40 +114,40 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
 
 @pytest.mark.parametrize("script", ["", INSECURE], ids=["secure", "insecure"])
 async def test_it_shows_the_robot_and_asks_nobody_else(scene: Scene, script: str) -> None:
-    async with connected(scene, script=script) as guest:
-        await guest.shows("#drive-state", "nobody drives")
-        await guest.shows("#link", "Hz")
-        await guest.shows("#clients", "client")
-        assert guest.complaints == []
-        assert guest.foreign == []
+    async with connected(scene, script=script) as tab:
+        await tab.shows("#drive-state", "nobody drives")
+        await tab.shows("#link", "Hz")
+        await tab.shows("#clients", "client")
+        assert tab.complaints == []
+        assert tab.other_hosts == []
 
 
 async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) -> None:
-    async with connected(scene) as guest:
-        x, y = await guest.stick()
-        await guest.page.mouse.move(x, y)
-        await guest.page.mouse.down()
-        await guest.page.mouse.move(x, y - 70, steps=3)
+    async with connected(scene) as tab:
+        x, y = await tab.stick()
+        await tab.page.mouse.move(x, y)
+        await tab.page.mouse.down()
+        await tab.page.mouse.move(x, y - 70, steps=3)
         await scene.drives()
-        await guest.shows("#drive-state", "You drive")
-        await guest.shows("#robots", "you drive")
+        await tab.shows("#drive-state", "You drive")
+        await tab.shows("#robots", "you drive")
         begun = scene.robot.pose.x_m
         await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.5)  # a shorter path hides under the robot's picture
-        await guest.page.mouse.up()
+        await tab.page.mouse.up()
         await scene.stands(within_s=1.0)
-        await guest.map_tells("length", r"^0\.[4-9]|^[1-9]")
-        drawn = await guest.page.locator("#map-canvas").evaluate(ACCENT)
-        await guest.page.get_by_role("button", name="Clear the path").click()
-        await guest.map_tells("length", r"^0\.0")
-        assert 100 < await guest.page.locator("#map-canvas").evaluate(ACCENT) < drawn
-        assert int(await guest.page.locator("#plot-left .uplot").get_attribute("data-count") or 0) > 5
-        assert guest.complaints == []
+        await tab.map_tells("length", r"^0\.[4-9]|^[1-9]")
+        drawn = await tab.page.locator("#map-canvas").evaluate(ACCENT)
+        await tab.page.get_by_role("button", name="Clear the path").click()
+        await tab.map_tells("length", r"^0\.0")
+        assert 100 < await tab.page.locator("#map-canvas").evaluate(ACCENT) < drawn
+        assert int(await tab.page.locator("#plot-left .uplot").get_attribute("data-count") or 0) > 5
+        assert tab.complaints == []
 
 
 async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
-    async with connected(scene, viewport=PHONE, has_touch=True, is_mobile=True) as guest:
-        x, y = await guest.stick()
-        touch = await guest.page.context.new_cdp_session(guest.page)
+    async with connected(scene, viewport=PHONE, has_touch=True, is_mobile=True) as tab:
+        x, y = await tab.stick()
+        touch = await tab.page.context.new_cdp_session(tab.page)
         for end in ("touchEnd", "touchCancel"):
             for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchMove", [{"x": x + 20, "y": y - 60}])):
                 await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
@@ -157,8 +157,8 @@ async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
 
 
 async def test_keys_drive_while_they_are_held(scene: Scene) -> None:
-    async with connected(scene) as guest:
-        keys = guest.page.keyboard
+    async with connected(scene) as tab:
+        keys = tab.page.keyboard
         await keys.down("ArrowUp")
         await scene.drives()
         straight = scene.wanted
@@ -171,50 +171,50 @@ async def test_keys_drive_while_they_are_held(scene: Scene) -> None:
 
 
 async def test_a_key_in_a_field_is_a_letter_and_a_slider_moves_nothing(scene: Scene) -> None:
-    async with connected(scene) as guest:
+    async with connected(scene) as tab:
         for selector in ("[aria-label='Left Kp']", "#max-linear"):
-            await guest.page.locator(selector).focus()
+            await tab.page.locator(selector).focus()
             for key in ("ArrowUp", "KeyW", "ArrowRight"):
-                await guest.page.keyboard.press(key)
-        await guest.shows("label[for=max-linear] + output", "0.24")
+                await tab.page.keyboard.press(key)
+        await tab.shows("label[for=max-linear] + output", "0.24")
         await scene.stays_still(0.3)
 
 
 async def test_what_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
-    async with connected(scene) as guest:
+    async with connected(scene) as tab:
         for event in ("blur", "pagehide"):
-            await guest.page.keyboard.down("KeyW")
+            await tab.page.keyboard.down("KeyW")
             await scene.drives()
-            await guest.page.evaluate("name => dispatchEvent(new Event(name))", event)
+            await tab.page.evaluate("name => dispatchEvent(new Event(name))", event)
             await scene.stands(within_s=1.0)
-            await guest.page.keyboard.down("KeyW")  # a repeat
+            await tab.page.keyboard.down("KeyW")  # a repeat
             await scene.stays_still(0.3)
-            await guest.page.keyboard.up("KeyW")
-        await guest.page.keyboard.down("KeyW")
+            await tab.page.keyboard.up("KeyW")
+        await tab.page.keyboard.down("KeyW")
         await scene.drives()
 
 
 async def test_a_gamepad_drives_with_its_shoulder_held_and_not_when_it_is_lost(scene: Scene) -> None:
-    async with connected(scene, script=GAMEPAD) as guest:
-        await guest.page.evaluate("pad.axes[1] = -1")
-        await guest.shows("#gamepad", "hold a shoulder button")
+    async with connected(scene, script=GAMEPAD) as tab:
+        await tab.page.evaluate("pad.axes[1] = -1")
+        await tab.shows("#gamepad", "hold a shoulder button")
         await scene.stays_still(0.3)
-        await guest.page.evaluate("pad.buttons[4].pressed = true")
+        await tab.page.evaluate("pad.buttons[4].pressed = true")
         await scene.drives()
-        await guest.page.evaluate("pad.connected = false")
+        await tab.page.evaluate("pad.connected = false")
         await scene.stands(within_s=1.0)
 
 
 @pytest.mark.parametrize("way", ["closed", "crashed"])
 async def test_a_page_that_goes_while_driving_stops_the_robot(scene: Scene, way: str) -> None:
-    async with connected(scene) as guest:
-        await guest.page.keyboard.down("KeyW")
+    async with connected(scene) as tab:
+        await tab.page.keyboard.down("KeyW")
         await scene.drives()
         if way == "closed":
-            await guest.page.close()
+            await tab.page.close()
         else:
-            killer = await guest.page.context.new_cdp_session(guest.page)
-            crashed = guest.page.wait_for_event("crash")
+            killer = await tab.page.context.new_cdp_session(tab.page)
+            crashed = tab.page.wait_for_event("crash")
             async with asyncio.TaskGroup() as tasks:
                 dying = tasks.create_task(killer.send("Page.crash"))
                 await crashed
@@ -223,48 +223,48 @@ async def test_a_page_that_goes_while_driving_stops_the_robot(scene: Scene, way:
 
 
 async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scene) -> None:
-    async with connected(scene) as guest:
+    async with connected(scene) as tab:
         scene.robot.pose = Pose(0.4, 0.3, 0.2)
-        await guest.shows("#pose", "0.40 m")
-        await guest.page.get_by_role("button", name="Reset odometry").click()
+        await tab.shows("#pose", "0.40 m")
+        await tab.page.get_by_role("button", name="Reset odometry").click()
         await expect(lambda: scene.robot.pose == Pose())
-        await guest.shows("#pose", "x0.00 m")
+        await tab.shows("#pose", "x0.00 m")
 
-        await guest.page.get_by_label("Left Kp").fill("12.5")
-        await guest.page.get_by_label("Right Kd").fill("0.25")
-        await guest.page.get_by_role("button", name="Send").click()
+        await tab.page.get_by_label("Left Kp").fill("12.5")
+        await tab.page.get_by_label("Right Kd").fill("0.25")
+        await tab.page.get_by_role("button", name="Send").click()
         left, right = scene.robot.controllers
         await expect(lambda: (left.gains.kp, right.gains.kd) == (12.5, 0.25))
-        await guest.shows("#tuning-state", "Sent")
+        await tab.shows("#tuning-state", "Sent")
 
 
 async def test_stop_locks_until_unlocked(scene: Scene) -> None:
-    async with connected(scene) as guest:
-        stop = guest.page.get_by_role("button", name="Stop")
-        keys = guest.page.keyboard
+    async with connected(scene) as tab:
+        stop = tab.page.get_by_role("button", name="Stop")
+        keys = tab.page.keyboard
         for press in (stop.click, lambda: keys.press("Space"), lambda: keys.press("Escape")):
             await keys.down("KeyW")
             await scene.drives()
             await press()
             await scene.stands(within_s=1.0)
-            await guest.shows("#drive-state", "locked")
+            await tab.shows("#drive-state", "locked")
             await keys.up("KeyW")
             await keys.down("KeyW")
             await scene.stays_still(0.2)
             await keys.up("KeyW")
-            await guest.page.get_by_role("button", name="Unlock").click()
-            await guest.shows("#drive-state", "nobody drives")
+            await tab.page.get_by_role("button", name="Unlock").click()
+            await tab.shows("#drive-state", "nobody drives")
         await keys.down("KeyW")
         await scene.drives()
 
 
 async def test_stop_works_without_the_websocket(scene: Scene) -> None:
-    async with visit(scene.browser, "about:blank") as guest, driven_by_a_program(scene, priority=90):
-        await guest.page.route_web_socket("**/*", lambda socket: socket.close())
-        await guest.page.goto(scene.host.url)
-        await guest.shows("#connection", "no connection")
-        await guest.shows("#robots", "drives")
-        await guest.page.get_by_role("button", name="Stop").click()
+    async with visit(scene.browser, "about:blank") as tab, driven_by_a_program(scene, priority=90):
+        await tab.page.route_web_socket("**/*", lambda socket: socket.close())
+        await tab.page.goto(scene.host.url)
+        await tab.shows("#connection", "no connection")
+        await tab.shows("#robots", "drives")
+        await tab.page.get_by_role("button", name="Stop").click()
         await scene.stands(within_s=1.0)
         await scene.stays_still(LEASE_S)  # though the program goes on
         assert scene.host.hub.robots.find("robot_0").gate.lock_reason == "the stop on the page"
@@ -275,45 +275,45 @@ async def test_a_dead_network_is_seen_within_a_second_and_nothing_old_is_driven_
     scene: Scene, line: Line
 ) -> None:
     host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, connected(scene, network.url) as guest:
-        await guest.page.keyboard.down("KeyW")
+    async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
+        await tab.page.keyboard.down("KeyW")
         await scene.drives()
         network.set_line(line)
-        await guest.shows("#connection", "no answer", timeout_s=SEEN_S)
-        await guest.shows("#notice", "does not answer")
+        await tab.shows("#connection", "no answer", timeout_s=SEEN_S)
+        await tab.shows("#notice", "does not answer")
         await scene.stands(within_s=1.0)
         await scene.stays_still(LEASE_S)  # what is on its way is older than a command holds
         network.set_line(Line.WORKS)
         await scene.stays_still(0.5)  # whatever was on its way
-        await guest.is_connected()
+        await tab.is_connected()
         await scene.stays_still(0.3)  # though the key is still held
-        await guest.page.keyboard.up("KeyW")
-        await guest.page.keyboard.down("KeyW")
+        await tab.page.keyboard.up("KeyW")
+        await tab.page.keyboard.down("KeyW")
         await scene.drives()
 
 
 async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
     host, port = scene.host.url.removeprefix("http://").split(":")
-    async with proxy((host, int(port))) as network, connected(scene, network.url) as guest:
+    async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
         network.is_refusing = True
         network.break_off()
-        await guest.shows("#connection", "no connection", timeout_s=SEEN_S)
-        await guest.shows("#drive-state", "No connection")
+        await tab.shows("#connection", "no connection", timeout_s=SEEN_S)
+        await tab.shows("#drive-state", "No connection")
         network.is_refusing = False
-        await guest.is_connected(timeout_s=3.0)
-        await guest.shows("#drive-state", "nobody drives")
-        await guest.page.locator("#notice").wait_for(state="hidden")
+        await tab.is_connected(timeout_s=3.0)
+        await tab.shows("#drive-state", "nobody drives")
+        await tab.page.locator("#notice").wait_for(state="hidden")
 
 
 async def test_who_drives_is_said_and_who_goes_first(scene: Scene) -> None:
-    async with connected(scene) as guest:
+    async with connected(scene) as tab:
         async with driven_by_a_program(scene, priority=50):
-            await guest.shows("#drive-state", "your stick takes over")
+            await tab.shows("#drive-state", "your stick takes over")
         async with driven_by_a_program(scene, priority=90):
-            await guest.shows("#drive-state", "goes before you")
+            await tab.shows("#drive-state", "goes before you")
             before = scene.wanted
-            await guest.page.keyboard.down("KeyW")
-            await guest.shows("#drive-state", "drives it with a higher priority")
+            await tab.page.keyboard.down("KeyW")
+            await tab.shows("#drive-state", "drives it with a higher priority")
             assert scene.wanted == before
-            await guest.page.keyboard.up("KeyW")
-        await guest.shows("#drive-state", "nobody drives")
+            await tab.page.keyboard.up("KeyW")
+        await tab.shows("#drive-state", "nobody drives")

@@ -39,64 +39,64 @@ async def browser() -> AsyncIterator[Browser]:
 
 
 async def test_without_a_robot_it_says_how_to_get_one_and_when_it_is_gone_that(browser: Browser) -> None:
-    async with daemon() as host, visit(browser, host.url) as guest:
-        await guest.shows("#robots", "No robot yet")
-        await guest.shows("#drive-state", "No robot yet")
+    async with daemon() as host, visit(browser, host.url) as tab:
+        await tab.shows("#robots", "No robot yet")
+        await tab.shows("#drive-state", "No robot yet")
         async with fake_device(host.tcp, robot_topics()) as device:
             await device.send(pose(1.0, -2.0))
-            await guest.shows("#pose", "−2.00 m")
-            await guest.shows("#plots-note", "no plot_data")
-            await guest.shows("#tuning-state", "takes no gains")
-        await guest.shows("#robots", "not connected")
-        await guest.shows("#notice", "robot_0 is not connected")
-        assert guest.complaints == []
+            await tab.shows("#pose", "−2.00 m")
+            await tab.shows("#plots-note", "no plot_data")
+            await tab.shows("#tuning-state", "takes no gains")
+        await tab.shows("#robots", "not connected")
+        await tab.shows("#notice", "robot_0 is not connected")
+        assert tab.complaints == []
 
 
 async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
-    async with daemon() as host, visit(browser, host.url) as guest:
+    async with daemon() as host, visit(browser, host.url) as tab:
         _, writer = await asyncio.open_connection(*host.tcp)
         writer.write(b"hello, this is no rosserial\r\n" * 20)
-        await guest.shows("#link .diagnosis", "127.0.0.1")
+        await tab.shows("#link .diagnosis", "127.0.0.1")
         writer.close()
 
 
 async def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser) -> None:
     tokens = (TokenConfig(name="phone", role="drive", token=DRIVE), TokenConfig(name="wall", role="read", token=READ))
     async with daemon(Config(api=ApiConfig(tokens=tokens))) as host, fake_device(host.tcp, robot_topics()):
-        async with visit(browser, host.url) as guest:
-            await guest.shows("#access", "A token is needed")
-            await guest.page.get_by_role("textbox", name="Token").fill(DRIVE)
-            await guest.page.get_by_role("button", name="Use it").click()
-            await guest.is_connected()
-            await guest.page.locator("#access").wait_for(state="hidden")
-        async with visit(browser, f"{host.url}/?token={READ}") as guest:
-            await guest.is_connected()
-            assert guest.page.url == f"{host.url}/"
-            await guest.shows("#robots", "robot_0")
-            await guest.page.keyboard.down("KeyW")
-            await guest.shows("#access", "the token may only read")
-            await guest.page.reload()
-            await guest.is_connected()  # kept for the session
-            assert guest.foreign == []
+        async with visit(browser, host.url) as tab:
+            await tab.shows("#access", "A token is needed")
+            await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
+            await tab.page.get_by_role("button", name="Use it").click()
+            await tab.is_connected()
+            await tab.page.locator("#access").wait_for(state="hidden")
+        async with visit(browser, f"{host.url}/?token={READ}") as tab:
+            await tab.is_connected()
+            assert tab.page.url == f"{host.url}/"
+            await tab.shows("#robots", "robot_0")
+            await tab.page.keyboard.down("KeyW")
+            await tab.shows("#access", "the token may only read")
+            await tab.page.reload()
+            await tab.is_connected()  # kept for the session
+            assert tab.other_hosts == []
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 
 
 @pytest.mark.parametrize("size", SIZES)
 async def test_it_looks_right_and_reads_right(browser: Browser, size: str) -> None:
     """Pictures to look at are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
-    async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as guest:
-        await guest.is_connected()
+    async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as tab:
+        await tab.is_connected()
         async with simulated_robot(host.tcp) as robot:
-            await guest.shows("#log", "robot_0 is ready")
-            await guest.shows("#drive-state", "nobody drives")
-            await guest.page.keyboard.down("KeyW")
-            await guest.page.keyboard.down("KeyA")
+            await tab.shows("#log", "robot_0 is ready")
+            await tab.shows("#drive-state", "nobody drives")
+            await tab.page.keyboard.down("KeyW")
+            await tab.page.keyboard.down("KeyA")
             await expect(lambda: robot.pose.theta_rad > TURN_RAD, timeout_s=60.0)
             for scheme in ("light", "dark"):
-                await guest.page.emulate_media(color_scheme=scheme)
-                await guest.page.screenshot(path=PICTURES / f"page-{size}-{scheme}.png")
-                found = await Axe().run(guest.page)
+                await tab.page.emulate_media(color_scheme=scheme)
+                await tab.page.screenshot(path=PICTURES / f"page-{size}-{scheme}.png")
+                found = await Axe().run(tab.page)
                 assert found.violations_count == 0, found.generate_report()
             width = SIZES[size]["viewport"]["width"]
-            assert await guest.page.evaluate("document.documentElement.scrollWidth") == width
-            assert guest.complaints == []
+            assert await tab.page.evaluate("document.documentElement.scrollWidth") == width
+            assert tab.complaints == []

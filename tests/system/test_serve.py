@@ -52,7 +52,7 @@ async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_
 
 
 async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
-    """kill -9: no farewell; the robot's own watchdog is what stops it."""
+    """kill -9: no orderly end; the robot's own watchdog is what stops it."""
     async with serve() as daemon, asyncio.TaskGroup() as tasks:
         robot = SimulatedRobot("robot_0", Catalog())
         reader, writer = await asyncio.open_connection(*daemon.tcp)

@@ -26,7 +26,7 @@ def test_over_the_bound_of_an_address_its_longest_waiting_gives_way() -> None:
     _, leaving = connections.enter(HERE, 1.0)
     assert leaving is first
     assert len(connections) == 3
-    assert connections.closed == {"gave_way": 1}
+    assert connections.closed == {"evicted": 1}
 
 
 def test_over_the_bound_of_all_the_address_with_most_that_wait_gives_way() -> None:

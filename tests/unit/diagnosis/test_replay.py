@@ -7,8 +7,8 @@ import pytest
 from hostlink.diagnosis.finding import Finding
 from hostlink.diagnosis.replay import replay
 from hostlink.hub.device import check_type
+from hostlink.inspection import Read, load_reads
 from hostlink.messages.catalog import Catalog
-from hostlink.recording import Read, load_reads
 
 CAPTURES = Path(__file__).parent.parent.parent / "captures"
 CATALOG = Catalog()

@@ -29,9 +29,9 @@ BOOT = resample(b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\nload 
 STALLED = Complaint("left wheel stalled: no edge at PWM 4095", 42.0)
 
 
-def foreign(sample: bytes, *, frames: int = 0, of: int | None = None) -> Evidence:
+def non_rosserial(sample: bytes, *, frames: int = 0, of: int | None = None) -> Evidence:
     tally = Tally(bytes_from_device=len(sample) if of is None else of, frames=frames, skipped_bytes=len(sample))
-    return replace(NEW, total=tally, recent=tally, foreign=sample)
+    return replace(NEW, total=tally, recent=tally, non_rosserial=sample)
 
 
 def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> tuple[EarlierLink, ...]:
@@ -41,12 +41,16 @@ def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> t
 CASES = [
     ("no_bytes", replace(NEW, age_s=5.0), "5 s"),
     ("no_topics", replace(NEW, total=GOOD, recent=GOOD), "asked 3 times, 100 frames"),
-    ("protocol_1", replace(foreign(b"\xff\xff" * 40), is_protocol_1=True), ""),
-    ("text_on_line", foreign(b"speed 0.25 m/s\r\n" * 10), '"speed 0.25 m/s"'),
-    ("text_on_line", replace(HEALTHY, recent=replace(GOOD, skipped_bytes=32), foreign=b"x = 1\r\n" * 5), '"x = 1"'),
-    ("boot_noise", foreign(b"rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST)\r\n" * 2), '"rst:0x1 (POWERON_RESET)'),
-    ("wrong_baud", replace(foreign(SLOW), baud=115200), "most likely sent at 57600; 512 of 512 bytes in no frame"),
-    ("no_sync", foreign(bytes(range(128, 256)) * 3), "384 of 384 bytes in no frame"),
+    ("protocol_1", replace(non_rosserial(b"\xff\xff" * 40), is_protocol_1=True), ""),
+    ("text_on_line", non_rosserial(b"speed 0.25 m/s\r\n" * 10), '"speed 0.25 m/s"'),
+    (
+        "text_on_line",
+        replace(HEALTHY, recent=replace(GOOD, skipped_bytes=32), non_rosserial=b"x = 1\r\n" * 5),
+        '"x = 1"',
+    ),
+    ("boot_noise", non_rosserial(b"rst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST)\r\n" * 2), '"rst:0x1 (POWERON_RESET)'),
+    ("wrong_baud", replace(non_rosserial(SLOW), baud=115200), "likely sent at 57600; 512 of 512 bytes in no frame"),
+    ("no_sync", non_rosserial(bytes(range(128, 256)) * 3), "384 of 384 bytes in no frame"),
     ("wrong_md5", replace(HEALTHY, refused=("/odom: wanted a, got b",)), "/odom: wanted a, got b"),
     ("wrong_size", replace(HEALTHY, recent=replace(GOOD, wrong_sizes=3)), "3 frames"),
     ("buffer_too_small", replace(HEALTHY, too_small=("/cmd: too long",)), "/cmd: too long"),
@@ -85,9 +89,9 @@ def test_what_is_enough(code: str, evidence: Evidence, detail: str) -> None:
         HEALTHY,
         replace(NEW, age_s=4.9),
         replace(NEW, asks=2, total=GOOD, recent=GOOD),
-        foreign(b"x = 1\r\n" * 4),
-        replace(foreign(bytes(range(128, 256)) * 3), age_s=2.9),
-        replace(foreign(b"\x80\x90" * 40, frames=100, of=3000), negotiated_s=1.0),
+        non_rosserial(b"x = 1\r\n" * 4),
+        replace(non_rosserial(bytes(range(128, 256)) * 3), age_s=2.9),
+        replace(non_rosserial(b"\x80\x90" * 40, frames=100, of=3000), negotiated_s=1.0),
         replace(HEALTHY, recent=replace(GOOD, wrong_sizes=2, bad_checksums=2, unknown_ids=9)),
         replace(HEALTHY, negotiated_s=4.9, recent=replace(GOOD, unknown_ids=10)),
         replace(HEALTHY, earlier=lives(2)),
@@ -110,9 +114,9 @@ def test_what_is_not(evidence: Evidence) -> None:
 
 def test_a_burst_before_the_topics_is_a_boot_message_as_long_as_it_is_new() -> None:
     tally = replace(GOOD, skipped_bytes=len(BOOT))
-    evidence = replace(HEALTHY, total=tally, recent=tally, foreign=BOOT, early_foreign=BOOT)
+    evidence = replace(HEALTHY, total=tally, recent=tally, non_rosserial=BOOT, early_non_rosserial=BOOT)
     assert [each.code for each in diagnose(evidence)] == ["boot_noise"]
-    assert diagnose(replace(evidence, recent=GOOD, foreign=b"")) == []
+    assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []
 
 
 def test_several_are_told_in_the_order_of_the_words() -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from hostlink.diagnosis.speed import guess_speed
+from hostlink.inspection import load_reads
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.resampling import resample
-from hostlink.recording import load_reads
 
 CAPTURE = Path(__file__).parent.parent.parent / "captures" / "services.jsonl"
 TIME_REQUESTS = encode(Id.TIME, bytes(8)) * 60

@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import RobotHeld, UnknownTopic
 from hostlink.hub.hub import Hub
-from hostlink.hub.subscriptions import TopicGraph
+from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo

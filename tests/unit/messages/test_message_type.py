@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hostlink.errors import BadPayload, BadRequest
-from hostlink.messages import careful
+from hostlink.messages import validating_codec
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 
@@ -90,8 +90,8 @@ def test_a_value_comes_back(catalog: Catalog, name: str, value: dict[str, object
     payload = ours.encode(value)
     decoded = ours.decode(payload)
     assert decoded == value
-    assert careful.encode(ours.layout, value) == payload
-    assert careful.decode(ours.layout, payload) == value
+    assert validating_codec.encode(ours.layout, value) == payload
+    assert validating_codec.decode(ours.layout, payload) == value
     assert list(decoded) == [field.name for field in ours.fields]
 
 

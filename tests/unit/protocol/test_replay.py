@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from hostlink.hub.device import check_type
+from hostlink.inspection import Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.session import Session
-from hostlink.recording import Read, load_reads
 
 CAPTURES = Path(__file__).parents[2] / "captures"
 CATALOG = Catalog()

@@ -6,9 +6,9 @@ import pytest
 
 from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from hostlink.protocol import events
-from hostlink.protocol.ask_clock import MAX_SAME_ASKS
 from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, encode_parameter_request
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
+from hostlink.protocol.negotiation import MAX_SAME_ASKS
 from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 

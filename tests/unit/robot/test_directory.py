@@ -13,7 +13,7 @@ from hostlink.robot.directory import (
     ANSWER_S,
     Accepted,
     Directory,
-    RobotTopics,
+    RobotTopicNames,
     TopicClaim,
     Undecided,
     find_robot,
@@ -100,7 +100,7 @@ def directory(addresses: Mapping[str, str | None] | None = None) -> Clocked:
 
 
 def test_the_robot_of_the_paper() -> None:
-    assert find_robot(paper_robot()) == RobotTopics(
+    assert find_robot(paper_robot()) == RobotTopicNames(
         name="robot_0",
         velocity="/robot_0/velocity_commands",
         odometry="/robot_0/odometry",
@@ -110,7 +110,7 @@ def test_the_robot_of_the_paper() -> None:
 
 
 def test_a_robot_without_a_namespace_has_a_name_too() -> None:
-    assert find_robot(plain_robot()) == RobotTopics("robot", "cmd_vel", "odom", ODOMETRY, None)
+    assert find_robot(plain_robot()) == RobotTopicNames("robot", "cmd_vel", "odom", ODOMETRY, None)
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import Twist
-from hostlink.robot.ros_messages import UNMEASURED, Frames, Variances, odometry_of, transform_of, variances_of
+from hostlink.robot.odometry_estimator import Twist
+from hostlink.robot.ros_messages import UNMEASURED, FrameIds, Variances, odometry_of, transform_of, variances_of
 
-FRAMES = Frames("odom", "base_link")
+FRAMES = FrameIds("odom", "base_link")
 STAMP = {"secs": 1_700_000_000, "nsecs": 5}
 CATALOG = Catalog()
 READER = get_typestore(Stores.ROS1_NOETIC)
@@ -49,7 +49,7 @@ def test_where_the_covariances_stand() -> None:
 
 
 def test_a_transform_says_the_same() -> None:
-    odometry = odometry_of(Pose(1.0, 2.0, 0.5), Twist(), Frames("r/odom", "r/base_link"), STAMP)
+    odometry = odometry_of(Pose(1.0, 2.0, 0.5), Twist(), FrameIds("r/odom", "r/base_link"), STAMP)
     type_ = CATALOG.message("tf2_msgs/TFMessage")
     assert type_ is not None
     (transform,) = type_.decode(type_.encode(transform_of(odometry)))["transforms"]  # type: ignore[misc]

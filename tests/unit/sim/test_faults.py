@@ -3,8 +3,8 @@
 import pytest
 
 from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
-from hostlink.protocol.foreign import ForeignBytes
 from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.non_rosserial import NonRosserialBytes
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.faults import FAULTS, HEALTHY, FaultyLine
 
@@ -51,7 +51,7 @@ def test_what_the_faults_change_in_a_topic() -> None:
 
 
 def test_protocol_1_is_what_a_session_recognises() -> None:
-    assert ForeignBytes().take(FaultyLine(FAULTS["protocol_1"]).pass_on(SAID))
+    assert NonRosserialBytes().take(FaultyLine(FAULTS["protocol_1"]).pass_on(SAID))
 
 
 def test_the_boot_message_comes_once_and_first() -> None:

@@ -1,4 +1,4 @@
-/** The REST door, as docs/api.md describes it. Works when the WebSocket does not. */
+/** The REST API, as docs/api.md describes it. Works when the WebSocket does not. */
 
 import { token } from "./token";
 

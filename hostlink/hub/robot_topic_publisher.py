@@ -1,4 +1,4 @@
-"""RobotTopics: the topics by which ROS programs know a robot, whatever its device calls them: odom, tf, cmd_vel."""
+"""RobotTopicPublisher: a robot's topics under the names that ROS programs expect: odom, tf, cmd_vel."""
 
 import asyncio
 import time
@@ -13,12 +13,12 @@ from hostlink.config import RobotConfig
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.message import Message
 from hostlink.hub.robots import Robot
-from hostlink.hub.subscriptions import DAEMON, Topic, TopicGraph, resolve
+from hostlink.hub.topic_graph import DAEMON, Topic, TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry import Twist
-from hostlink.robot.ros_messages import Frames, odometry_of, transform_of, variances_of
+from hostlink.robot.odometry_estimator import Twist
+from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
 from hostlink.robot.velocity import Velocity
 
 log = structlog.get_logger()
@@ -34,7 +34,7 @@ class _Offer:
     """What one connected robot has by the names of ROS; None: not offered, or a device's own."""
 
     robot: Robot
-    frames: Frames
+    frames: FrameIds
     odom: Topic | None = None
     publishes_tf: bool = False
     commands: dict[str, str] = field(default_factory=dict)  # topic -> type
@@ -42,16 +42,16 @@ class _Offer:
     seen: int = 0  # poses
 
 
-class RobotTopics:
+class RobotTopicPublisher:
     """Offered while a robot is connected; a name that a device uses for the same is the device's.
 
-    Frames never change while a robot is known: the first robot has the plain ones, others have their name before them.
+    Frame ids stay while a robot is known: the first robot has the plain ones, others have their name in front.
     """
 
     def __init__(self, configs: Mapping[str, RobotConfig], graph: TopicGraph, catalog: Catalog) -> None:
         self._configs, self._graph = configs, graph
         self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE)}
-        self._frames: dict[str, Frames] = {}
+        self._frames: dict[str, FrameIds] = {}
         self._plain = next(iter(configs)) if len(configs) == 1 else None  # the robot whose frames have no name before
         self._offers: dict[str, _Offer] = {}  # by robot
         self._commands: dict[str, _Offer] = {}  # by topic
@@ -116,7 +116,7 @@ class RobotTopics:
         for topic, type_name in heard:
             fields = odometry if type_name == ODOMETRY_TYPE else transform_of(odometry)
             try:
-                topic.spread(self._types[type_name].encode(fields), view["stamp_ns"], source=DAEMON)
+                topic.publish(self._types[type_name].encode(fields), view["stamp_ns"], source=DAEMON)
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
@@ -148,7 +148,7 @@ class RobotTopics:
         if offer.odom is not None:
             self._graph.unadvertise(offer.odom.name, DAEMON)
         for name in offer.commands:
-            self._graph.untake(name, DAEMON)
+            self._graph.unsubscribe_device(name, DAEMON)
             del self._commands[name]
 
     def _reopen_tf(self) -> None:
@@ -180,7 +180,7 @@ class RobotTopics:
         if not name or resolve(name) in self._commands or (known is not None and known.devices):
             return False
         try:
-            self._graph.take(name, DAEMON, _through_the_gate, type_name=type_name)
+            self._graph.subscribe_device(name, DAEMON, _through_the_gate, type_name=type_name)
         except HostlinkError as error:
             log.warning("topic.refused", topic=name, reason=str(error))
             return False
@@ -190,13 +190,13 @@ class RobotTopics:
         topic = self._graph.find_or_none(name)
         return topic is not None and robot.link in topic.publishers
 
-    def _frames_of(self, robot: Robot) -> Frames:
+    def _frames_of(self, robot: Robot) -> FrameIds:
         if robot.name not in self._frames:
             if self._plain is None and not self._configs:
                 self._plain = robot.name
             prefix = "" if self._plain == robot.name else f"{robot.name}/"
             odom, base = robot.config.odom_frame or f"{prefix}odom", robot.config.base_frame or f"{prefix}base_link"
-            self._frames[robot.name] = Frames(odom, base)
+            self._frames[robot.name] = FrameIds(odom, base)
         return self._frames[robot.name]
 
     def _check_age(self, robot: Robot, stamp: Mapping[str, int]) -> None:

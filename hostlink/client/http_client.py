@@ -1,4 +1,4 @@
-"""Door: HTTP to one hostlink. It knows the address and the token, and says in words what went wrong."""
+"""HttpClient: HTTP to one hostlink. It knows the address and the token, and says in words what went wrong."""
 
 import asyncio
 import ssl
@@ -26,7 +26,7 @@ _ADVICE = {
 }
 
 
-class Door:
+class HttpClient:
     """Requests, and the WebSocket. Every error is a HostlinkError."""
 
     def __init__(self, url: str, token: str | None, context: ssl.SSLContext | None) -> None:
@@ -65,7 +65,7 @@ class Door:
     async def request(
         self, method: str, path: str, body: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
     ) -> dict[str, Any]:
-        """A request of the REST door, and its JSON; HostlinkError with the daemon's reason when it refuses."""
+        """A request of the REST API, and its JSON; HostlinkError with the daemon's reason when it refuses."""
         try:
             async with (
                 asyncio.timeout(timeout_s),

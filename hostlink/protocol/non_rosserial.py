@@ -1,11 +1,11 @@
-"""ForeignBytes: what came from a device and is no frame, as far as a diagnosis needs it."""
+"""NonRosserialBytes: what came from a device and is no frame, as far as a diagnosis needs it."""
 
 from hostlink.protocol.frame import PROTOCOL_1_MAX_BYTES, holds_protocol_1
 
 KEPT_BYTES = 1024  # some boot messages, or a hundred lines of a counter's text
 
 
-class ForeignBytes:
+class NonRosserialBytes:
     """The last of the skipped bytes, and whether they were frames of protocol version 1."""
 
     def __init__(self) -> None:

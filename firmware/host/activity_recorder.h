@@ -1,4 +1,4 @@
-// Witness: when the board last got a message and when its wheels last rolled, by the board's own clock.
+// ActivityRecorder: when the board last got a message and when its wheels last rolled, by the board's own clock.
 #pragma once
 
 #include <stdint.h>
@@ -7,7 +7,7 @@
 
 namespace hostlink {
 
-class Witness {
+class ActivityRecorder {
  public:
   // On each pass of the loop; `delivered` counts the messages that the firmware got.
   void see(const Plant& plant, uint32_t delivered, uint32_t now_ms) {

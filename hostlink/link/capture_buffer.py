@@ -1,4 +1,4 @@
-"""Tape: the last bytes of one direction of a link with the times at which they passed. Pure: time comes in."""
+"""CaptureBuffer: the last bytes of one direction of a link with the times at which they passed. Pure: time comes in."""
 
 from array import array
 from bisect import bisect_right
@@ -19,7 +19,7 @@ class Piece(NamedTuple):
     data: bytes
 
 
-class Tape:
+class CaptureBuffer:
     """Holds the last TAPE_BYTES and a little more. Of very many pieces, small neighbours share the earlier time."""
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class Tape:
             begin = end
 
     def lost_bytes(self, since: int = 0) -> int:
-        """How many bytes after the first `since` are not on the tape any more."""
+        """How many bytes after the first `since` are not in the buffer any more."""
         return max(0, self.total_bytes - len(self._data) - since)
 
     def _join(self) -> None:

@@ -1,4 +1,4 @@
-"""Door: the TCP listener's side of the hub. It lets connections in or not, as Admission says, and counts those."""
+"""TcpAcceptor: devices that connect over TCP. It opens a link for each that Admission allows, and counts the others."""
 
 import asyncio
 from collections import Counter
@@ -6,9 +6,9 @@ from collections import Counter
 import structlog
 
 from hostlink.config import TcpConfig
-from hostlink.hub.admission import Admission, Guest
 from hostlink.hub.hub import Hub
 from hostlink.link.link import Link, LinkEnd
+from hostlink.listeners.admission import Admission, OpenConnection
 from hostlink.logs import printable
 from hostlink.transport.base import Transport
 from hostlink.transport.keyed import KeyedTransport, read_key
@@ -19,7 +19,7 @@ PAUSE_S = 5.0  # a device for which there is no room comes again at once, and no
 TELL_INTERVAL_S = 10.0  # whoever is refused comes again at once
 
 
-class Door:
+class TcpAcceptor:
     """Owns the connections that came over TCP."""
 
     def __init__(self, hub: Hub, config: TcpConfig) -> None:
@@ -32,22 +32,22 @@ class Door:
         self._tell_at_s = float("-inf")
         self._untold: Counter[str] = Counter()
 
-    def enter(self, transport: Transport) -> None:
+    def accept(self, transport: Transport) -> None:
         """A device has connected."""
-        guests = [
-            Guest(link.number, link.address, has_told_topics=link.session.counts.negotiations > 0)
+        connections = [
+            OpenConnection(link.number, link.address, is_identified=link.session.counts.negotiations > 0)
             for link in self._links.values()
         ]
-        verdict = self._admission.judge(transport.address, guests)
+        verdict = self._admission.judge(transport.address, connections)
         refusal = "too_many_robots" if self._is_paused(transport.address) else verdict.refusal
         if refusal is not None:
             self._count(refusal, transport.peer)
             self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")
             return
-        if verdict.gives_way is not None:
-            leaving = self._links.pop(verdict.gives_way)
-            self._count(LinkEnd.GAVE_WAY.value, leaving.peer)
-            leaving.end(LinkEnd.GAVE_WAY)
+        if verdict.evicts is not None:
+            leaving = self._links.pop(verdict.evicts)
+            self._count(LinkEnd.EVICTED.value, leaving.peer)
+            leaving.end(LinkEnd.EVICTED)
         link = self._hub.open(self._guarded(transport))
         self._links[link.number] = link
         self._hub.spawn(self._serve(link), name=f"link to {transport.peer}")

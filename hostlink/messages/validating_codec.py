@@ -14,10 +14,10 @@ from hostlink.errors import BadPayload, BadRequest
 from hostlink.messages.fields import (
     COUNT_BYTES,
     DURATION,
+    EMPTY_ELEMENTS_MAX,
     ENCODED_BYTES_MAX,
     FLOATS,
     FORMATS,
-    HOLLOW_ELEMENTS_MAX,
     SCALAR,
     SIZES,
     TIME,
@@ -71,9 +71,9 @@ def _encode_field(layout: Layout, field: Field, value: object, path: str) -> byt
     elements = _octets(value, path) if field.is_octets else _elements(value, path)
     count = b""
     if field.array_length == VARIABLE:
-        hollow = layout.element_minimum_bytes(field) == 0
-        if hollow and len(elements) > HOLLOW_ELEMENTS_MAX:
-            raise BadRequest(f"{path}: at most {HOLLOW_ELEMENTS_MAX} elements without fields, got {len(elements)}")
+        is_empty = layout.element_minimum_bytes(field) == 0
+        if is_empty and len(elements) > EMPTY_ELEMENTS_MAX:
+            raise BadRequest(f"{path}: at most {EMPTY_ELEMENTS_MAX} elements without fields, got {len(elements)}")
         count = struct.pack("<I", len(elements))
     elif len(elements) != field.array_length:
         raise BadRequest(f"{path}: wanted {field.array_length} elements, got {len(elements)}")
@@ -208,8 +208,8 @@ class _Reader:
         if count * element_bytes > self._left_bytes:
             size = f"{count} elements of at least {element_bytes} bytes" if element_bytes > 1 else f"{count} bytes"
             self._refuse(f"{path}: {size} announced, {self._left_bytes} left")
-        if not element_bytes and count > HOLLOW_ELEMENTS_MAX:
-            self._refuse(f"{path}: {count} elements without fields, at most {HOLLOW_ELEMENTS_MAX} are taken")
+        if not element_bytes and count > EMPTY_ELEMENTS_MAX:
+            self._refuse(f"{path}: {count} elements without fields, at most {EMPTY_ELEMENTS_MAX} are taken")
         return count
 
     def _take(self, size: int, path: str) -> bytes:

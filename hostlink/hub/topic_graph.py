@@ -107,7 +107,7 @@ class Topic:
         self.publishers.discard(key)
         self.latched.pop(key, None)
 
-    def spread(self, payload: bytes, stamp_ns: int, *, source: Hashable) -> None:
+    def publish(self, payload: bytes, stamp_ns: int, *, source: Hashable) -> None:
         """Hand a payload to every device and client but its source; raises the last error of a device afterwards."""
         refusal: HostlinkError | None = None
         if source in self.latched:
@@ -191,7 +191,7 @@ class TopicGraph:
             topic.latched.setdefault(key)
         return topic
 
-    def take(self, name: str, key: Hashable, send: SendToDevice, *, type_name: str) -> Topic:
+    def subscribe_device(self, name: str, key: Hashable, send: SendToDevice, *, type_name: str) -> Topic:
         """Note that the device `key` takes the topic. It gets nothing of before: an old command is no command."""
         topic = self._open(name, type_name, _rank(key))
         topic.devices[key] = send
@@ -206,7 +206,7 @@ class TopicGraph:
             self._unnote(key, topic)
             self._settle(topic)
 
-    def untake(self, name: str, key: Hashable) -> None:
+    def unsubscribe_device(self, name: str, key: Hashable) -> None:
         """`key` takes the topic no more."""
         topic = self.find_or_none(name)
         if topic is not None:

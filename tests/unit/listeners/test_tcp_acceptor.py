@@ -1,12 +1,12 @@
-"""The door in virtual time: a device for which there is no room may try again, but not at once."""
+"""The acceptor in virtual time: a device for which there is no room may try again, but not at once."""
 
 import asyncio
 
 from structlog.testing import capture_logs
 
 from hostlink.config import Config
-from hostlink.hub.door import PAUSE_S, Door
 from hostlink.hub.hub import Hub
+from hostlink.listeners.tcp_acceptor import PAUSE_S, TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
@@ -23,14 +23,14 @@ def announcement(name: str) -> bytes:
     return b"".join([TIME, *infos, TIME])
 
 
-async def come(door: Door, address: str, name: str) -> MemoryTransport:
+async def come(acceptor: TcpAcceptor, address: str, name: str) -> MemoryTransport:
     """A device connects, and tells that it is the robot of that name."""
     host, device = memory_pair(address=address)
-    door.enter(host)
+    acceptor.accept(host)
     try:
         await device.send(announcement(name))
     except ConnectionResetError:
-        assert door._hub.refused  # it was not let in
+        assert acceptor._hub.refused  # it was not let in
     await asyncio.sleep(0.1)
     return device
 
@@ -41,20 +41,20 @@ def connected(hub: Hub) -> list[str]:
 
 async def one_too_many() -> Hub:
     hub = Hub(Config(), Catalog(), reraises=True)
-    door = Door(hub, Config().tcp)
+    acceptor = TcpAcceptor(hub, Config().tcp)
     hub.robots.max_robots = 1
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(hub.run())
         await hub.is_running.wait()
-        owner = await come(door, OWNER, "robot_0")
+        owner = await come(acceptor, OWNER, "robot_0")
         hub.robots.lock(hub.robots.find("robot_0"), "a person is near")
         await owner.aclose()
         for _ in range(10):
-            await come(door, OTHER, "robot_1")
+            await come(acceptor, OTHER, "robot_1")
         assert connected(hub) == []
         hub.robots.unlock(hub.robots.find("robot_0"))
         await asyncio.sleep(PAUSE_S)
-        await come(door, OTHER, "robot_1")
+        await come(acceptor, OTHER, "robot_1")
         assert connected(hub) == [OTHER]
         assert [robot.name for robot in hub.robots.all()] == ["robot_1"]
         running.cancel()

@@ -9,12 +9,12 @@ from hostlink.config import TcpConfig
 
 
 @dataclass(frozen=True, slots=True)
-class Guest:
+class OpenConnection:
     """One connection that is served."""
 
     number: int
     address: str
-    has_told_topics: bool  # as every device does within a second; whoever did is never sent away for another
+    is_identified: bool  # as every device does within a second; such a one is never evicted
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Verdict:
     """Whether a connection may stay: why not, or who must go for it."""
 
     refusal: str | None = None
-    gives_way: int | None = None
+    evicts: int | None = None
 
 
 class Admission:
@@ -31,9 +31,9 @@ class Admission:
     |-----------------------------------|--------------------------------------------------------------------------|
     | from outside the allowed networks | refused: not_allowed                                                     |
     | over the bound of its address     | refused: too_many_of_address                                             |
-    | over the bound of all             | of the strangers, who told no topics, the oldest of the address that has |
-    |                                   | most of them gives way, if its own has none, or at least two fewer; else |
-    |                                   | it is refused: too_many                                                  |
+    | over the bound of all             | of the unidentified, without topics, the oldest of the address that has  |
+    |                                   | most of them is evicted, if its own has none, or at least two fewer;     |
+    |                                   | else it is refused: too_many                                             |
     """
 
     def __init__(self, config: TcpConfig) -> None:
@@ -41,20 +41,22 @@ class Admission:
         self._allowed = [ipaddress.ip_network(network) for network in config.allow]
         self._keyless = [ipaddress.ip_network(network) for network in config.keyless]
 
-    def judge(self, address: str, guests: Sequence[Guest]) -> Verdict:
-        """`guests`: those that are there, oldest first."""
+    def judge(self, address: str, connections: Sequence[OpenConnection]) -> Verdict:
+        """`connections`: those that are there, oldest first."""
         if self._allowed and not is_within(address, self._allowed):
             return Verdict(refusal="not_allowed")
-        if sum(guest.address == address for guest in guests) >= self._config.max_connections_per_address:
+        if sum(connection.address == address for connection in connections) >= self._config.max_connections_per_address:
             return Verdict(refusal="too_many_of_address")
-        if len(guests) < self._config.max_connections:
+        if len(connections) < self._config.max_connections:
             return Verdict()
-        strangers = [guest for guest in guests if not guest.has_told_topics]
-        counts = Counter(guest.address for guest in strangers)
-        oldest = max(strangers, key=lambda guest: counts[guest.address], default=None)  # the first of equals
+        unidentified = [connection for connection in connections if not connection.is_identified]
+        counts = Counter(connection.address for connection in unidentified)
+        oldest = max(
+            unidentified, key=lambda connection: counts[connection.address], default=None
+        )  # the first of equals
         if oldest is None or 0 < counts[address] >= counts[oldest.address] - 1:  # else crowds take turns without end
             return Verdict(refusal="too_many")
-        return Verdict(gives_way=oldest.number)
+        return Verdict(evicts=oldest.number)
 
     def needs_key(self, address: str) -> bool:
         """If there is a key: whether this one must prove it."""

@@ -1,4 +1,4 @@
-"""Witness: gathers the evidence of one link. Pure: it is told events, time and when to look at the session's counts."""
+"""LinkMonitor: gathers the evidence of one link. Pure: events, the time and the session's counts come in by calls."""
 
 import re
 from collections import deque
@@ -18,7 +18,7 @@ _WHEEL = re.compile(r"(?:left|right) wheel (stalled|runs away)\b[ -~]{0,100}")  
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 
-class Witness:
+class LinkMonitor:
     """Tell it every event but messages, and let it `look` each LOOK_INTERVAL_S."""
 
     def __init__(self, session: Session, *, now_s: float) -> None:
@@ -27,7 +27,7 @@ class Witness:
         self._opened_at_s = now_s
         self._looks: deque[tuple[float, Tally]] = deque([(now_s, Tally())], maxlen=int(RECENT_S / LOOK_INTERVAL_S) + 1)
         self._negotiated_at_s: float | None = None
-        self._early_foreign = b""
+        self._early_non_rosserial = b""
         self._unknown_before = 0  # the last negotiation: what it has explained
         self._is_provoked = False  # a device sends a request for the time with its topics
         self._fell_silent = False
@@ -56,7 +56,7 @@ class Witness:
                 self._unknown_before = self._session.counts.unknown_ids
                 if self._negotiated_at_s is None:
                     self._negotiated_at_s = now_s
-                    self._early_foreign = self._session.foreign.tail
+                    self._early_non_rosserial = self._session.non_rosserial.tail
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
             case events.DeviceLogged(level, text) if level == _ERROR and (wheel := _WHEEL.fullmatch(text)):
@@ -96,9 +96,9 @@ class Witness:
             time_requested_s=_ago(self._time_requested_at_s, now_s),
             time_intervals_s=tuple(self._intervals_s),
             stamps_behind_s=None if session.device_clock.offset_ns is None else session.device_clock.offset_ns / 1e9,
-            early_foreign=self._early_foreign,
-            foreign=session.foreign.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
-            is_protocol_1=session.foreign.is_protocol_1,
+            early_non_rosserial=self._early_non_rosserial,
+            non_rosserial=session.non_rosserial.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
+            is_protocol_1=session.non_rosserial.is_protocol_1,
             refused=tuple(f"{reason}" for _, reason in session.refusals),
             too_small=tuple(self._too_small()),
             wheel_stalled=self._complaint("stalled", now_s),

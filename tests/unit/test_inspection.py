@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from hostlink.errors import BadRequest
+from hostlink.inspection import Inspection, Read, load_reads, speakable
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
-from hostlink.recording import Inspection, Read, load_reads, speakable
 
 CAPTURES = Path(__file__).parent.parent / "captures"
 NAMES = ["robot", "robot_serial", "services", "reconnect"]

@@ -1,4 +1,4 @@
-"""OdometryView: poses that come early, late, merged, after a reset, or broken."""
+"""OdometryEstimator: poses that come early, late, merged, after a reset, or broken."""
 
 import math
 from typing import Any
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
-from hostlink.robot.odometry import SHAKE_M, SHAKE_RAD, OdometryView, Twist
+from hostlink.robot.odometry_estimator import SHAKE_M, SHAKE_RAD, OdometryEstimator, Twist
 
 DRIVE = DifferentialDrive()
 PERIOD_S = 0.1
@@ -24,33 +24,33 @@ def arc(linear_m_s: float, angular_rad_s: float, count: int, start: Pose | None 
     return poses
 
 
-def view_of(poses: list[Pose], times_s: list[float] | None = None) -> OdometryView:
-    view = OdometryView()
+def view_of(poses: list[Pose], times_s: list[float] | None = None) -> OdometryEstimator:
+    view = OdometryEstimator()
     for number, pose in enumerate(poses):
         view.update(pose, now_s=number * PERIOD_S if times_s is None else times_s[number], wall_ns=number)
     return view
 
 
-def seen(view: OdometryView, now_s: float = 1.0) -> dict[str, Any]:
+def seen(view: OdometryEstimator, now_s: float = 1.0) -> dict[str, Any]:
     snapshot = view.snapshot(now_s)
     assert snapshot is not None
     return snapshot
 
 
-def shown(view: OdometryView) -> Pose:
+def shown(view: OdometryEstimator) -> Pose:
     return Pose(**seen(view)["pose"])
 
 
-def twist_of(view: OdometryView) -> Twist:
+def twist_of(view: OdometryEstimator) -> Twist:
     return Twist(**seen(view)["twist"])
 
 
 def test_nothing_is_known_before_the_first_pose() -> None:
-    assert OdometryView().snapshot(1.0) is None
+    assert OdometryEstimator().snapshot(1.0) is None
 
 
 def test_one_pose_is_no_motion() -> None:
-    view = OdometryView()
+    view = OdometryEstimator()
     view.update(Pose(1.0, 2.0, 0.5), now_s=4.0, wall_ns=17)
     assert view.snapshot(4.25) == {
         "pose": {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5},
@@ -162,7 +162,7 @@ def test_a_pose_of_no_numbers_is_not_counted(broken: Pose) -> None:
 
 
 def test_a_pose2d_is_wrapped() -> None:
-    view = OdometryView()
+    view = OdometryEstimator()
     view.see({"x": 1.0, "y": 2.0, "theta": 7.0}, now_s=0.0, wall_ns=5)
     assert seen(view)["pose"]["theta_rad"] == pytest.approx(7.0 - math.tau)
     assert seen(view)["stamp_ns"] == 5
@@ -190,14 +190,14 @@ def odometry(yaw_rad: float, twist: Twist, length: float = 1.0) -> dict[str, Any
 @pytest.mark.parametrize("length", [1.0, 0.5])
 @pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -3.0, math.pi])
 def test_an_odometry_tells_pose_and_twist(yaw_rad: float, length: float) -> None:
-    view = OdometryView()
+    view = OdometryEstimator()
     view.see(odometry(yaw_rad, Twist(0.2, -0.4), length), now_s=0.0, wall_ns=0)
     assert Pose(**seen(view)["pose"]) == pytest.approx(Pose(1.0, 2.0, yaw_rad))
     assert twist_of(view) == Twist(0.2, -0.4)
 
 
 def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
-    view = OdometryView()
+    view = OdometryEstimator()
     view.see(odometry(0.0, Twist(math.nan, 0.0)), now_s=0.0, wall_ns=0)
     assert twist_of(view) == Twist()
 
@@ -206,7 +206,7 @@ def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
 def test_any_orientation_is_survived(wxyz: list[float]) -> None:
     message = odometry(0.0, Twist())
     message["pose"]["pose"]["orientation"] = dict(zip("wxyz", wxyz, strict=True))
-    view = OdometryView()
+    view = OdometryEstimator()
     view.see(message, now_s=0.0, wall_ns=0)
     assert view.count == 1 or view.snapshot(0.0) is None
 
@@ -217,8 +217,8 @@ RUN = arc(0.3, 0.7, 20)  # begins at (1, 2, 3)
 AGAIN = arc(0.3, 0.7, 20, Pose())  # what a device that restarted tells of the same motion
 
 
-def after_a_restart(*, goes_on: bool) -> OdometryView:
-    view = OdometryView(goes_on=goes_on)
+def after_a_restart(*, goes_on: bool) -> OdometryEstimator:
+    view = OdometryEstimator(goes_on=goes_on)
     for number, pose in enumerate(RUN + AGAIN):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
     return view
@@ -283,7 +283,7 @@ def test_a_wheel_that_shakes_at_the_origin_is_no_restart() -> None:
 
 def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
     poses = arc(2.8, 0.0, 8, Pose(-0.84, 0.0, 0.0))
-    view = OdometryView(fastest=Twist(3.0, 4.0))
+    view = OdometryEstimator(fastest=Twist(3.0, 4.0))
     for number, pose in enumerate(poses):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
     assert shown(view) == poses[-1]
@@ -294,7 +294,7 @@ def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
 def test_one_damaged_pose_is_not_believed(damaged: Pose) -> None:
     """One damaged frame in 256 has the right checksum."""
     whole = view_of(RUN)
-    view = OdometryView()
+    view = OdometryEstimator()
     for number, pose in enumerate(RUN):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
         if number == 10:
@@ -317,7 +317,7 @@ def test_a_place_that_is_told_twice_is_believed_and_shown_without_a_jump() -> No
 )
 def test_what_is_shown_never_jumps_but_at_a_reset(history: list[tuple[str, float, float]]) -> None:
     """The truth is known here: what is shown is where the robot went since its last reset, whatever was forgotten."""
-    view, told, truth, now_s = OdometryView(), Pose(), Pose(), 0.0
+    view, told, truth, now_s = OdometryEstimator(), Pose(), Pose(), 0.0
     view.update(told, now_s=now_s, wall_ns=0)
     for event, linear_m_s, angular_rad_s in history:
         if event == "restart" and (math.hypot(*told[:2]) > SHAKE_M or abs(told.theta_rad) > SHAKE_RAD):
@@ -341,7 +341,7 @@ def test_what_is_shown_never_jumps_but_at_a_reset(history: list[tuple[str, float
 
 @given(st.lists(st.integers(-900_000_000, 900_000_000), min_size=1, max_size=50))
 def test_stamps_never_go_backwards(steps_ns: list[int]) -> None:
-    view, stamp_ns, shown_ns = OdometryView(), 10**18, 0
+    view, stamp_ns, shown_ns = OdometryEstimator(), 10**18, 0
     for number, step_ns in enumerate(steps_ns):
         view.update(Pose(), now_s=number * PERIOD_S, wall_ns=max(stamp_ns, stamp_ns + step_ns))
         assert seen(view)["stamp_ns"] >= shown_ns
@@ -349,7 +349,7 @@ def test_stamps_never_go_backwards(steps_ns: list[int]) -> None:
 
 
 def test_a_host_whose_clock_was_set_back_is_followed() -> None:
-    view = OdometryView()
+    view = OdometryEstimator()
     view.update(Pose(), now_s=0.0, wall_ns=10**18)
     view.update(Pose(), now_s=0.1, wall_ns=10**18 - 3600 * 10**9)
     assert seen(view)["stamp_ns"] == 10**18 - 3600 * 10**9

@@ -5,13 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.config import TcpConfig
-from hostlink.hub.admission import Admission, Guest, Verdict
+from hostlink.listeners.admission import Admission, OpenConnection, Verdict
 
 ROBOT, OTHER, CROWD = "192.168.4.2", "192.168.4.3", "10.0.0.1"
 
 
-def guests(*entries: tuple[str, bool]) -> list[Guest]:
-    return [Guest(number, address, has_told_topics=told) for number, (address, told) in enumerate(entries)]
+def connections(*entries: tuple[str, bool]) -> list[OpenConnection]:
+    return [OpenConnection(number, address, is_identified=told) for number, (address, told) in enumerate(entries)]
 
 
 @pytest.mark.parametrize(
@@ -34,48 +34,50 @@ def test_only_the_networks_that_are_named_may_connect(
 
 def test_one_address_may_have_so_many_connections() -> None:
     admission = Admission(TcpConfig(max_connections_per_address=2))
-    there = guests((ROBOT, True), (ROBOT, False))
+    there = connections((ROBOT, True), (ROBOT, False))
     assert admission.judge(ROBOT, there) == Verdict(refusal="too_many_of_address")
     assert admission.judge(OTHER, there) == Verdict()
 
 
 def test_the_oldest_stranger_of_the_address_with_the_most_of_them_gives_way() -> None:
     admission = Admission(TcpConfig(max_connections=6))
-    there = guests((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
-    assert admission.judge(ROBOT, there) == Verdict(gives_way=2)
+    there = connections((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
+    assert admission.judge(ROBOT, there) == Verdict(evicts=2)
 
 
 def test_a_crowd_does_not_push_itself_out() -> None:
     """Each that was let in costs more than one that is refused."""
     admission = Admission(TcpConfig(max_connections=4))
-    there = guests((CROWD, False), (OTHER, False), (CROWD, False), (OTHER, False))
+    there = connections((CROWD, False), (OTHER, False), (CROWD, False), (OTHER, False))
     assert admission.judge(CROWD, there) == Verdict(refusal="too_many")
-    assert admission.judge(CROWD, guests((CROWD, False), *[(OTHER, False)] * 2, (ROBOT, True))).refusal == "too_many"
-    assert admission.judge(CROWD, guests((CROWD, False), *[(OTHER, False)] * 3)) == Verdict(gives_way=1)
-    assert admission.judge(ROBOT, there) == Verdict(gives_way=0)
-    assert admission.judge(ROBOT, guests(*[(f"10.0.0.{last}", False) for last in range(4)])) == Verdict(gives_way=0)
+    assert (
+        admission.judge(CROWD, connections((CROWD, False), *[(OTHER, False)] * 2, (ROBOT, True))).refusal == "too_many"
+    )
+    assert admission.judge(CROWD, connections((CROWD, False), *[(OTHER, False)] * 3)) == Verdict(evicts=1)
+    assert admission.judge(ROBOT, there) == Verdict(evicts=0)
+    assert admission.judge(ROBOT, connections(*[(f"10.0.0.{last}", False) for last in range(4)])) == Verdict(evicts=0)
 
 
 def test_nobody_who_told_topics_gives_way() -> None:
     admission = Admission(TcpConfig(max_connections=2))
-    assert admission.judge(CROWD, guests((ROBOT, True), (OTHER, True))) == Verdict(refusal="too_many")
+    assert admission.judge(CROWD, connections((ROBOT, True), (OTHER, True))) == Verdict(refusal="too_many")
 
 
 @given(st.lists(st.tuples(st.sampled_from([ROBOT, OTHER, CROWD]), st.booleans()), max_size=60))
 def test_whoever_comes_the_bounds_hold_and_robots_stay(arrivals: list[tuple[str, bool]]) -> None:
     config = TcpConfig(max_connections=5, max_connections_per_address=3)
     admission = Admission(config)
-    there: list[Guest] = []
+    there: list[OpenConnection] = []
     robots = set()
     for number, (address, told) in enumerate(arrivals):
         verdict = admission.judge(address, there)
-        there = [guest for guest in there if guest.number != verdict.gives_way]
+        there = [connection for connection in there if connection.number != verdict.evicts]
         if verdict.refusal is None:
-            there.append(Guest(number, address, has_told_topics=told))
+            there.append(OpenConnection(number, address, is_identified=told))
             robots |= {number} if told else set()
         assert len(there) <= config.max_connections
-        assert sum(guest.address == address for guest in there) <= config.max_connections_per_address
-        assert robots <= {guest.number for guest in there}
+        assert sum(connection.address == address for connection in there) <= config.max_connections_per_address
+        assert robots <= {connection.number for connection in there}
 
 
 @pytest.mark.parametrize("network", ["192.168.4.2/24", "robots"])

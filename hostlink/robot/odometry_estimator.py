@@ -1,4 +1,4 @@
-"""OdometryView: what is known of where a robot is and how it moves, from the poses that it tells."""
+"""OdometryEstimator: what is known of where a robot is and how it moves, from the poses that it tells."""
 
 import itertools
 import math
@@ -49,7 +49,7 @@ class _Change(Enum):
     LEAP = auto()  # to where no robot can be by then
 
 
-class OdometryView:
+class OdometryEstimator:
     """The newest pose, and the motion over the poses of the last WINDOW_S.
 
     Poses that came in one read have one arrival time; only the last of them counts for the motion. One pose from

@@ -1,4 +1,4 @@
-"""What a witness makes of a session's events: requests for the time, revivals, what is recent, what does not fit."""
+"""What a monitor makes of a session's events: requests for the time, revivals, what is recent, what does not fit."""
 
 import errno
 
@@ -6,8 +6,8 @@ import pytest
 
 from hostlink.diagnosis.evidence import Complaint
 from hostlink.diagnosis.host_clock import MIN_WALL_NS, HostClock
+from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.diagnosis.ports import port_finding
-from hostlink.diagnosis.witness import Witness
 from hostlink.errors import FrameTooLarge
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsAsked
@@ -22,53 +22,53 @@ def session() -> Session:
 
 
 def test_intervals_are_between_requests_that_nobody_provoked() -> None:
-    witness = Witness(session(), now_s=0.0)
+    monitor = LinkMonitor(session(), now_s=0.0)
     for now_s in (0.1, 2.6, 5.1):
-        witness.note(TopicsAsked("connected") if now_s == 0.1 else TimeRequested(), now_s)
-    witness.note(TimeRequested(), 7.6)
-    witness.note(TopicsAsked("unknown_id"), 8.0)
-    witness.note(TimeRequested(), 8.1)
-    witness.note(TimeRequested(), 10.6)
-    evidence = witness.evidence(11.0, silent_s=0.0)
+        monitor.note(TopicsAsked("connected") if now_s == 0.1 else TimeRequested(), now_s)
+    monitor.note(TimeRequested(), 7.6)
+    monitor.note(TopicsAsked("unknown_id"), 8.0)
+    monitor.note(TimeRequested(), 8.1)
+    monitor.note(TimeRequested(), 10.6)
+    evidence = monitor.evidence(11.0, silent_s=0.0)
     assert evidence.time_intervals_s == (2.5,)  # 2.6 answered the request for topics, as 8.1 did
     assert evidence.time_requested_s == pytest.approx(0.4)
 
 
 def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
-    witness = Witness(session(), now_s=0.0)
-    witness.note(TimeRequested(), 2.5)
+    monitor = LinkMonitor(session(), now_s=0.0)
+    monitor.note(TimeRequested(), 2.5)
     for start_s in (10.0, 20.0):
-        witness.note(TopicsAsked("no_time_requests"), start_s)
-        witness.note(TimeRequested(), start_s + 0.1)
-        witness.note(TimeRequested(), start_s + 2.6)
-    assert witness.evidence(23.0, silent_s=0.0).revivals == 2
-    assert witness.evidence(81.0, silent_s=0.0).revivals == 1
+        monitor.note(TopicsAsked("no_time_requests"), start_s)
+        monitor.note(TimeRequested(), start_s + 0.1)
+        monitor.note(TimeRequested(), start_s + 2.6)
+    assert monitor.evidence(23.0, silent_s=0.0).revivals == 2
+    assert monitor.evidence(81.0, silent_s=0.0).revivals == 1
 
 
 def test_what_is_recent_is_of_the_last_half_minute() -> None:
     told = session()
-    witness = Witness(told, now_s=0.0)
+    monitor = LinkMonitor(told, now_s=0.0)
     told.open(now_s=0.0)
     told.receive(b"noise" * 10, now_s=0.5)
     for now_s in range(1, 41):
-        witness.look(float(now_s))
+        monitor.look(float(now_s))
         if now_s == 20:
             told.receive(b"more " * 2, now_s=20.5)
-    evidence = witness.evidence(40.0, silent_s=1.0)
+    evidence = monitor.evidence(40.0, silent_s=1.0)
     assert (evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (60, 10)
-    assert evidence.foreign == b"more more "
+    assert evidence.non_rosserial == b"more more "
 
 
 def test_what_does_not_fit_is_told_by_what_was_announced_refused_and_logged() -> None:
     told = session()
-    witness = Witness(told, now_s=0.0)
+    monitor = LinkMonitor(told, now_s=0.0)
     told.open(now_s=0.0)
     told.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
     told.tick(now_s=1.0)
     with pytest.raises(FrameTooLarge):
         told.publish("/cmd_vel", bytes(48))
-    witness.note(DeviceLogged(3, "Message from device dropped: message larger than buffer."), 1.1)
-    assert witness.evidence(2.0, silent_s=0.0).too_small == (
+    monitor.note(DeviceLogged(3, "Message from device dropped: message larger than buffer."), 1.1)
+    assert monitor.evidence(2.0, silent_s=0.0).too_small == (
         "/cmd_vel: a frame of 56 bytes, the device takes 48",
         "/cmd_vel: frame of 56 bytes, the device takes 48",
         "Message from device dropped: message larger than buffer.",
@@ -90,18 +90,18 @@ STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
     ],
 )
 def test_an_error_line_of_a_wheel_is_taken_as_it_is(level: int, text: str, is_taken: bool) -> None:
-    witness = Witness(session(), now_s=0.0)
-    witness.note(DeviceLogged(level, text), 5.0)
-    evidence = witness.evidence(12.0, silent_s=0.0)
+    monitor = LinkMonitor(session(), now_s=0.0)
+    monitor.note(DeviceLogged(level, text), 5.0)
+    evidence = monitor.evidence(12.0, silent_s=0.0)
     assert evidence.wheel_stalled == (Complaint(text, 7.0) if is_taken else None)
     assert evidence.wheel_runaway is None
 
 
 def test_the_last_line_of_a_wheel_counts() -> None:
-    witness = Witness(session(), now_s=0.0)
+    monitor = LinkMonitor(session(), now_s=0.0)
     for at_s, side in ((1.0, "left"), (2.0, "right")):
-        witness.note(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
-    told = witness.evidence(3.0, silent_s=0.0).wheel_runaway
+        monitor.note(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
+    told = monitor.evidence(3.0, silent_s=0.0).wheel_runaway
     assert told == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
 
@@ -112,7 +112,7 @@ def test_refused_topics_are_told_with_the_reason() -> None:
     told = Session(check=refuse)
     told.open(now_s=0.0)
     told.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
-    assert Witness(told, now_s=0.0).evidence(1.0, silent_s=0.0).refused == (
+    assert LinkMonitor(told, now_s=0.0).evidence(1.0, silent_s=0.0).refused == (
         "/cmd_vel: frame of 2 bytes, the device takes 1",
     )
 

@@ -1,4 +1,4 @@
-"""AskClock: when a session asks for topics: the wish, its limits and the times that it depends on."""
+"""NegotiationScheduler: when a session asks for topics: the wish, its limits and the times that it depends on."""
 
 from collections import Counter
 
@@ -10,7 +10,7 @@ TIME_PERIOD_S = (1.0, 4.0)  # between two time requests: 2.5 s, a slow loop late
 MAX_SAME_ASKS = 3  # for one gap or one unknown id; a device that does not mend it never will
 
 
-class AskClock:
+class NegotiationScheduler:
     """All times are of one monotonic clock, in seconds."""
 
     def __init__(self) -> None:

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from hostlink.api.views import finding_views, links_view
-from hostlink.cli.holders import holder_of_file, holder_of_port
+from hostlink.cli.port_users import holder_of_file, holder_of_port
 from hostlink.cli.serve import running
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.diagnosis.finding import Finding, finding
 from hostlink.diagnosis.replay import replay
 from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
+from hostlink.inspection import load_reads
 from hostlink.messages.catalog import Catalog
-from hostlink.recording import load_reads
 
 Report = dict[str, Any]  # {"source", "links", "findings"}: what `hostlink doctor --json` prints
 Say = Callable[[str], None]
@@ -32,7 +32,7 @@ _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
 _NO_API = ApiConfig(port=0)
 
 
-async def look_at_network(host: str, port: int, seconds: float, folders: tuple[Path, ...], say: Say) -> Report:
+async def probe_network(host: str, port: int, seconds: float, folders: tuple[Path, ...], say: Say) -> Report:
     """Listen where devices connect, and tell what came."""
     source = f"TCP {host}:{port}"
     if _is_taken(host, port):
@@ -49,7 +49,7 @@ async def look_at_network(host: str, port: int, seconds: float, folders: tuple[P
     return report
 
 
-async def look_at_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) -> Report:
+async def probe_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) -> Report:
     """Open a serial port, try the usual speeds, and tell what came."""
     bauds = port.bauds + tuple(baud for baud in COMMON_BAUDS if baud not in port.bauds)
     trying = dataclasses.replace(port, baud=bauds, baud_try_s=BAUD_TRY_S)
@@ -81,7 +81,7 @@ async def look_at_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) 
     return report
 
 
-def look_at_recording(path: Path, folders: tuple[Path, ...]) -> Report:
+def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
     """What was wrong with the connections of a recording."""
     catalog = Catalog(folders)
     links = [
@@ -132,8 +132,8 @@ def _report(source: str, only: Finding) -> Report:
 
 
 def _present_baud(hub: Hub) -> int | None:
-    cases = (hub.diagnoses.case(link.number) for link in hub.links())
-    return next((case.witness.baud for case in cases if case is not None), None)
+    diagnoses = (hub.diagnoses.find(link.number) for link in hub.links())
+    return next((diagnosis.monitor.baud for diagnosis in diagnoses if diagnosis is not None), None)
 
 
 def _is_taken(host: str, port: int) -> bool:

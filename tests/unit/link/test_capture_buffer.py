@@ -1,0 +1,51 @@
+"""The buffer of a link: the last 64 KiB with their times, in bounded memory, whatever the pieces."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.link.capture_buffer import TAPE_BYTES, CaptureBuffer
+
+
+def contents(buffer: CaptureBuffer, since: int = 0) -> bytes:
+    return b"".join(piece.data for piece in buffer.pieces(since))
+
+
+def test_it_gives_back_what_passed_with_the_times() -> None:
+    buffer = CaptureBuffer()
+    buffer.add(b"abc", 1.0)
+    buffer.add(b"", 1.5)
+    buffer.add(b"de", 2.0)
+    assert list(buffer.pieces()) == [(1.0, 3, b"abc"), (2.0, 5, b"de")]
+    assert list(buffer.pieces(4)) == [(2.0, 5, b"e")]
+    assert list(buffer.pieces(5)) == []
+    assert buffer.lost_bytes() == 0
+
+
+@given(st.lists(st.integers(0, 3 * TAPE_BYTES), max_size=6), st.integers(0, 9 * TAPE_BYTES))
+def test_what_it_keeps_is_the_end_of_what_passed(sizes: list[int], since: int) -> None:
+    buffer, passed = CaptureBuffer(), b""
+    for number, size in enumerate(sizes):
+        data = bytes([number]) * size
+        buffer.add(data, float(number))
+        passed += data
+    kept = contents(buffer)
+    assert len(kept) >= min(len(passed), TAPE_BYTES)
+    assert len(kept) <= 1.25 * TAPE_BYTES
+    assert passed.endswith(kept)
+    assert buffer.total_bytes == len(passed)
+    assert contents(buffer, since) == passed[max(since, len(passed) - len(kept)) :]
+    assert buffer.lost_bytes(since) == max(0, len(passed) - len(kept) - since)
+
+
+def test_single_bytes_are_all_kept_and_their_times_stay_in_order_and_few() -> None:
+    buffer = CaptureBuffer()
+    for number in range(3 * TAPE_BYTES):
+        buffer.add(bytes([number & 0xFF]), number / 1000)
+    pieces = list(buffer.pieces())
+    assert len(contents(buffer)) >= TAPE_BYTES
+    assert len(pieces) <= 4096
+    times = [piece.time_s for piece in pieces]
+    assert times == sorted(times)
+    for piece in pieces:
+        first = piece.end - len(piece.data)
+        assert 0 <= first / 1000 - piece.time_s <= 0.1  # the earlier time of neighbours, never a later one
