@@ -10,7 +10,7 @@ from enum import Enum
 from typing import NamedTuple
 
 SPLIT_GAP_S = 0.001  # between two pieces, so that they arrive as two
-BOOT_NOISE_BYTES = 400  # ROBOT.md: what an ESP8266 prints at 74880 baud comes as so much garbage
+BOOT_NOISE_BYTES = 400  # docs/protocol.md#what-real-devices-do-wrong: an ESP8266's boot message at 74880 baud
 
 
 class Direction(Enum):

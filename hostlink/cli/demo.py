@@ -24,7 +24,7 @@ CURVE = Velocity(linear_x_m_s=0.15, angular_z_rad_s=0.3)  # a circle of a metre 
 COMMAND_INTERVAL_S = 0.2  # well within the lease
 PAUSE_S = 5.0  # somebody who drove may want to look before the demo drives on
 LINE_INTERVAL_S = 0.2
-PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # ROBOT.md
+PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # docs/robot.md#numbers
 
 
 def command(

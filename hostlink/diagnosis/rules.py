@@ -10,7 +10,7 @@ from hostlink.diagnosis.evidence import Complaint, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.speed import guess_speed
 
-TIME_REQUEST_S = 2.5  # PROTOCOL.md: how often a configured device asks for the time
+TIME_REQUEST_S = 2.5  # docs/protocol.md#time: how often a configured device asks for the time
 NO_BYTES_S = 5.0  # the topics were asked for at 0, 2 and 4 s, and an answer takes 2 s at most
 WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two requests for the time are missing, and a second for the radio
 TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # a request for topics may put one off: three are missing

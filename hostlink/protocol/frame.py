@@ -1,6 +1,6 @@
 """One frame of rosserial protocol version 2: its bytes, its two checksums and the ids with a meaning of their own.
 
-Source of every number: the rosserial protocol, as PROTOCOL.md in the docs tells it.
+Source of every number: the rosserial protocol (docs/protocol.md#frame, docs/protocol.md#special-ids).
 """
 
 import re

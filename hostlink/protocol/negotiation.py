@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-ASK_INTERVAL_S = 1.0  # PROTOCOL.md: at most one request for topics a second
+ASK_INTERVAL_S = 1.0  # docs/protocol.md#topic-negotiation: at most one request for topics a second
 ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
 SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
 QUIET_S = 3.5  # not a byte, one time request missed: a device that restarted behind its radio waits to be asked

@@ -7,8 +7,8 @@ from hostlink.errors import DeviceBusy
 from hostlink.protocol.control import encode_time
 from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
-LOOP_S = 1 / 30  # ROBOT.md: one turn of the robot's loop, the longest that a stop may wait
-RING_BYTES = 128  # ROBOT.md: the receive ring of the Due's UART, so the largest burst that it takes
+LOOP_S = 1 / 30  # docs/robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
+RING_BYTES = 128  # docs/robot.md#numbers: the receive ring of the Due's UART, so the largest burst that it takes
 TIME_BYTES = 16
 CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # what may go ahead of a velocity
 VELOCITY_BYTES = 56

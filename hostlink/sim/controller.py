@@ -1,4 +1,4 @@
-"""The robot's control, by ROBOT.md's equations with the paper's mistakes mended. Pure."""
+"""The robot's control (docs/robot.md#equations), without the mistakes of the paper's code. Pure."""
 
 from collections import deque
 from dataclasses import dataclass

@@ -22,7 +22,7 @@ from hostlink.protocol.control import (
 from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Id, encode
 from hostlink.sim.uart import Uart
 
-# All of the original library (PROTOCOL.md).
+# All of the original library (docs/protocol.md#timing).
 FRAME_TIMEOUT_MS = 20
 TIME_INTERVAL_MS = 2500
 HOST_TIMEOUT_MS = 11_000

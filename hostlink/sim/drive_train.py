@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 FULL_PWM = 4095
-FULL_SPEED_TICKS_S = 280.0  # ROBOT.md: the top speed
+FULL_SPEED_TICKS_S = 280.0  # docs/robot.md#numbers: the top speed
 CASTER_TICKS = 40.0  # 5 cm: the caster has swung round
 
 

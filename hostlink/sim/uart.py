@@ -3,7 +3,7 @@
 from collections import deque
 
 BITS_A_BYTE = 10  # 8N1: a start and a stop bit
-RING_BYTES = 127  # ROBOT.md: 128, of which one stays empty to tell full from empty
+RING_BYTES = 127  # docs/protocol.md#buffers-and-sizes: 128, of which one stays empty to tell full from empty
 
 
 class Uart:

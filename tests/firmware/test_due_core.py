@@ -1,4 +1,4 @@
-"""The Due's arithmetic, with the numbers of ROBOT.md, and against hostlink's own robot and simulator."""
+"""The Due's arithmetic, with the numbers of docs/robot.md, and against hostlink's own robot and simulator."""
 
 import ctypes
 import math

@@ -1,6 +1,6 @@
-"""PROTOCOL.md's table of what today's hosts do, row by row in its order, and what hostlink does instead.
+"""What today's hosts do, situation by situation, and what hostlink does instead (docs/reliability.md#todays-hosts).
 
-A test's docstring is the row: what rosserial_python does | what rosserial_server does.
+A test's docstring says it: what rosserial_python does | what rosserial_server does. Both were seen by running them.
 """
 
 import asyncio

@@ -12,7 +12,7 @@ from hostlink.sim.device import DeviceCrashed, SimulatedDevice
 from hostlink.sim.robot import LOOP_S
 from hostlink.transport.base import Transport
 
-RECONNECT_S = 0.5  # ROBOT.md: how long the passthrough waits before it dials again
+RECONNECT_S = 0.5  # docs/reliability.md#the-papers-link: how long this device waits before it dials again
 LINE_POLL_S = 0.004  # how often it looks for bytes of the UART
 POSE, TWIST = struct.Struct("<3d"), struct.Struct("<6d")
 

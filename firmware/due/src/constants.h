@@ -1,4 +1,4 @@
-// The robot's numbers (ROBOT.md): the fallback where the host has no parameter of that name.
+// The robot's numbers (docs/robot.md#numbers): the fallback where the host has no parameter of that name.
 #pragma once
 
 #include <stdint.h>

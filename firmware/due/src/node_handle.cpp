@@ -6,7 +6,7 @@ namespace hostlink {
 
 namespace {
 
-// Of the rosserial protocol and its original client library (PROTOCOL.md).
+// Of the rosserial protocol and its original client library (docs/protocol.md#special-ids, docs/protocol.md#timing).
 const uint16_t kFirstTopicId = 100;
 const uint16_t kMaxSubscribers = 25;
 const uint8_t kIdPublisher = 0;

@@ -10,7 +10,7 @@
 
 namespace hostlink {
 
-// What happens when the bytes of a frame stop coming in its middle.
+// What happens when the bytes of a frame stop coming in its middle (docs/protocol.md#the-retry-clause).
 enum class Retry {
   kNone,       // the original library: a frame that is not complete 20 ms after its first byte is dropped
   kPaper,      // the paper's listing 1: the same, but wait 10 ms and read once more before the loop is left

@@ -1,4 +1,4 @@
-"""throttle_rate and queue_length as rosbridge's clients expect them (USERS.md, C2)."""
+"""throttle_rate and queue_length as rosbridge's clients expect them (docs/api.md)."""
 
 from itertools import pairwise
 

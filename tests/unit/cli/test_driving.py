@@ -1,4 +1,4 @@
-"""Keys and time to velocity: USERS.md, section D, row by row."""
+"""Keys and time to velocity (docs/robot.md#the-keys-of-teleop)."""
 
 import pytest
 from hypothesis import given

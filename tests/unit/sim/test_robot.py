@@ -1,4 +1,4 @@
-"""The simulated robot: ROBOT.md's numbers, its watchdog, and odometry against what the wheels truly did."""
+"""The simulated robot: the numbers of docs/robot.md, its watchdog, and odometry against what the wheels truly did."""
 
 import math
 
