@@ -4,7 +4,7 @@ from collections import deque
 from statistics import median
 
 SURE_S = 3.0  # docs/protocol.md#time: whatever lives asks for the time every 2.5 s
-SOONEST_S = 0.5  # so long the project's passthrough waits before it dials again
+SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
 USUAL_GAPS = 5  # a radio makes one or two late, not five
 _KEPT, _ENOUGH = 16, 8  # gaps; their median stands a few that are long
 
