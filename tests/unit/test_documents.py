@@ -1,0 +1,95 @@
+"""Every document that is named in the tree exists, and so does the section that is named with it."""
+
+import functools
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("docs", "firmware", "hostlink", "tests", "tools")
+NOT_OURS = {"node_modules", "__pycache__", "build", "built"}
+SUFFIXES = {".c", ".cpp", ".h", ".ino", ".md", ".mjs", ".py", ".sh", ".toml", ".ts"}
+NAMED = re.compile(r"(?<![\w./-])((?:[\w.-]+/)*[\w.-]+\.md)\b(?:#([\w-]+))?")
+LINKED = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+
+
+def sources() -> Iterator[Path]:
+    """The documents and the code, without what a build or npm put beside them."""
+    yield from ROOT.glob("*.md")
+    for folder in FOLDERS:
+        for where, folders, names in os.walk(ROOT / folder):
+            folders[:] = [name for name in folders if name not in NOT_OURS and not name.startswith(".")]
+            yield from (Path(where, name) for name in names if Path(name).suffix in SUFFIXES)
+
+
+def sections(text: str) -> frozenset[str]:
+    """The headings of a document, as a link spells them."""
+    headings = HEADING.findall(FENCED.sub("", text))
+    return frozenset(re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings)
+
+
+@functools.cache
+def sections_of(document: Path) -> frozenset[str]:
+    return sections(document.read_text())
+
+
+def unknown_documents(text: str, *, folder: Path) -> Iterator[str]:
+    """What a text in this folder names and is not there: in the folder, below the root, among the documents."""
+    for name, section in NAMED.findall(text):
+        places = [place / name for place in (folder, ROOT, ROOT / "docs") if (place / name).is_file()]
+        if not any(not section or section in sections_of(place) for place in places):
+            yield f"{name}#{section}" if section else name
+
+
+def broken_links(text: str, *, folder: Path) -> Iterator[str]:
+    """What a document in this folder links to and is not there, other documents aside."""
+    for name, section in LINKED.findall(text):
+        if name and not name.endswith(".md") and not (folder / name).exists():
+            yield name
+        if not name and section not in sections(text):
+            yield f"#{section}"
+
+
+def missing(file: Path) -> list[str]:
+    text, folder = file.read_text(), file.parent
+    links = broken_links(text, folder=folder) if file.suffix == ".md" else ()
+    return [*unknown_documents(text, folder=folder), *links]
+
+
+def test_every_document_that_is_named_exists_and_has_the_section() -> None:
+    files = [file for file in sources() if file != Path(__file__)]
+    assert len(files) > 300
+    assert {str(file): missing(file) for file in files if missing(file)} == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("# docs/api.md", []),
+        ("# docs/api.md#rest: all of it", []),
+        ("[the page](page.md#the-stop)", []),
+        ("# GONE.md: a number", ["GONE.md"]),
+        ("# docs/api.md#gone", ["docs/api.md#gone"]),
+        ("[the page](page.md#gone)", ["page.md#gone"]),
+        ("https://example.org/gone.md, and info.md5", []),
+    ],
+)
+def test_a_document_that_is_not_there_is_found(text: str, found: list[str]) -> None:
+    assert list(unknown_documents(text, folder=ROOT / "docs")) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("[a picture](page.png), [below](#below), [elsewhere](https://example.org/gone.png)\n\n## Below\n", []),
+        ("[a picture](gone.png)", ["gone.png"]),
+        ("```\n# Below\n```\n[below](#below)", ["#below"]),
+    ],
+)
+def test_a_link_to_what_is_not_there_is_found(text: str, found: list[str]) -> None:
+    assert list(broken_links(text, folder=ROOT / "docs")) == found
