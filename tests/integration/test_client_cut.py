@@ -110,7 +110,7 @@ async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
         await world.lost()
         commands = world.seen.gate.counts.commands
         await world.stands()
-        await world.stays()  # longer than the last command holds
+        await world.stays(0.6)  # longer than the last command holds
         world.line.set_line(Line.WORKS)
         assert (await world.change()).is_connected
         await world.stays()
