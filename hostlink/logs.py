@@ -3,7 +3,7 @@
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
                  connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
 What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
-                 parameter.refused, protocol.version_1, subscriber.crashed
+                 parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
 Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable

@@ -236,13 +236,14 @@ async def hub_flood(hub: Hub, host: str, port: int, frames: int) -> float:
             times[1] = time.perf_counter()
             done.set()
 
-    unsubscribe = hub.topics.subscribe("/flood", deliver)
+    participant = hub.join("bench")
+    participant.subscribe("/flood", deliver)
     async with flooding(host, port, "/flood", frames) as go:
         await asyncio.sleep(SETTLE_S)
         await go()
         async with asyncio.timeout(60):
             await done.wait()
-    unsubscribe()
+    participant.leave()
     return wanted / (times[1] - times[0])
 
 

@@ -63,7 +63,7 @@ async def drive(robot: NumberedRobot, script: Script, seconds: float) -> Account
             return await connect_tcp(*server.sockets[0].getsockname()[:2])
 
         relay = Relay(script, reach_host, lambda what, _: account.faults.append((loop.time(), what)))
-        hub.topics.subscribe(
+        hub.join("soak").subscribe(
             "/robot_0/odometry",
             lambda message: account.poses_seen.append((loop.time(), int(POSE.unpack(message.payload)[0]))),
         )

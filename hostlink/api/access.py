@@ -8,7 +8,6 @@ import hmac
 import ipaddress
 import math
 import ssl
-from enum import IntEnum
 from typing import NamedTuple
 from urllib.parse import SplitResult, urlsplit
 
@@ -17,16 +16,10 @@ from aiohttp import web
 from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
+from hostlink.hub.node import Role
 
 SHORTEST_TOKEN = 16  # characters: 80 bits and more, when they are random
 _HOW_TO_MAKE_ONE = "make one with  python3 -c 'import secrets; print(secrets.token_urlsafe(24))'"
-
-
-class Role(IntEnum):
-    """What a client may do; each allows what is before it."""
-
-    READ = 1  # see everything, and stop robots
-    DRIVE = 2  # and command them, publish, call services, set parameters
 
 
 class Grant(NamedTuple):

@@ -1,4 +1,4 @@
-"""ClientServices: the services that one client of rosbridge offers; calls go out to it, and it answers them."""
+"""ClientServices: the services that one client of rosbridge provides; calls go out to it, and it answers them."""
 
 import asyncio
 import itertools
@@ -6,17 +6,14 @@ import reprlib
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-import msgspec
-
-from hostlink.api.client_queue import ClientQueue
+from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.request import Request
 from hostlink.errors import BadRequest, ServiceFailed, UnknownTopic
-from hostlink.hub.services import Provider, Services
+from hostlink.hub.participant import Participant
 from hostlink.hub.topic_graph import resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import ServiceType
 
-MAX_SERVICES = 64
 Values = Mapping[str, object]
 
 
@@ -41,14 +38,13 @@ class _Call(NamedTuple):
 
 
 class ClientServices:
-    """Offered, called and answered; what is offered no more fails every call that waits for it at once."""
+    """Provided, called and answered; what is withdrawn fails every call that waits for it at once."""
 
     def __init__(
-        self, client: str, services: Services, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
+        self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
     ) -> None:
-        """`warn` tells the client what is no error of its own."""
-        self._client, self._services, self._catalog, self._queue = client, services, catalog, queue
-        self._warn = warn
+        """`warn` sends the client what is no error of its own."""
+        self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
         self._names: set[str] = set()
         self._waiting: dict[str, _Call] = {}
@@ -59,24 +55,25 @@ class ClientServices:
         return sorted(self._names)
 
     def advertise(self, request: Request) -> None:
-        """Offer a service; the newest offer of a name counts."""
+        """Provide a service; the newest offer of a name counts.
+
+        Raises:
+            BadRequest: a field is wrong, there are too many, or the name is the daemon's own.
+        """
         name, type_name = request.text("service"), request.text("type")
-        resolved = resolve(name)
-        if len(self._names | {resolved}) > MAX_SERVICES:
-            raise BadRequest(f"more than {MAX_SERVICES} services")
 
         async def answer(arguments: Values) -> Values:
-            return await self._ask(name, type_name, arguments)
+            return await self._call(name, type_name, arguments)
 
-        self._services.provide(Provider(resolved, type_name, self._client, answer, self._warn))
-        self._names.add(resolved)
+        self._participant.provide(name, type_name, answer, notify=self._warn)
+        self._names.add(resolve(name))
 
     def unadvertise(self, request: Request) -> None:
-        """Offer it no more."""
+        """Provide it no more."""
         self._withdraw(resolve(request.text("service")))
 
     def respond(self, request: Request) -> None:
-        """Take the client's `service_response`; one that nobody waits for is late, and harmless.
+        """Accept the client's `service_response`; one that nobody waits for is late, and harmless.
 
         Raises:
             BadRequest: it is none, and the call has failed.
@@ -86,7 +83,7 @@ class ClientServices:
             self._warn("service_response: no call waits for an answer with this id (any more)")
             return
         try:
-            self._take(call, request)
+            self._accept(call, request)
         except BadRequest as error:
             call.fail(error)
             raise
@@ -96,7 +93,7 @@ class ClientServices:
         for name in self.names:
             self._withdraw(name)
 
-    def _take(self, call: _Call, request: Request) -> None:
+    def _accept(self, call: _Call, request: Request) -> None:
         """As rosbridge does, an object goes to the caller whatever `result` says: whether it is a success stands in it.
 
         Only what could be no answer of the service's is a failure.
@@ -112,22 +109,22 @@ class ClientServices:
             raise BadRequest(f"{call.service}: its answer is no object")
 
     def _withdraw(self, name: str) -> None:
-        self._services.withdraw(name, self._client)
+        self._participant.withdraw(name)
         self._names.discard(name)
         for call in self._waiting.values():
             if resolve(call.service) == name:
                 call.fail(UnknownTopic("service", call.service))
 
-    async def _ask(self, name: str, type_name: str, arguments: Values) -> Values:
+    async def _call(self, name: str, type_name: str, arguments: Values) -> Values:
         """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""
         type_ = self._catalog.service(type_name)
         if type_ is not None:
             arguments = type_.request.decode(type_.request.encode(arguments))
-        key = f"{self._client} {next(self._numbers)}"
+        key = f"{self._participant.name} {next(self._numbers)}"
         call = self._waiting[key] = _Call(name, type_, asyncio.get_running_loop().create_future())
         request = {"op": "call_service", "id": key, "service": name, "args": arguments}
         try:
-            self._queue.put_result(msgspec.json.encode(request))
+            put_json(self._queue, request)
             return await call.answer
         finally:
             del self._waiting[key]

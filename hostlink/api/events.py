@@ -13,10 +13,11 @@ import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
-from hostlink.api.clients import Clients
+from hostlink.api.clients import Client, Clients
 from hostlink.api.routes import Route
 from hostlink.api.views import links_view, odometry_view, robot_view
 from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
 
 ROBOTS_INTERVAL_S = 0.2  # quicker than people see
 LINKS_EVERY = 5  # of those
@@ -56,7 +57,7 @@ class Events:
         ]
 
     async def _state(self, request: web.Request) -> web.StreamResponse:
-        async with self._stream(request) as (response, send):
+        async with self._stream(request) as (response, send, _):
             for number in itertools.count():
                 await send("robots", {"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
                 if number % LINKS_EVERY == 0:
@@ -67,20 +68,21 @@ class Events:
     async def _odometry(self, request: web.Request) -> web.StreamResponse:
         robot = self._hub.robots.find(request.match_info["name"])
         news = asyncio.Event()
-        unsubscribe = self._hub.topics.subscribe(robot.shown.odometry, lambda _: news.set())
-        try:
-            async with self._stream(request) as (response, send):
-                while self._hub.robots.is_known(robot):  # one that was forgotten and is back is another
+        async with self._stream(request) as (response, send, client):
+            participant = self._hub.join(client.name, role=Role.READ, on_end=news.set)
+            try:
+                participant.subscribe(robot.shown.odometry, lambda _: news.set())
+                while self._hub.robots.is_known(robot) and not participant.has_left:  # one that is back is another
                     odometry = odometry_view(robot)
                     if odometry is not None:
                         await send("odometry", odometry)
                     await _wait(news, response)
-        finally:
-            unsubscribe()
+            finally:
+                participant.leave()
         return response
 
     @contextlib.asynccontextmanager
-    async def _stream(self, request: web.Request) -> AsyncIterator[tuple[web.StreamResponse, Send]]:
+    async def _stream(self, request: web.Request) -> AsyncIterator[tuple[web.StreamResponse, Send, Client]]:
         """A response that is written until its reader is gone, which ends the block."""
         response = web.StreamResponse(headers=HEADERS)
         client = self._clients.enter("events", request, request[GRANT])
@@ -97,13 +99,13 @@ class Events:
             except OSError as error:
                 raise web.HTTPBadRequest(reason="it broke off before the first event") from error
             with contextlib.suppress(OSError):  # the reader is gone, or takes nothing (TimeoutError is one too)
-                yield response, send
+                yield response, send, client
         finally:
             self._clients.leave(client)
 
 
 async def _wait(news: asyncio.Event, response: web.StreamResponse) -> None:
-    """Wait for news; in the silence say now and then that the stream lives."""
+    """Wait for news; in the silence send a comment now and then, so that a reader that is gone is noticed."""
     while not news.is_set():
         try:
             async with asyncio.timeout(HEARTBEAT_S):

@@ -7,8 +7,8 @@ from typing import Annotated, TypedDict, TypeVar
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import GRANT, Role
 from hostlink.api.clients import Clients, ClientView
+from hostlink.api.owners import Owners
 from hostlink.api.replies import refusal, reply
 from hostlink.api.routes import Route
 from hostlink.api.views import (
@@ -24,8 +24,11 @@ from hostlink.api.views import (
     velocity_answer,
 )
 from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
+from hostlink.hub.emergency_stop import LOCK_REASON
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import LOCK_REASON, MAX_PRIORITY, PROGRAM_PRIORITY, Robot
+from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.node import Role
+from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 
 Wanted = TypeVar("Wanted")
@@ -92,6 +95,7 @@ class Rest:
     def __init__(self, hub: Hub, clients: Clients) -> None:
         self._hub = hub
         self._clients = clients
+        self._owners = Owners(hub)
 
     def routes(self) -> list[Route]:
         """Every path of the door."""
@@ -192,16 +196,16 @@ class Rest:
         robot = self._find(request)
         wanted = _read(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
-        limited = self._hub.robots.command(robot, velocity, owner=_owner(request), priority=wanted.priority)
+        limited = self._owners.of(request).drive(robot, velocity, priority=wanted.priority)
         return reply(velocity_answer(robot, velocity, limited))
 
     async def _stop(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        self._hub.robots.stop(robot)
+        self._hub.gates.stop(robot)
         return reply(robot_view(robot))
 
     async def _stop_all(self, request: web.Request) -> web.Response:
-        self._hub.robots.stop_all()
+        self._hub.gates.stop_all()
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
@@ -210,14 +214,14 @@ class Rest:
         try:
             wanted = _read(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
         except BadRequest:
-            self._hub.robots.lock(robot, LOCK_REASON)
+            self._hub.emergency_stop.stop(robot)
             raise
-        self._hub.robots.lock(robot, wanted.reason)
+        self._hub.emergency_stop.stop(robot, wanted.reason)
         return reply(robot_view(robot))
 
     async def _unlock(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        self._hub.robots.unlock(robot)
+        self._hub.emergency_stop.release(robot)
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
@@ -226,7 +230,7 @@ class Rest:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
             raise DeviceGone(robot.name)
-        self._hub.publish(robot.shown.reset, {}, source=_owner(request))
+        self._owners.of(request).publish(robot.shown.reset, b"")  # a std_msgs/Empty
         return reply({"reset": robot.shown.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
@@ -256,8 +260,3 @@ def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:
         return msgspec.json.decode(body, type=wanted)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadRequest(f"the body must be {shape}: {error}") from error
-
-
-def _owner(request: web.Request) -> str:
-    """Who drives by REST: all requests with one token, or from one computer, are one source of commands."""
-    return f"rest {request[GRANT].who or request.remote}"

@@ -1,4 +1,4 @@
-"""rosapi: the services by which rosbridge's clients look at the graph, answered from the hub as it is now."""
+"""rosapi: the services by which rosbridge's clients read the graph, answered from the hub as it is now."""
 
 import socket
 import time
@@ -9,28 +9,22 @@ from hostlink.api.parameters import Parameters
 from hostlink.api.stamps import to_time
 from hostlink.api.typedefs import describe
 from hostlink.errors import BadRequest, UnknownTopic
-from hostlink.hub.hub import Hub
-from hostlink.hub.services import Provider
-from hostlink.hub.topic_graph import DAEMON, Topic, resolve
+from hostlink.hub.hub import DAEMON, Hub
+from hostlink.hub.topic_graph import Topic, resolve
 from hostlink.messages.message_type import MessageType, ServiceType
 
 Request = Mapping[str, Any]
 Response = dict[str, Any]
 
-_WRITERS = frozenset({"/rosapi/set_param", "/rosapi/delete_param"})
-
-
-def only_reads(service: str) -> bool:
-    """Whether a call of this service changes nothing: what a client that may only read is left with."""
-    name = resolve(service)
-    return name.startswith("/rosapi/") and name not in _WRITERS
+_WRITERS = frozenset({"set_param", "delete_param"})
 
 
 class RosApi:
-    """One method a service, by its name; `offer` makes them all callable."""
+    """One method a service, by its name; `offer` provides them all."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
+        self._participant = hub.join_daemon()
         self._parameters = Parameters(hub.parameters)
 
     def offer(self) -> None:
@@ -64,12 +58,14 @@ class RosApi:
             "get_ros_version": ("GetROSVersion", lambda _: {"version": 1, "distro": "noetic"}),  # whose types these are
         }
         for name, (type_name, answer) in answers.items():
-            self._hub.services.provide(Provider(f"/rosapi/{name}", f"rosapi/{type_name}", DAEMON, _waiting(answer)))
+            self._participant.provide(
+                f"/rosapi/{name}", f"rosapi/{type_name}", _waiting(answer), is_reading=name not in _WRITERS
+            )
 
     # -- topics and types ---------------------------------------------------------------------------------------------
 
     def _known_topics(self) -> list[Topic]:
-        """Those whose type somebody has said: a topic that is only waited for is none yet."""
+        """Those whose type is known: a topic that has subscribers alone may have none."""
         return [topic for topic in self._hub.topics.all() if topic.type_name]
 
     def _topics(self, _: Request) -> Response:
@@ -144,9 +140,9 @@ class RosApi:
 
     def _nodes(self, _: Request) -> Response:
         topics = self._hub.topics.all()
-        keys = {key for topic in topics for key in (*topic.publishers, *_hearers(topic))}
+        keys = {key for topic in topics for key in (*topic.publishers, *_receivers(topic))}
         offered = {self._node_of_service(name) for name, _ in self._hub.services.all()}
-        return {"nodes": sorted({self._node(DAEMON), *map(self._node, keys), *offered})}
+        return {"nodes": sorted({f"/{DAEMON}", *map(self._node, keys), *offered})}
 
     def _node_details(self, request: Request) -> Response:
         node = _text(request, "node")
@@ -154,7 +150,7 @@ class RosApi:
         offered = [name for name, _ in self._hub.services.all()]
         return {
             "publishing": [topic.name for topic in topics if node in map(self._node, topic.publishers)],
-            "subscribing": [topic.name for topic in topics if node in map(self._node, _hearers(topic))],
+            "subscribing": [topic.name for topic in topics if node in map(self._node, _receivers(topic))],
             "services": [name for name in offered if node == self._node_of_service(name)],
         }
 
@@ -164,7 +160,7 @@ class RosApi:
 
     def _subscribers(self, request: Request) -> Response:
         topic = self._hub.topics.find(_text(request, "topic"))
-        return {"subscribers": sorted(set(map(self._node, _hearers(topic))))}
+        return {"subscribers": sorted(set(map(self._node, _receivers(topic))))}
 
     def _node(self, key: Hashable) -> str:
         """A robot by its name, another device by its link, a client by its number."""
@@ -214,6 +210,6 @@ def _plain(type_name: str) -> str:
     return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else type_name
 
 
-def _hearers(topic: Topic) -> Iterable[Hashable]:
+def _receivers(topic: Topic) -> Iterable[Hashable]:
     """The keys of the devices and the clients that get its messages."""
     return (*topic.devices, *(subscriber.key for subscriber in topic.subscribers))

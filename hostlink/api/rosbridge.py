@@ -5,34 +5,33 @@ import time
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
-import msgspec
 import structlog
 
-from hostlink.api.client_queue import ClientQueue
 from hostlink.api.client_services import ClientServices
 from hostlink.api.client_subscriptions import ClientSubscriptions
 from hostlink.api.client_topics import ClientTopics
 from hostlink.api.drive import Drive
 from hostlink.api.fragments import MAX_PIECES, Fragments
+from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.request import Request
-from hostlink.api.rosapi import only_reads
 from hostlink.api.stamps import fill_stamps
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.node import Role
+from hostlink.hub.participant import MAX_CALLS
 from hostlink.logs import printable
 from hostlink.messages.message_type import ServiceType
 
 log = structlog.get_logger()
 
-MAX_CALLS = 64  # of services, under way at once
 MAX_UNKNOWN_OPS = 8  # that are logged; a client may send any number
 _ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment"})
-_LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client wants `status`
+_LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client receives `status`
 
 
 class RosbridgeClient:
-    """What one client has advertised, subscribed and called; `close` takes all of it back."""
+    """One participant, and the language that its program speaks; `close` takes back what it has."""
 
     def __init__(
         self,
@@ -41,14 +40,13 @@ class RosbridgeClient:
         queue: ClientQueue,
         *,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
-        is_read_only: bool = False,
+        role: Role = Role.DRIVE,
     ) -> None:
         """`spawn` runs a service call as a child of the client's connection."""
-        self.name = name
-        self._is_read_only = is_read_only
-        self.topics = ClientTopics(name, hub.topics, hub.catalog)
-        self.services = ClientServices(name, hub.services, hub.catalog, queue, self._warn)
-        self.subscriptions = ClientSubscriptions(name, hub.topics, queue, self._warn)
+        self.participant = hub.join(name, role=role, on_end=queue.close)
+        self.topics = ClientTopics(self.participant)
+        self.services = ClientServices(self.participant, hub.catalog, queue, self._warn)
+        self.subscriptions = ClientSubscriptions(self.participant, queue, self._warn)
         self._hub = hub
         self._queue = queue
         self._spawn = spawn
@@ -56,7 +54,7 @@ class RosbridgeClient:
         self._status_from = _LEVELS.index("none")
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes)
-        self._drive = Drive(name, hub.robots, queue)
+        self._drive = Drive(self.participant, hub.robots, queue)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self.topics.advertise,
             "unadvertise": self.topics.unadvertise,
@@ -77,7 +75,7 @@ class RosbridgeClient:
         }
 
     def receive(self, text: str | bytes) -> None:
-        """Take one message of the client's; what is wrong with it is told as a status, never raised."""
+        """Do what one message of the client's says; what is wrong with it becomes a status, and is never raised."""
         request = None
         try:
             request = Request.read(text)
@@ -85,11 +83,10 @@ class RosbridgeClient:
             if operation is None:
                 self._log_unknown(request.op)
                 raise BadRequest(f"unknown op {printable(request.op)!r}")
-            if self._is_read_only and request.op not in _ONLY_READS:
-                raise BadRequest(f"{request.op}: the token may only read")
+            self.participant.check(Role.READ if request.op in _ONLY_READS else Role.DRIVE, request.op)
             operation(request)
         except HostlinkError as error:
-            self._tell_status("error", str(error), request)
+            self._put_status("error", str(error), request)
 
     async def settle(self) -> None:
         """Wait until answers have room: a client that does not read them is not read from."""
@@ -99,13 +96,12 @@ class RosbridgeClient:
 
     def flush(self, now_s: float) -> float | None:
         """Queue what throttled subscriptions held back until now; returns when the next is due."""
-        return self.subscriptions.flush(now_s)
+        return self.participant.flush(now_s)
 
     def close(self) -> None:
-        """The client is gone: everything that it held ends, and what it drove stops."""
-        self.subscriptions.close()
+        """The client is gone: all that it has ends, and what it drove stops."""
         self.services.close()
-        self._hub.leave(self.name)
+        self.participant.leave()
 
     # -- operations ---------------------------------------------------------------------------------------------------
 
@@ -114,19 +110,15 @@ class RosbridgeClient:
         message = request.table("msg")
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
         self.topics.publish(request)
-        type_ = self._hub.message_type(topic, type_name)
-        if type_ is not None:
-            message = fill_stamps(type_, message, time.time_ns())
-        self._hub.publish(topic, message, source=self.name, type_name=type_name, priority=priority)
+        type_ = self.participant.message_type(topic, type_name)
+        payload = type_.encode(fill_stamps(type_, message, time.time_ns()))
+        self.participant.publish(topic, payload, priority=priority)
 
     def _call_service(self, request: Request) -> None:
         if self._calls >= MAX_CALLS:
             self._answer(request, f"more than {MAX_CALLS} calls under way", is_right=False)
             return
         request.id  # noqa: B018 - one that cannot be answered is refused before anything is called
-        if self._is_read_only and not only_reads(request.text_or("service", "")):
-            self._answer(request, "the token may only read: of the services it may call rosapi's", is_right=False)
-            return
         self._calls += 1
         self._spawn(self._finish_call(request))
 
@@ -135,7 +127,7 @@ class RosbridgeClient:
             name = request.text("service")
             timeout_s = request.number_or("timeout", 0.0) or None
             arguments = _arguments(request, self._hub.services.type_of(name))
-            values = await self._hub.services.call(name, arguments, timeout_s=timeout_s)
+            values = await self.participant.call(name, arguments, timeout_s=timeout_s)
             self._answer(request, values, is_right=True)
         except HostlinkError as error:
             self._answer(request, str(error), is_right=False)
@@ -153,7 +145,7 @@ class RosbridgeClient:
             self.receive(whole)
 
     def _refuse_goal(self, request: Request) -> None:
-        """rosserial has no actions: who asks for one is told so, instead of waiting."""
+        """rosserial has no actions: a goal is refused at once, so that nobody waits."""
         answer = {"op": "action_result", "action": request.text("action"), "values": "no actions here", "status": 6}
         self._put(request, answer | {"result": False})
 
@@ -172,20 +164,20 @@ class RosbridgeClient:
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:
         """Queue an answer with the id of its request."""
-        self._queue.put_result(msgspec.json.encode(answer | ({"id": request.id} if "id" in request.fields else {})))
+        put_json(self._queue, answer | ({"id": request.id} if "id" in request.fields else {}))
 
     def _warn(self, text: str) -> None:
-        self._tell_status("warning", text, None)
+        self._put_status("warning", text, None)
 
-    def _tell_status(self, level: str, text: str, request: Request | None) -> None:
-        """rosbridge's own clients log an exception for a status that they did not ask for."""
-        log.debug("client.refused", client=self.name, reason=text)
+    def _put_status(self, level: str, text: str, request: Request | None) -> None:
+        """rosbridge's own clients log an exception for a status that they did not request."""
+        log.debug("client.refused", client=self.participant.name, reason=text)
         if _LEVELS.index(level) >= self._status_from:
             status = {"op": "status", "level": level, "msg": text}
             request_id = None if request is None else request.fields.get("id")
             if isinstance(request_id, str | int | float):
                 status["id"] = str(request_id)
-            self._queue.put_result(msgspec.json.encode(status))
+            put_json(self._queue, status)
 
     def _log_unknown(self, op: str) -> None:
         if op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:
@@ -194,7 +186,7 @@ class RosbridgeClient:
 
 
 def _accept(request: Request) -> None:
-    """Old clients authenticate; nothing here asks for it."""
+    """Old clients authenticate; nothing here requires it."""
 
 
 def _refuse_action(request: Request) -> None:

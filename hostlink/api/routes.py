@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 import msgspec
 from aiohttp import web
 
-from hostlink.api.access import Role
+from hostlink.hub.node import Role
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 

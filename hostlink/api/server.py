@@ -18,15 +18,15 @@ from aiohttp.http_exceptions import HttpProcessingError
 from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
-from hostlink.api.access import GRANT, Access, Role, check_role, tls_context, token_of
+from hostlink.api.access import GRANT, Access, check_role, tls_context, token_of
 from hostlink.api.captures import Captures
-from hostlink.api.client_queue import ClientQueue
 from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
 from hostlink.api.heads import refuse_subprotocol, refuse_unreadable
 from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
+from hostlink.api.outgoing import ClientQueue, client_queue
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.replies import explain_errors, reply
 from hostlink.api.rest import Rest
@@ -37,6 +37,7 @@ from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import ApiConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
 from hostlink.logs import printable
 
 log = structlog.get_logger()
@@ -175,7 +176,7 @@ class ApiServer:
 
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         refuse_subprotocol(request)
-        queue = ClientQueue(asyncio.get_running_loop().time)
+        queue = client_queue()
         client = self._clients.enter("rosbridge", request, request[GRANT], queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
@@ -211,7 +212,7 @@ class ApiServer:
                 self._hub,
                 queue,
                 spawn=tasks.create_task,
-                is_read_only=client.grant.role < Role.DRIVE,
+                role=client.grant.role,
             )
             sender = tasks.create_task(self._send(socket, client, rosbridge, queue), name=f"{client.name} sender")
             try:
@@ -243,16 +244,19 @@ class ApiServer:
         """Send what is queued; a client that cannot keep up with its answers is told, and closed."""
         loop = asyncio.get_running_loop()
         async with asyncio.timeout(None) as patience:
-            while not queue.is_too_slow:
+            while not queue.is_too_slow and not queue.is_closed:
                 due_s = rosbridge.flush(loop.time())
                 patience.reschedule(loop.time() + SEND_TIMEOUT_S)
-                for outgoing in itertools.islice(iter(queue.take, None), SEND_BATCH):
-                    kind = WSMsgType.BINARY if outgoing.is_binary else WSMsgType.TEXT
-                    await socket.send_frame(outgoing.data, kind)
-                    client.sent(len(outgoing.data))
-                    self._metrics.to_client.observe(loop.time() - outgoing.since_s)
+                for waiting in itertools.islice(iter(queue.pop, None), SEND_BATCH):
+                    kind = WSMsgType.BINARY if waiting.item.is_binary else WSMsgType.TEXT
+                    await socket.send_frame(waiting.item.data, kind)
+                    client.sent(waiting.size_bytes)
+                    self._metrics.to_client.observe(loop.time() - waiting.since_s)
                 patience.reschedule(None)
                 await _wait(queue, due_s)
+        if queue.is_closed:  # a fault of hostlink has ended the participant, and is logged
+            await socket.close(code=WSCloseCode.INTERNAL_ERROR, message=b"a fault of hostlink", drain=False)
+            raise ConnectionAbortedError("a fault of hostlink")
         log.warning("client.too_slow", dropped=queue.dropped)
         await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too slow: answers pile up", drain=False)
         raise ConnectionAbortedError("answers pile up")  # ends the reader too, which may wait for room

@@ -5,7 +5,7 @@ from typing import TypedDict, cast
 
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import Robot
+from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 
 
@@ -218,7 +218,7 @@ def link_views(hub: Hub) -> list[LinkView]:
                 "md5": info.md5,
                 "buffer_bytes": info.buffer_bytes,
             }
-            for info in link.session.topics
+            for info in hub.device_topics(link)
         ]
         silent_s = round(now_s - link.heard_at_s, 3)
         diagnosis = finding_views(hub.diagnoses.of(link))

@@ -15,11 +15,13 @@ from hostlink.cli.serve import merge, running
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import DEMO_PRIORITY, Robot
+from hostlink.hub.participant import Participant
+from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 from hostlink.sim.run import run_fleet
 
 OWNER = "demo"
+DEMO_PRIORITY = 0  # whoever comes is more important
 CURVE = Velocity(linear_x_m_s=0.15, angular_z_rad_s=0.3)  # a circle of a metre across
 COMMAND_INTERVAL_S = 0.2  # well within the lease
 PAUSE_S = 5.0  # somebody who drove may want to look before the demo drives on
@@ -44,14 +46,15 @@ async def _demo(config: Config, robots: int) -> None:
         async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
             host, port = addresses.tcp
             fleet = tasks.create_task(run_fleet(host, port, robots=robots), name="simulated robots")
-            driver = tasks.create_task(_drive(hub), name="demo driver")
+            participant = hub.join(OWNER, priority=DEMO_PRIORITY)
+            driver = tasks.create_task(_drive(hub, participant), name="demo driver")
             line = tasks.create_task(_show(hub), name="live line")
             _print_welcome(addresses.api)
             await ending.wait()
             line.cancel()
             driver.cancel()
             say("", "stopping the robots ...")
-            hub.robots.leave(OWNER)
+            participant.leave()
             await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots hear it before they go
             fleet.cancel()
 
@@ -66,7 +69,7 @@ def _print_welcome(api: str) -> None:
     )
 
 
-async def _drive(hub: Hub) -> None:
+async def _drive(hub: Hub, participant: Participant) -> None:
     """Drive every robot in a curve; whoever else drives one has it until he has left it alone for a while."""
     now_s = asyncio.get_running_loop().time
     busy_until_s: dict[str, float] = {}
@@ -76,7 +79,7 @@ async def _drive(hub: Hub) -> None:
                 busy_until_s[robot.name] = now_s() + PAUSE_S
             elif now_s() >= busy_until_s.get(robot.name, 0.0):
                 with contextlib.suppress(HostlinkError):  # not connected yet, or taken this very moment
-                    hub.robots.command(robot, CURVE, owner=OWNER, priority=DEMO_PRIORITY)
+                    participant.drive(robot, CURVE)
         await asyncio.sleep(COMMAND_INTERVAL_S)
 
 

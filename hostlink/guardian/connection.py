@@ -17,11 +17,11 @@ _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 class Connection:
     """TCP or serial. Nothing is read or written before the first `step`: until then the daemon does that."""
 
-    def __init__(self, descriptor: int, topic_id: int, claim_bytes: int) -> None:
+    def __init__(self, descriptor: int, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
         self.descriptor = descriptor
         self.is_open = True
         self._is_serial = os.isatty(descriptor)
-        self._writer = StopWriter(topic_id, claim_bytes)
+        self._writer = StopWriter(topic_ids, claim_bytes)
         self._is_readable = True  # until its end has come
         self._is_begun = self._is_finished = False
 

@@ -1,6 +1,6 @@
 """What the guardian sends: a zero velocity, and the request to fall silent. Pure; imports nothing, for a small process.
 
-There is no frame here that moves a robot: of a velocity only the topic id can be chosen.
+There is no frame here that moves a robot: of a velocity only the topic ids can be chosen.
 """
 
 TWIST_BYTES = 48  # geometry_msgs/Twist: six float64
@@ -16,7 +16,7 @@ def zero_frame(topic_id: int) -> bytes:
     return header + bytes(TWIST_BYTES) + bytes((0xFF - (low + high) % 256,))
 
 
-def stop_sequence(topic_id: int, claim_bytes: int) -> list[tuple[float, bytes]]:
+def stop_sequence(topic_ids: tuple[int, ...], claim_bytes: int) -> list[tuple[float, bytes]]:
     """What is due after so many seconds. `claim_bytes`: the longest frame that the device may have been sent.
 
     The daemon may have ended in the middle of a frame; a device takes what comes next for the rest of it. So the first
@@ -29,7 +29,7 @@ def stop_sequence(topic_id: int, claim_bytes: int) -> list[tuple[float, bytes]]:
     | is inside a frame, and gives it up (20 ms, ros_lib)     | that, or the first one after it gave up: within 50 ms  |
     | lost bytes, because it or its radio was busy            | those after 50 and 100 ms                              |
     """
-    zero = zero_frame(topic_id)
+    zero = b"\0".join(map(zero_frame, topic_ids))  # of all; what follows holds for the last as for the first
     again = b"\0" + zero  # a 00 means nothing between frames; without it one that ends with FF would hide the next
     first = zero + again * (1 + -(-claim_bytes // len(again))) if claim_bytes else zero
     parts = [first, *[zero] * (ZEROS - 1), STOP_REQUEST]
@@ -39,8 +39,8 @@ def stop_sequence(topic_id: int, claim_bytes: int) -> list[tuple[float, bytes]]:
 class StopWriter:
     """What one device is still owed of its stop sequence."""
 
-    def __init__(self, topic_id: int, claim_bytes: int) -> None:
-        self._topic_id, self._claim_bytes = topic_id, claim_bytes
+    def __init__(self, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
+        self._topic_ids, self._claim_bytes = topic_ids, claim_bytes
         self._due: list[tuple[float, bytes]] = []
         self._waiting = b""
         self._is_begun = False
@@ -49,7 +49,7 @@ class StopWriter:
         """What should be written by now, `now_s` after the daemon's end, and was not."""
         if not self._is_begun:  # not before: a sequence may be long, and connections many
             self._is_begun = True
-            self._due = stop_sequence(self._topic_id, self._claim_bytes)
+            self._due = stop_sequence(self._topic_ids, self._claim_bytes)
         while self._due and self._due[0][0] <= now_s:
             self._waiting += self._due.pop(0)[1]
         return self._waiting

@@ -12,7 +12,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import structlog
@@ -86,9 +86,11 @@ class Guardian:
 
     # -- what the daemon tells ----------------------------------------------------------------------------------------
 
-    def watch(self, number: int, connection: Callable[[], int | None], *, topic_id: int, claim_bytes: int) -> None:
-        """A link is a robot's, with this velocity topic; `connection` gives its descriptor as long as it is open."""
-        self._roster.watch(number, Watched(connection, topic_id, claim_bytes))
+    def watch(
+        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+    ) -> None:
+        """A link has these velocity topics; `connection` gives its descriptor while it is open."""
+        self._roster.watch(number, Watched(connection, tuple(topic_ids), claim_bytes))
         self._tell()
 
     def release(self, number: int) -> None:

@@ -75,7 +75,7 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
             continue
         if not record:
             return False
-        kind, number, topic_id, claim_bytes = decode(record)
+        kind, number, topic_ids, claim_bytes = decode(record)
         if kind == GOODBYE:
             return True
         if kind == PING:
@@ -86,7 +86,7 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
             old.close()
         if kind != RELEASE and ancillary:  # without a descriptor: this process has none left; the answers tell
             descriptor = int.from_bytes(ancillary[0][2][:DESCRIPTOR_BYTES], sys.byteorder)
-            connections[number] = Connection(descriptor, topic_id, claim_bytes)
+            connections[number] = Connection(descriptor, topic_ids, claim_bytes)
 
 
 def answer(channel: _socket.socket, held: int) -> None:

@@ -7,37 +7,39 @@ RELEASE = b"R"  # its connection has ended, or it is no robot any more
 PING = b"P"  # is answered with the number of connections that are held
 GOODBYE = b"G"  # the daemon ends as it should: nothing is to be sent
 
-_RECORD = struct.Struct("<cQHI")
+MAX_TOPICS = 16  # of one device
+_RECORD = struct.Struct(f"<cQI{MAX_TOPICS}H")  # an id of 0 is none
+_NONE = (0,) * MAX_TOPICS
 _ANSWER = struct.Struct("<I")
 RECORD_BYTES = _RECORD.size
 ANSWER_BYTES = _ANSWER.size
 DESCRIPTOR_BYTES = 4  # of an int in SCM_RIGHTS
 
 
-def encode_watch(number: int, topic_id: int, claim_bytes: int) -> bytes:
-    """Link number, id of the velocity topic, the longest frame that the device may have been sent."""
-    return _RECORD.pack(WATCH, number, topic_id, claim_bytes)
+def encode_watch(number: int, topic_ids: tuple[int, ...], claim_bytes: int) -> bytes:
+    """Link number, ids of the velocity topics, the longest frame that the device may have been sent."""
+    return _RECORD.pack(WATCH, number, claim_bytes, *(topic_ids + _NONE)[:MAX_TOPICS])
 
 
 def encode_release(number: int) -> bytes:
     """Link number."""
-    return _RECORD.pack(RELEASE, number, 0, 0)
+    return _RECORD.pack(RELEASE, number, 0, *_NONE)
 
 
 def encode_ping() -> bytes:
     """A question that any living guardian answers."""
-    return _RECORD.pack(PING, 0, 0, 0)
+    return _RECORD.pack(PING, 0, 0, *_NONE)
 
 
 def encode_goodbye() -> bytes:
     """The last record."""
-    return _RECORD.pack(GOODBYE, 0, 0, 0)
+    return _RECORD.pack(GOODBYE, 0, 0, *_NONE)
 
 
-def decode(record: bytes) -> tuple[bytes, int, int, int]:
-    """(kind, link number, topic id, claim); struct.error for what is no record."""
-    kind, number, topic_id, claim_bytes = _RECORD.unpack(record)
-    return kind, number, topic_id, claim_bytes
+def decode(record: bytes) -> tuple[bytes, int, tuple[int, ...], int]:
+    """(kind, link number, topic ids, claim); struct.error for what is no record."""
+    kind, number, claim_bytes, *topic_ids = _RECORD.unpack(record)
+    return kind, number, tuple(filter(None, topic_ids)), claim_bytes
 
 
 def encode_answer(held: int) -> bytes:

@@ -14,7 +14,7 @@ class Watched:
     """How one robot is stopped."""
 
     connection: Callable[[], int | None]  # its descriptor, as long as it is open
-    topic_id: int
+    topic_ids: tuple[int, ...]
     claim_bytes: int
 
 
@@ -32,7 +32,7 @@ class Roster:
         return len(self._held)
 
     def watch(self, number: int, watched: Watched) -> None:
-        """Give the guardian this link, or this link's new velocity topic."""
+        """Give the guardian this link, or this link's new velocity topics."""
         self._wanted[number] = watched
         self._untold[number] = None
 
@@ -50,7 +50,7 @@ class Roster:
             watched = self._wanted.get(number)
             descriptor = None if watched is None else watched.connection()
             if watched is not None and descriptor is not None:
-                return encode_watch(number, watched.topic_id, watched.claim_bytes), descriptor
+                return encode_watch(number, watched.topic_ids, watched.claim_bytes), descriptor
             if number in self._held:
                 return encode_release(number), None
             del self._untold[number]  # it closed before it was handed over

@@ -1,26 +1,32 @@
 """Device: what one link means to the graph: its topics, its services, and the routes of its frames."""
 
-import asyncio
 import struct
 import time
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 
 import structlog
 
-from hostlink.errors import BadRequest, WrongType
-from hostlink.hub.services import DeviceService, Services
+from hostlink.errors import BadRequest, HostlinkError, WrongType
+from hostlink.hub.drivable import Drivable, is_velocity
+from hostlink.hub.message import Message
+from hostlink.hub.node import Node
+from hostlink.hub.participant import Parts
+from hostlink.hub.robot import Robot
+from hostlink.hub.robot_settings import limits_of
+from hostlink.hub.services import DeviceService
 from hostlink.hub.shown_names import ShownNames
-from hostlink.hub.topic_graph import SendToDevice, Topic, TopicGraph
-from hostlink.hub.ungated import UngatedVelocities, is_velocity
-from hostlink.link.link import Link
+from hostlink.hub.topic_graph import DeviceSubscription, Receive, Subscriber, Topic
+from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Field
-from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
-from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.robot.velocity_gate import Limits, VelocityGate
 
 log = structlog.get_logger()
 
@@ -29,6 +35,7 @@ _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
 _NS_PER_S = 1_000_000_000
 EARLY_MESSAGES, EARLY_BYTES = 128, 65536  # three seconds of the project's robot
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
+UNLIMITED = Limits(max_linear_m_s=None, max_angular_rad_s=None)  # nothing is configured for what is no robot
 
 
 def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
@@ -48,85 +55,153 @@ def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
 class Device:
     """A link in the graph, from its first negotiation to its end."""
 
-    def __init__(
-        self, link: Link, topics: TopicGraph, services: Services, catalog: Catalog, ungated: UngatedVelocities
-    ) -> None:
+    def __init__(self, link: Link, parts: Parts, node: Node) -> None:
+        """`node` is the key under which hostlink itself subscribes to the odometry."""
         self.link = link
-        self._ungated = ungated
         self.routes: dict[int, Topic] = {}  # where the messages of an id go
-        self.odometry: dict[int, MessageType] = {}  # the ids that tell where its robot is
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # of its topics, as they are shown
-        self.services: dict[str, DeviceService] = {}  # its own, by the names that it tells
+        self.services: dict[str, DeviceService] = {}  # its own, by the names that it announces
         self.early = EarlyMessages()
         self.is_undecided = False  # whether it is known who it is
-        self.infos: tuple[TopicInfo, ...] = ()  # what it told last
+        self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
-        self._topics, self._services, self._catalog = topics, services, catalog
+        self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
+        self._parts, self._node = parts, node
 
-    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: RobotTopicNames | None = None) -> None:
+    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: Robot | None = None) -> None:
         """Put the device's endpoints into the graph in place of those that it had."""
         self.leave()
         self.shown = shown
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
         for info in infos:
             try:
-                self._add(info)
+                self._add(info, robot)
             except (WrongType, BadRequest) as error:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
-            if robot is not None and info.kind is Id.PUBLISHER:
-                self._add_odometry(info, robot)
+                self._route_refused(info, robot)
 
-    def look_at_stamp(self, topic_id: int, payload: bytes) -> None:
-        """A message came: if it has a header, its stamp says something about the device's clock."""
-        if topic_id in self._stamped and len(payload) >= _STAMP.size:
-            secs, nsecs = _STAMP.unpack_from(payload)
-            clock = self.link.session.device_clock
-            clock.see(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=self.link.heard_at_s)
+    def receive(self, message: MessageReceived) -> None:
+        """Pass a message of the device to whoever subscribes."""
+        topic_id, now_s = message.topic.topic_id, self.link.heard_at_s
+        if topic_id in self._stamped:
+            self._observe_stamp(message.payload, now_s)
+        topic = self.routes.get(topic_id)
+        if topic is not None:
+            try:
+                topic.publish(message.payload, source=self.link, at_s=now_s)
+            except HostlinkError as error:
+                log.debug("message.refused", topic=topic.name, reason=str(error))
+
+    def stand(self) -> None:
+        """Zero to whatever it can be driven by: it may be a robot that has come back and obeys an old command."""
+        for info in filter(is_velocity, self.infos):
+            self._parts.gates.attach(self._drivable(info, None), self.link)
 
     def leave(self) -> None:
-        """Take everything of this device out of the graph."""
+        """Remove everything of this device from the graph."""
+        for end in self._odometry:
+            end()
+        self._odometry.clear()
         self.routes.clear()
-        self.odometry.clear()
         self._stamped.clear()
         self.names = frozenset()
-        self._topics.leave(self.link)
-        self._services.leave(self.link)
+        self._parts.topics.leave(self.link)
+        self._parts.services.leave(self.link)
         self.services.clear()
 
-    def _add(self, info: TopicInfo) -> None:
+    def _add(self, info: TopicInfo, robot: Robot | None) -> None:
         name = self.shown.of(info.name)
         if info.kind is Id.PUBLISHER:
-            topic = self.routes[info.topic_id] = self._topics.advertise(name, self.link, type_name=info.type)
-            if topic.type is not None and topic.type.fields[:1] == (_HEADER,):
-                self._stamped.add(info.topic_id)
+            topic = self._parts.topics.advertise(name, self.link, type_name=info.type)
+            self._route(info, topic, robot)
         elif info.kind is Id.SUBSCRIBER:
-            self._topics.subscribe_device(name, self.link, self._sender(info), type_name=info.type)
+            self._subscribe(info, name, robot)
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
-            type_ = self._catalog.service(info.type)
+            type_ = self._parts.catalog.service(info.type)
             service = DeviceService(name, info.type, type_, self.link, lambda payload: self._call(info.name, payload))
             service.md5_sums = self._md5_sums(info.name)
-            self._services.add_device_service(service)
+            self._parts.services.add_device_service(service)
             self.services[info.name] = service
+
+    # -- from the device ----------------------------------------------------------------------------------------------
+
+    def _route(self, info: TopicInfo, topic: Topic, robot: Robot | None) -> None:
+        """A robot reads the topic of its own odometry by the link and the id, whatever others publish there."""
+        self.routes[info.topic_id] = topic
+        if topic.type is not None and topic.type.fields[:1] == (_HEADER,):
+            self._stamped.add(info.topic_id)
+        if robot is not None and (info.name, info.type) == (robot.topics.odometry, robot.topics.odometry_type):
+            self._subscribe_robot(topic, robot)
+
+    def _route_refused(self, info: TopicInfo, robot: Robot | None) -> None:
+        """A robot receives its odometry also where the graph has another type by this name."""
+        if robot is not None and info.kind is Id.PUBLISHER and info.name == robot.topics.odometry:
+            topic = Topic(self.shown.of(info.name))
+            topic.type, topic.type_name = self._parts.catalog.message(info.type), info.type
+            self._route(info, topic, robot)
+
+    def _subscribe_robot(self, topic: Topic, robot: Robot) -> None:
+        number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._node, "", self._fail(robot)))
+        self._odometry.append(lambda: topic.remove_subscriber(number))
+
+    def _fail(self, robot: Robot) -> Callable[[Exception], None]:
+        """What ends a link whose robot's odometry cannot be read: it begins anew, at rest."""
+
+        def fail(error: Exception) -> None:
+            self.link.end(LinkEnd.CRASHED)
+            self._parts.isolation.crashed("robot", error, robot=robot.name)
+
+        return fail
+
+    def _observe_stamp(self, payload: bytes, now_s: float) -> None:
+        """The stamp of a header says something about the device's clock."""
+        if len(payload) >= _STAMP.size:
+            secs, nsecs = _STAMP.unpack_from(payload)
+            self.link.session.device_clock.see(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=now_s)
+
+    # -- to the device ------------------------------------------------------------------------------------------------
+
+    def _subscribe(self, info: TopicInfo, name: str, robot: Robot | None) -> None:
+        drivable: Drivable | None = None
+        if robot is not None and info.name == robot.topics.velocity and info.type == TWIST_TYPE:
+            drivable = robot
+        elif is_velocity(info):
+            drivable = self._drivable(info, robot)
+            self._parts.gates.attach(drivable, self.link)
+        if drivable is None:
+            subscription = DeviceSubscription(self._sender(info, robot), is_gate=False)
+        else:
+            subscription = DeviceSubscription(partial(self._parts.gates.receive, drivable), is_gate=True)
+        topic = self._parts.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
+        if drivable is not None:
+            drivable.echoes[topic.name] = topic
+
+    def _drivable(self, info: TopicInfo, robot: Robot | None) -> Drivable:
+        """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose."""
+        if robot is None:
+            shown = self.shown.of(info.name)
+            return Drivable(name=shown, velocity_topic=info.name, gate=VelocityGate(shown, UNLIMITED))
+        gate = VelocityGate(robot.name, limits_of(robot.config))
+        if robot.gate.lock_reason is not None:
+            gate.lock(robot.gate.lock_reason)
+        return Drivable(name=robot.name, velocity_topic=info.name, gate=gate)
+
+    def _sender(self, info: TopicInfo, robot: Robot | None) -> Receive:
+        def send(message: Message) -> None:
+            self.link.session.publish(info.name, message.payload, depth=COMMAND_DEPTH)
+            self.link.wake()
+
+        def reset(message: Message) -> None:
+            if robot is not None:
+                robot.odometry.expect_reset(message.at_s)
+            send(message)
+
+        return reset if robot is not None and info.name == robot.topics.reset else send
 
     def _md5_sums(self, service: str) -> tuple[str, str]:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}
         return sums.get(Id.SERVICE_SERVER_SUBSCRIBER, ""), sums.get(Id.SERVICE_SERVER_PUBLISHER, "")
-
-    def _add_odometry(self, info: TopicInfo, robot: RobotTopicNames) -> None:
-        type_ = self._catalog.message(info.type)
-        if (info.name, info.type) == (robot.odometry, robot.odometry_type) and type_ is not None:
-            self.odometry[info.topic_id] = type_
-
-    def _sender(self, info: TopicInfo) -> SendToDevice:
-        def send(payload: bytes) -> None:
-            self.link.session.publish(info.name, payload, depth=COMMAND_DEPTH)
-            self.link.wake()
-
-        def drive(payload: bytes) -> None:
-            self._ungated.send(self.link, info.name, payload, now_s=asyncio.get_running_loop().time())
-
-        return drive if is_velocity(info) else send  # a robot's own velocity topic has a gate, and comes here never
 
     def _call(self, name: str, payload: bytes) -> None:
         self.link.session.call(name, payload)
@@ -134,7 +209,7 @@ class Device:
 
 
 class EarlyMessages:
-    """What a device said while it was not known who it is, to be heard afterwards; of too much the oldest goes."""
+    """What a device sent while it was not known who it is, to be passed on later; over a bound the oldest goes."""
 
     def __init__(self) -> None:
         self._waiting: deque[MessageReceived] = deque()
@@ -152,9 +227,9 @@ class EarlyMessages:
             self._bytes -= len(self._waiting.popleft().payload)
         return before + 1 - len(self._waiting)
 
-    def take(self) -> list[MessageReceived]:
+    def pop_all(self) -> list[MessageReceived]:
         """All of them; none is left."""
-        taken = list(self._waiting)
+        waiting = list(self._waiting)
         self._waiting.clear()
         self._bytes = 0
-        return taken
+        return waiting

@@ -100,7 +100,7 @@ class DeviceCalls:
         self._turns = turns
         self._calls: dict[int, dict[int, deque[_Call]]] = {}  # by link, by endpoint
 
-    def take(self, link: Link, event: ServiceRequested) -> None:
+    def accept(self, link: Link, event: ServiceRequested) -> None:
         """A device calls a service, and waits from now on."""
         call = _Call(link, event, asyncio.get_running_loop().time())
         of_link = self._calls.setdefault(link.number, {})

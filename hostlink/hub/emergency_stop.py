@@ -1,32 +1,93 @@
-"""The emergency stop as services, so that programs and devices can call it: <robot>/lock and <robot>/unlock."""
+"""EmergencyStop: zero at once, and no command until the release, for one robot; also by services.
 
+The services are <robot>/lock and <robot>/unlock: `lock` is the word of every API.
+"""
+
+import asyncio
+import contextlib
 from collections.abc import Mapping
 
-from hostlink.hub.robots import LOCK_REASON, Robot, Robots
-from hostlink.hub.services import Provider, Services
-from hostlink.hub.topic_graph import DAEMON, resolve
+import structlog
 
+from hostlink.errors import HostlinkError
+from hostlink.hub.gates import Gates
+from hostlink.hub.participant import Participant
+from hostlink.hub.robot import Robot
+from hostlink.hub.robots import Robots
+from hostlink.logs import printable
+from hostlink.robot.presence import SURE_S
+
+log = structlog.get_logger()
+
+LOCK_REASON = "emergency stop"  # where none was given
 _TYPE = "std_srvs/Trigger"
 _LOCK, _UNLOCK = "lock", "unlock"
 
 
-def offer_lock(robots: Robots, services: Services, robot: Robot) -> None:
-    """From now on the robot can be locked and unlocked by a call; nobody else may offer services of these names."""
-    name = robot.name
+class EmergencyStop:
+    """Which robots are locked."""
 
-    async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
-        robots.lock(robot, LOCK_REASON)
-        return {"success": True, "message": f"{name} is locked until {name}/{_UNLOCK} is called"}
+    def __init__(self, robots: Robots, gates: Gates, participant: Participant) -> None:
+        """`participant` serves the services."""
+        self._robots, self._gates, self._participant = robots, gates, participant
+        self._locked: dict[str, Robot] = {}
 
-    async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
-        robots.unlock(robot)
-        return {"success": True, "message": f"{name} may be driven"}
+    def stop(self, robot: Robot, reason: str = LOCK_REASON) -> None:
+        """Zero at once, and no command until `release`; also while the robot is not connected.
 
-    for service, answer in ((_LOCK, lock), (_UNLOCK, unlock)):
-        services.provide(Provider(resolve(f"{name}/{service}"), _TYPE, DAEMON, answer))
+        Raises:
+            HostlinkError: the device could not take the zero; the robot is locked then, too.
+        """
+        robot.locked_link = robot.link
+        self._locked[robot.name] = robot
+        self._robots.keep(robot)
+        try:
+            self._gates.lock(self._gates.beside(robot), printable(reason))
+        finally:
+            log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
+
+    def release(self, robot: Robot) -> None:
+        """Let the robot be driven again."""
+        if robot.gate.lock_reason is not None:
+            log.warning("robot.unlocked", robot=robot.name, reason=robot.gate.lock_reason)
+        for drivable in self._gates.beside(robot):
+            drivable.gate.unlock()
+        self._locked.pop(robot.name, None)
+        self._robots.put_away(robot)
+
+    def lock_likewise(self, robot: Robot) -> None:
+        """Lock a robot that may be a locked one which has come back under another name."""
+        if robot.gate.lock_reason is not None:
+            return
+        for other in self._locked.values():
+            if other.topics.name == robot.topics.name and not _is_surely_there(other):
+                with contextlib.suppress(HostlinkError):  # it is locked; a device that takes no zero obeys nobody
+                    self.stop(robot, f"it may be {other.name}: {other.gate.lock_reason}")
+                return
+
+    def serve(self, robot: Robot) -> None:
+        """Provide the robot's services; nobody else may provide services of these names."""
+        name = robot.name
+
+        async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
+            self.stop(robot)
+            return {"success": True, "message": f"{name} is locked until {name}/{_UNLOCK} is called"}
+
+        async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
+            self.release(robot)
+            return {"success": True, "message": f"{name} may be driven"}
+
+        for service, answer in ((_LOCK, lock), (_UNLOCK, unlock)):
+            self._participant.provide(f"{name}/{service}", _TYPE, answer)
+
+    def withdraw(self, robot: Robot) -> None:
+        """The robot is forgotten."""
+        for service in (_LOCK, _UNLOCK):
+            self._participant.withdraw(f"{robot.name}/{service}")
 
 
-def withdraw_lock(services: Services, robot: Robot) -> None:
-    """The robot is forgotten."""
-    for service in (_LOCK, _UNLOCK):
-        services.withdraw(f"{robot.name}/{service}", DAEMON)
+def _is_surely_there(robot: Robot) -> bool:
+    """Whether a locked robot is on the link on which it was locked, and that link lives."""
+    link = robot.link
+    is_same = link is not None and link is robot.locked_link
+    return is_same and link is not None and link.heard_at_s > asyncio.get_running_loop().time() - SURE_S

@@ -10,17 +10,17 @@ import structlog
 
 from hostlink.hub.device import Device
 from hostlink.hub.diagnoses import Diagnoses
-from hostlink.hub.emergency_stop import offer_lock, withdraw_lock
+from hostlink.hub.emergency_stop import EmergencyStop
+from hostlink.hub.gates import Gates
+from hostlink.hub.robot import Robot
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
-from hostlink.hub.robots import Robot, Robots
-from hostlink.hub.services import Services
+from hostlink.hub.robots import Robots
 from hostlink.hub.shown_names import ShownNames
-from hostlink.hub.ungated import is_velocity
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived
-from hostlink.robot.directory import Accepted, Directory, Undecided
+from hostlink.robot.directory import Accepted, Directory, RobotTopicNames, Undecided
 
 log = structlog.get_logger()
 
@@ -28,12 +28,13 @@ DECIDE_INTERVAL_S = 0.05  # a robot speaks every 0.1 s
 LAST_ZERO_S = 0.2  # for the zero to a link that is replaced while its robot drives
 
 
-class Parts(NamedTuple):
+class Affected(NamedTuple):
     """What of the hub depends on who a device is."""
 
+    gates: Gates
     robots: Robots
     robot_topics: RobotTopicPublisher
-    services: Services
+    emergency_stop: EmergencyStop
     diagnoses: Diagnoses
 
 
@@ -41,25 +42,19 @@ class Identities:
     """Owns the devices of the live links. The Directory decides, this does what was decided."""
 
     def __init__(
-        self,
-        parts: Parts,
-        directory: Directory,
-        *,
-        spawn: Callable[[Coroutine[Any, Any, object], str], None],
-        deliver: Callable[[Link, MessageReceived], None],
+        self, affected: Affected, directory: Directory, *, spawn: Callable[[Coroutine[Any, Any, object], str], None]
     ) -> None:
-        """`deliver`: what a device said while it was not known who it is."""
         self.devices: dict[int, Device] = {}
         self.unheard = 0  # messages of devices that left before it was known who they are, or had too many
-        self._parts, self._directory = parts, directory
-        self._spawn, self._deliver = spawn, deliver
+        self._affected, self._directory = affected, directory
+        self._spawn = spawn
 
     def hear(self, link: Link) -> None:
-        """A device said something."""
+        """A device sent something."""
         self._directory.hear(link.number, link.heard_at_s)
 
     def announce(self, link: Link, infos: tuple[TopicInfo, ...]) -> None:
-        """A device has told its topics, other ones than before."""
+        """A device has announced its topics, other ones than before."""
         self.devices[link.number].infos = infos
         self._identify(self.devices[link.number])
 
@@ -73,14 +68,14 @@ class Identities:
         if device is not None:
             self.unheard += len(device.early)
             self._leave_graph(device)
-            self._parts.robots.leave(str(link))  # a device may drive another
+            self._affected.gates.release(str(link))  # a device may drive another
             self._directory.leave(link.number)
 
     def forget_robot(self, robot: Robot) -> None:
         """It has been away for long."""
         self._directory.forget(robot.name)
-        self._parts.robot_topics.forget(robot)
-        withdraw_lock(self._parts.services, robot)
+        self._affected.robot_topics.forget(robot)
+        self._affected.emergency_stop.withdraw(robot)
 
     def _identify(self, device: Device) -> None:
         """Find out which device it is, as far as that can be known by now."""
@@ -95,7 +90,7 @@ class Identities:
         )
         if isinstance(claim, Undecided):
             self._wait(device, claim)
-        elif claim.robot is not None and not self._parts.robots.make_room(claim.robot.name):
+        elif claim.robot is not None and not self._affected.robots.make_room(claim.robot.name):
             self._refuse(link, claim.robot.name)
         else:
             self._accept(device, claim)
@@ -109,14 +104,8 @@ class Identities:
         if not device.is_undecided:
             device.is_undecided = True
             self._leave_graph(device)
-            self._stand(device)
+            device.stand()
             self._spawn(self._decide(device), f"identity of link {device.link.number}")
-
-    def _stand(self, device: Device) -> None:
-        """It may be a robot that has come back and still obeys what it heard before: zero, whoever it is."""
-        for info in filter(is_velocity, device.infos[::-1]):
-            self._parts.robots.guard_link(device.link, info.name)
-            self._parts.robots.ungated.stand(device.link, info.name, now_s=asyncio.get_running_loop().time())
 
     async def _decide(self, device: Device) -> None:
         while device.is_undecided:
@@ -133,33 +122,37 @@ class Identities:
 
     def _accept(self, device: Device, claim: Accepted) -> None:
         """Put the device into the graph, as the robot that it is."""
-        robots, link, robot = self._parts.robots, device.link, claim.robot
+        robots, link = self._affected.robots, device.link
         if claim.replaces is not None:
             self._replace(claim.replaces)
         touched, before = device.names, robots.of_link(link)
         changed = [] if before is None else [before]
-        if robot is None:
+        if claim.robot is None:
             robots.vanish(link)
             device.announce(device.infos, ShownNames())
-            for info in filter(is_velocity, device.infos[::-1]):  # the first is the one that counts
-                robots.guard_link(link, info.name)
         else:
-            own = dataclasses.replace(robot, name=claim.own_name)
-            shown = ShownNames(own, robot.name)
-            device.announce(device.infos, shown, own)
-            known = robots.appear(robot.name, own, link, shown=shown.of_robot(own), is_certain=claim.is_certain)
-            offer_lock(robots, self._parts.services, known)
-            changed.append(known)
-        self._parts.robot_topics.update(changed, touched | device.names)
+            changed.append(self._accept_robot(device, claim, claim.robot))
+        self._affected.robot_topics.update(changed, touched | device.names)
         self._log_name(link, claim)
         device.is_undecided = False
-        for message in device.early.take():
-            self._deliver(link, message)
+        for message in device.early.pop_all():
+            device.receive(message)
+
+    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> Robot:
+        before = self._affected.robots.of_link(device.link)
+        own = dataclasses.replace(names, name=claim.own_name)
+        shown = ShownNames(own, names.name)
+        robot = self._affected.robots.appear(names.name, own, shown.of_robot(own), device.link)
+        device.announce(device.infos, shown, robot)
+        if not claim.is_certain and before is not robot:
+            self._affected.emergency_stop.lock_likewise(robot)
+        self._affected.emergency_stop.serve(robot)
+        return robot
 
     def _log_name(self, link: Link, claim: Accepted) -> None:
         """Which links are one device's tells a reboot from another board; a number for a name should be no secret."""
         name = "" if claim.robot is None else claim.robot.name
-        self._parts.diagnoses.identify(link, name, own_name=claim.own_name if claim.is_numbered else "")
+        self._affected.diagnoses.identify(link, name, own_name=claim.own_name if claim.is_numbered else "")
         if claim.is_numbered:
             log.warning(
                 "robot.numbered",
@@ -173,7 +166,7 @@ class Identities:
         old = self.devices.get(number)
         if old is None:
             return
-        robot = self._parts.robots.of_link(old.link)
+        robot = self._affected.robots.of_link(old.link)
         is_moving = robot is not None and robot.gate.may_move
         self.forget(old.link)
         if is_moving:
@@ -182,10 +175,10 @@ class Identities:
             old.link.end(LinkEnd.REPLACED)
 
     def _leave_graph(self, device: Device) -> None:
-        touched, robot = device.names, self._parts.robots.vanish(device.link)
+        touched, robot = device.names, self._affected.robots.vanish(device.link)
         device.leave()
         if robot is not None or touched:
-            self._parts.robot_topics.update([] if robot is None else [robot], touched)
+            self._affected.robot_topics.update([] if robot is None else [robot], touched)
 
 
 async def _end_replaced(link: Link) -> None:

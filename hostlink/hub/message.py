@@ -1,32 +1,62 @@
-"""Message: one payload on one topic, decoded only when somebody asks, and then once for all who do."""
+"""Message: one payload on one topic, as it came; decoded only when somebody needs the fields, and then once for all."""
 
-from functools import cached_property
-
-import msgspec
+from collections.abc import Callable, Hashable
 
 from hostlink.errors import BadPayload
 from hostlink.messages.message_type import MessageType
 
+PROGRAM_PRIORITY = 50  # of a program that names none
+MAX_PRIORITY = 100  # a person at keys or a joystick has 60
+
 
 class Message:
-    """Bytes on their way from a device or a client to everybody who subscribed."""
+    """Bytes on their way from a device or a participant to every subscriber.
 
-    def __init__(self, topic: str, type_name: str, type_: MessageType | None, payload: bytes, stamp_ns: int) -> None:
+    `stamp_ns` and `at_s` are wall time and loop time of the arrival. `priority` matters to a velocity gate alone.
+    """
+
+    __slots__ = ("_decoded", "_made", "at_s", "payload", "priority", "source", "stamp_ns", "topic", "type", "type_name")
+
+    def __init__(  # noqa: PLR0913 - the fields of a record
+        self,
+        topic: str,
+        type_name: str,
+        type_: MessageType | None,
+        payload: bytes,
+        *,
+        source: Hashable,
+        stamp_ns: int,
+        at_s: float,
+        priority: int = PROGRAM_PRIORITY,
+    ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.type = type_  # None: a type that nobody has a definition of; the payload passes as it is
         self.payload = payload
-        self.stamp_ns = stamp_ns  # wall time of arrival
-        self.frames: dict[tuple[str, str], bytes] = {}  # what clients are sent, by form and the name that they use
+        self.source = source
+        self.stamp_ns = stamp_ns
+        self.at_s = at_s
+        self.priority = priority
+        self._decoded: dict[str, object] | None = None
+        self._made: dict[Hashable, bytes] | None = None
 
-    @cached_property
+    @property
     def decoded(self) -> dict[str, object]:
-        """The fields; BadPayload when the bytes do not fit the type, or the type is unknown."""
-        if self.type is None:
-            raise BadPayload(self.type_name, "no definition; put its .msg into a folder named in message_folders")
-        return self.type.decode(self.payload)
+        """The fields.
 
-    @cached_property
-    def json(self) -> bytes:
-        """The fields as JSON: NaN is null, uint8[] is base64."""
-        return msgspec.json.encode(self.decoded)
+        Raises:
+            BadPayload: the bytes do not fit the type, or the type is unknown.
+        """
+        if self._decoded is None:
+            if self.type is None:
+                raise BadPayload(self.type_name, "no definition; put its .msg into a folder named in message_folders")
+            self._decoded = self.type.decode(self.payload)
+        return self._decoded
+
+    def made(self, form: Hashable, make: Callable[["Message"], bytes]) -> bytes:
+        """The message in another form, made once for all who need it in this form."""
+        if self._made is None:
+            self._made = {}
+        if form not in self._made:
+            self._made[form] = make(self)
+        return self._made[form]

@@ -1,6 +1,6 @@
 """RobotTopicPublisher: a robot's topics under the names that ROS programs expect: odom, tf, cmd_vel."""
 
-import asyncio
+import functools
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -11,21 +11,23 @@ import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import BadRequest, HostlinkError
+from hostlink.hub.gates import Gates
 from hostlink.hub.message import Message
-from hostlink.hub.robots import Robot
-from hostlink.hub.topic_graph import DAEMON, Topic, TopicGraph, resolve
+from hostlink.hub.node import Node
+from hostlink.hub.robot import Robot
+from hostlink.hub.topic_graph import DeviceSubscription, Topic, TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import Twist
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
 
 log = structlog.get_logger()
 
 TF_TOPIC = "/tf"
 ODOMETRY_TYPE, TF_TYPE = "nav_msgs/Odometry", "tf2_msgs/TFMessage"
-TWIST_TYPE, TWIST_STAMPED_TYPE = "geometry_msgs/Twist", "geometry_msgs/TwistStamped"
+TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 _NS_PER_S = 1_000_000_000
 
 
@@ -37,9 +39,8 @@ class _Offer:
     frames: FrameIds
     odom: Topic | None = None
     publishes_tf: bool = False
-    commands: dict[str, str] = field(default_factory=dict)  # topic -> type
+    commands: list[str] = field(default_factory=list)  # topics of its gate
     wanted: frozenset[str] = frozenset()  # every name that it has, or would have if it were nobody else's
-    seen: int = 0  # poses
 
 
 class RobotTopicPublisher:
@@ -48,15 +49,18 @@ class RobotTopicPublisher:
     Frame ids stay while a robot is known: the first robot has the plain ones, others have their name in front.
     """
 
-    def __init__(self, configs: Mapping[str, RobotConfig], graph: TopicGraph, catalog: Catalog) -> None:
-        self._configs, self._graph = configs, graph
-        self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE, TWIST_TYPE, TWIST_STAMPED_TYPE)}
+    def __init__(
+        self, configs: Mapping[str, RobotConfig], graph: TopicGraph, gates: Gates, node: Node, catalog: Catalog
+    ) -> None:
+        """`node` publishes and subscribes."""
+        self._configs, self._graph, self._gates, self._node = configs, graph, gates, node
+        self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE)}
         self._frames: dict[str, FrameIds] = {}
         self._plain = next(iter(configs)) if len(configs) == 1 else None  # the robot whose frames have no name before
         self._offers: dict[str, _Offer] = {}  # by robot
-        self._commands: dict[str, _Offer] = {}  # by topic
+        self._commands: set[str] = set()  # topics of all offers
         self._wanting: defaultdict[str, dict[str, None]] = defaultdict(dict)  # robots, by the names that they want
-        self._tf: Topic | None = None  # while a robot tells its transform
+        self._tf: Topic | None = None  # while a robot publishes its transform
 
     def update(self, robots: Iterable[Robot], touched: frozenset[str]) -> None:
         """These robots came, left, or their devices have other topics; `touched` are those, by their full names.
@@ -80,54 +84,32 @@ class RobotTopicPublisher:
         if not self._offers:
             self._close_tf()
 
-    def command(self, topic: Topic, payload: bytes) -> tuple[Robot, Velocity] | None:
-        """The robot and the velocity that a message on this topic means; None: it is no command. BadRequest."""
-        offer = self._commands.get(topic.name)
-        if offer is None or topic.type_name != offer.commands[topic.name]:
-            return None
-        type_name = topic.type_name
-        message: Mapping[str, Any] = self._types[type_name].decode(payload)
-        if type_name == TWIST_STAMPED_TYPE:
-            self._check_age(offer.robot, message["header"]["stamp"])
-            message = message["twist"]
-        return offer.robot, Velocity.from_twist(message)
-
-    def names_of_velocity(self, robot: Robot) -> list[str]:
-        """The topics on which a Twist is seen when the robot is driven."""
-        offer = self._offers.get(robot.name)
-        others = {} if offer is None else offer.commands
-        return [robot.shown.velocity, *(name for name, type_name in others.items() if type_name == TWIST_TYPE)]
-
-    def relay(self, robot: Robot, message: Message) -> None:
-        """Take a message of a robot's odometry that the robot has seen; tell it to whom it may concern."""
-        offer = self._offers.get(robot.name)
-        if offer is None or robot.odometry.count == offer.seen:  # what was seen was no pose
-            return
-        offer.seen = robot.odometry.count
-        tf = self._tf if offer.publishes_tf else None
-        wanted = ((offer.odom, ODOMETRY_TYPE), (tf, TF_TYPE))
-        heard = [(topic, type_name) for topic, type_name in wanted if topic is not None and topic.is_heard]
-        view = robot.odometry.snapshot(asyncio.get_running_loop().time()) if heard else None
-        if view is None:
-            return
-        stamp = dict(zip(("secs", "nsecs"), divmod(view["stamp_ns"], _NS_PER_S), strict=True))
-        pose, twist = Pose(**view["pose"]), Twist(**view["twist"])
-        odometry = odometry_of(pose, twist, offer.frames, stamp, variances_of(message.decoded))
-        for topic, type_name in heard:
-            fields = odometry if type_name == ODOMETRY_TYPE else transform_of(odometry)
-            try:
-                topic.publish(self._types[type_name].encode(fields), view["stamp_ns"], source=DAEMON)
-            except HostlinkError as error:
-                log.debug("message.refused", topic=topic.name, reason=str(error))
-
     def forget(self, robot: Robot) -> None:
         """The robot is forgotten; the plain frames may be another's."""
         self._frames.pop(robot.name, None)
         if self._plain == robot.name and robot.name not in self._configs:
             self._plain = None
 
+    def _relay(self, offer: _Offer, message: Message) -> None:
+        """Publish what a pose of the robot means, where anybody subscribes."""
+        tf = self._tf if offer.publishes_tf else None
+        topics = [topic for topic in (offer.odom, tf) if topic is not None and topic.has_subscribers]
+        seen = offer.robot.odometry.snapshot(message.at_s) if topics else None
+        if seen is None:
+            return
+        stamp = dict(zip(("secs", "nsecs"), divmod(seen["stamp_ns"], _NS_PER_S), strict=True))
+        pose, twist = Pose(**seen["pose"]), Twist(**seen["twist"])
+        odometry = odometry_of(pose, twist, offer.frames, stamp, variances_of(message.decoded))
+        for topic in topics:
+            fields = odometry if topic is offer.odom else transform_of(odometry)
+            type_name = ODOMETRY_TYPE if topic is offer.odom else TF_TYPE
+            try:
+                topic.publish(self._types[type_name].encode(fields), source=self._node, at_s=message.at_s)
+            except HostlinkError as error:
+                log.debug("message.refused", topic=topic.name, reason=str(error))
+
     def _open(self, robot: Robot) -> None:
-        offer = self._offers[robot.name] = _Offer(robot, self._frames_of(robot), seen=robot.odometry.count)
+        offer = self._offers[robot.name] = _Offer(robot, self._frames_of(robot))
         offer.wanted = frozenset(resolve(name) for name in (_odom(robot), *_command_topics(robot)) if name)
         for name in offer.wanted:
             self._wanting[name][robot.name] = None
@@ -135,21 +117,24 @@ class RobotTopicPublisher:
         offer.publishes_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
         if offer.publishes_tf and self._tf is None:
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
+        robot.relay = functools.partial(self._relay, offer)
         for topic, type_name in _command_topics(robot).items():
-            if self._take(topic, type_name):
-                offer.commands[resolve(topic)] = type_name
-                self._commands[resolve(topic)] = offer
+            if self._subscribe(robot, topic, type_name):
+                offer.commands.append(resolve(topic))
+                self._commands.add(resolve(topic))
 
     def _close(self, offer: _Offer) -> None:
         for name in offer.wanted:
             self._wanting[name].pop(offer.robot.name, None)
             if not self._wanting[name]:
                 del self._wanting[name]
+        offer.robot.relay = None
         if offer.odom is not None:
-            self._graph.unadvertise(offer.odom.name, DAEMON)
+            self._graph.unadvertise(offer.odom.name, self._node)
         for name in offer.commands:
-            self._graph.unsubscribe_device(name, DAEMON)
-            del self._commands[name]
+            self._graph.unsubscribe_device(name, self._node)
+            offer.robot.echoes.pop(name, None)
+            self._commands.discard(name)
 
     def _reopen_tf(self) -> None:
         """A device has begun or ceased to use it: the type may be another."""
@@ -159,7 +144,7 @@ class RobotTopicPublisher:
 
     def _close_tf(self) -> None:
         if self._tf is not None:
-            self._graph.unadvertise(TF_TOPIC, DAEMON)
+            self._graph.unadvertise(TF_TOPIC, self._node)
             self._tf = None
 
     def _advertise(self, name: str, type_name: str, taken: str = "") -> Topic | None:
@@ -169,22 +154,37 @@ class RobotTopicPublisher:
         if not name or is_devices or resolve(name) == taken:
             return None
         try:
-            return self._graph.advertise(name, DAEMON, type_name=type_name)
+            return self._graph.advertise(name, self._node, type_name=type_name)
         except HostlinkError as error:
             log.warning("topic.refused", topic=name, reason=str(error))
             return None
 
-    def _take(self, name: str, type_name: str) -> bool:
-        """False for a name that is switched off, that a device takes itself, that a robot has, or of another type."""
+    def _subscribe(self, robot: Robot, name: str, type_name: str) -> bool:
+        """False for a name that is switched off, of a device or another robot, or of another type."""
         known = self._graph.find_or_none(name)
         if not name or resolve(name) in self._commands or (known is not None and known.devices):
             return False
+        receive = self._gates.receive if type_name == TWIST_TYPE else self._receive_stamped
+        subscription = DeviceSubscription(functools.partial(receive, robot), is_gate=True)
         try:
-            self._graph.subscribe_device(name, DAEMON, _through_the_gate, type_name=type_name)
+            topic = self._graph.subscribe_device(name, self._node, subscription, type_name=type_name)
         except HostlinkError as error:
             log.warning("topic.refused", topic=name, reason=str(error))
             return False
+        if type_name == TWIST_TYPE:
+            robot.echoes[topic.name] = topic
         return True
+
+    def _receive_stamped(self, robot: Robot, message: Message) -> None:
+        """A TwistStamped, which is a command unless it is too old.
+
+        Raises:
+            HostlinkError: as `Gates.command`.
+        """
+        fields: Mapping[str, Any] = message.decoded
+        self._check_age(robot, fields["header"]["stamp"])
+        velocity = Velocity.from_twist(fields["twist"])
+        self._gates.command(robot, velocity, owner=str(message.source), priority=message.priority, now_s=message.at_s)
 
     def _publishes(self, robot: Robot, name: str) -> bool:
         topic = self._graph.find_or_none(name)
@@ -216,10 +216,6 @@ def _command_topics(robot: Robot) -> dict[str, str]:
         _chosen(robot.config.cmd_vel_topic, f"{robot.name}/cmd_vel"): TWIST_TYPE,
         _chosen(robot.config.cmd_vel_stamped_topic, f"{robot.name}/cmd_vel_stamped"): TWIST_STAMPED_TYPE,
     }
-
-
-def _through_the_gate(payload: bytes) -> None:
-    """The hub makes a command of every message on this topic, and the robot's gate sends it."""
 
 
 def _chosen(configured: str | None, default: str) -> str:

@@ -22,7 +22,8 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.topic_graph import DAEMON, resolve
+from hostlink.hub.node import Node
+from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import ServiceType
@@ -115,10 +116,29 @@ class DeviceService:
 class Provider:
     """Somebody else who answers calls: a client of the API, or the daemon itself."""
 
-    def __init__(self, name: str, type_name: str, key: Hashable, answer: Answer, notify: Notify | None = None) -> None:
-        """`notify` hears, as a text, that somebody else gets the calls now."""
+    def __init__(
+        self,
+        name: str,
+        type_name: str,
+        key: Hashable,
+        answer: Answer,
+        notify: Notify | None = None,
+        *,
+        fail: Callable[[Exception], None] = lambda _: None,
+        is_reading: bool = False,
+    ) -> None:
+        """`notify` is told, as a text, that somebody else gets the calls now; `fail`, that `answer` has a bug.
+
+        `is_reading`: a call changes nothing.
+        """
         self.name, self.type_name, self.key, self.answer = name, type_name, key, answer
         self.notify: Notify = _ignore if notify is None else notify
+        self.fail, self.is_reading = fail, is_reading
+
+    @property
+    def is_daemon(self) -> bool:
+        """Whether it is hostlink's own."""
+        return isinstance(self.key, Node) and self.key.is_daemon
 
 
 class Services:
@@ -137,7 +157,7 @@ class Services:
     def add_device_service(self, service: DeviceService) -> None:
         """A device offers a service. BadRequest for a name of the daemon's own."""
         program = self.provider(service.name)
-        if program is not None and program.key == DAEMON:
+        if program is not None and program.is_daemon:
             raise BadRequest(f"{service.name} is a service of hostlink's own")
         offers = self._devices.setdefault(service.name, {})
         before = offers.pop(service.key, None)
@@ -154,9 +174,9 @@ class Services:
         """A program offers a service; BadRequest for a name of the daemon's own."""
         name = provider.name
         before = self.provider(name)
-        if before is not None and before.key == DAEMON != provider.key:
+        if before is not None and before.is_daemon and not provider.is_daemon:
             raise BadRequest(f"{name} is a service of hostlink's own")
-        if provider.key == DAEMON:  # the emergency stop is nobody else's
+        if provider.is_daemon:  # the emergency stop is nobody else's
             self._remove_device_services(name)
         elif self.of_device(name) is not None:
             provider.notify(f"{name} is a service of a device's, which gets the calls")
@@ -202,6 +222,11 @@ class Services:
         """Whether there is a service of that name."""
         return self.of_device(name) is not None or self.provider(name) is not None
 
+    def is_reading(self, name: str) -> bool:
+        """Whether a call of this service changes nothing."""
+        found = self.provider(name)
+        return found is not None and found.is_reading
+
     def all(self) -> list[tuple[str, str]]:
         """(name, type) of every service."""
         return sorted((name, self.find(name).type_name) for name in self._providers.keys() | self._devices.keys())
@@ -209,7 +234,7 @@ class Services:
     def find(self, name: str) -> DeviceService | Provider:
         """Who gets the calls of that name; UnknownTopic if nobody offers it."""
         program = self.provider(name)
-        if program is not None and program.key == DAEMON:
+        if program is not None and program.is_daemon:
             return program
         found = self.of_device(name) or program
         if found is None:
@@ -256,6 +281,7 @@ async def _ask(provider: Provider, request: Mapping[str, object], timeout_s: flo
         raise
     except Exception as error:  # a bug in one service must not reach who calls it, nor anybody else
         log.exception("service.crashed", service=printable(provider.name))
+        provider.fail(error)
         raise ServiceFailed(provider.name, f"{type(error).__name__}: {error}") from error
 
 

@@ -1,22 +1,21 @@
-"""TopicGraph: every topic by name, who publishes it, who subscribes to it, which devices take it."""
+"""TopicGraph: every topic by name, who publishes it, who subscribes to it."""
 
+import asyncio
 import itertools
 import time
 from collections.abc import Callable, Hashable, Iterable
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError, UnknownTopic, WrongType
-from hostlink.hub.isolation import Isolation
-from hostlink.hub.message import Message
+from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.node import Node
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 
-Deliver = Callable[[Message], None]
+Receive = Callable[[Message], None]
 Unsubscribe = Callable[[], None]
-SendToDevice = Callable[[bytes], None]
 
-DAEMON = "hostlink"  # the key of what the daemon itself publishes
-_CLIENT_RANK, _DAEMON_RANK, _DEVICE_RANK = range(3)  # whose word on the type of a topic goes before another's
+_PROGRAM_RANK, _DAEMON_RANK, _DEVICE_RANK = range(3)  # whose type of a topic precedes another's
 
 
 def resolve(name: str) -> str:
@@ -25,34 +24,46 @@ def resolve(name: str) -> str:
 
 
 class Subscriber(NamedTuple):
-    """Somebody who hears a topic, and the type that he expects, if he says."""
+    """Who receives the messages of a topic, and the type that it expects, if it names one."""
 
-    deliver: Deliver
+    receive: Receive
     key: Hashable
     type_name: str
+    fail: Callable[[Exception], None]  # ends what the callback belongs to
+
+
+class DeviceSubscription(NamedTuple):
+    """A device's end of a topic: its link, or the gate before it. `receive` raises what refuses a message."""
+
+    receive: Receive
+    is_gate: bool
 
 
 class Topic:
-    """One name in the graph. Whoever publishes or takes it is known by a key: a link, or the name of a client."""
+    """One name in the graph. Whoever publishes or subscribes is known by a key: a link, or a Node.
 
-    def __init__(self, name: str, isolation: Isolation) -> None:
+    Where a velocity gate subscribes, messages go to the gates alone; what they send to their devices is delivered to
+    the other subscribers.
+    """
+
+    def __init__(self, name: str) -> None:
         self.name = name
-        self._isolation = isolation
-        self.type_name = ""  # until somebody says
+        self.type_name = ""  # until somebody names it
         self.type: MessageType | None = None
-        self.rank = _CLIENT_RANK  # of who said the type
+        self.rank = _PROGRAM_RANK  # of who named the type
         self.messages = 0
         self.publishers: set[Hashable] = set()
+        self.devices: dict[Hashable, DeviceSubscription] = {}
+        self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for later subscribers
         self._subscribers: dict[int, Subscriber] = {}
         self._numbers = itertools.count()
         self._expected: dict[str, int] = {}  # how many subscribers expect each type
         self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
-        self.devices: dict[Hashable, SendToDevice] = {}
-        self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for programs that come later
+        self._is_gated = False
 
     @property
     def subscribers(self) -> tuple[Subscriber, ...]:
-        """Everybody who subscribed, in that order. Who comes or goes costs the same however many there are."""
+        """Every subscriber that is no device, oldest first. One that comes or leaves costs the same among many."""
         if self._snapshot is None:
             self._snapshot = tuple(self._subscribers.values())
         return self._snapshot
@@ -66,7 +77,7 @@ class Topic:
         return number
 
     def remove_subscriber(self, number: int) -> None:
-        """It may be gone already."""
+        """It may be removed already."""
         gone = self._subscribers.pop(number, None)
         self._snapshot = None
         if gone is not None and gone.type_name:
@@ -74,18 +85,28 @@ class Topic:
             if not self._expected[gone.type_name]:
                 del self._expected[gone.type_name]
 
+    def add_device(self, key: Hashable, subscription: DeviceSubscription) -> None:
+        """A device, or a gate, subscribes."""
+        self.devices[key] = subscription
+        self._is_gated = any(each.is_gate for each in self.devices.values())
+
+    def remove_device(self, key: Hashable) -> None:
+        """It may be removed already."""
+        self.devices.pop(key, None)
+        self._is_gated = any(each.is_gate for each in self.devices.values())
+
     @property
     def expected_type(self) -> str:
-        """What those who subscribed take it for, the first who said; empty: nobody did."""
+        """The type that the first subscriber expects that named one; empty: none did."""
         return next(iter(self._expected), "")
 
     @property
     def is_used(self) -> bool:
-        """Whether anybody still means this topic."""
+        """Whether anybody publishes or subscribes."""
         return bool(self.publishers or self._subscribers or self.devices)
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a message would reach anybody."""
         return bool(self._subscribers or self.devices)
 
@@ -96,58 +117,103 @@ class Topic:
 
     @property
     def highest_rank(self) -> int:
-        """Of who publishes or takes it; a device is mostly the first that is looked at."""
-        owners = itertools.chain(self.devices, self.publishers)
-        if any(not isinstance(key, str) for key in owners):
-            return _DEVICE_RANK
-        return _DAEMON_RANK if DAEMON in self.publishers or DAEMON in self.devices else _CLIENT_RANK
+        """Of its publishers and devices; a device mostly comes first."""
+        ranks = map(_rank, itertools.chain(self.devices, self.publishers))
+        highest = _PROGRAM_RANK
+        for rank in ranks:
+            highest = max(highest, rank)
+            if highest == _DEVICE_RANK:
+                break
+        return highest
 
     def forget_publisher(self, key: Hashable) -> None:
         """`key` publishes no more."""
         self.publishers.discard(key)
         self.latched.pop(key, None)
 
-    def publish(self, payload: bytes, stamp_ns: int, *, source: Hashable) -> None:
-        """Hand a payload to every device and client but its source; raises the last error of a device afterwards."""
-        refusal: HostlinkError | None = None
-        if source in self.latched:
+    def publish(
+        self,
+        payload: bytes,
+        *,
+        source: Hashable,
+        at_s: float | None = None,
+        priority: int = PROGRAM_PRIORITY,
+    ) -> None:
+        """Pass a payload to every device and subscriber but its source. `at_s`: loop time of its arrival, if not now.
+
+        Raises:
+            HostlinkError: a device, or its gate, refused it; all others have it.
+        """
+        if self.latched and source in self.latched:
             self.latched[source] = payload
-        for key, send in self.devices.items():
-            if key is not source:
-                try:
-                    send(payload)
-                except HostlinkError as error:
-                    refusal = error
-        self.deliver(payload, stamp_ns)
+        if not self._subscribers and not self.devices:
+            self.messages += 1
+            return
+        message = self._message(payload, source, asyncio.get_running_loop().time() if at_s is None else at_s, priority)
+        refusal = self._pass_to_devices(message) if self.devices else None
+        if not self._is_gated:
+            self._dispatch(message)
         if refusal is not None:
             raise refusal
 
-    def deliver(self, payload: bytes, stamp_ns: int) -> None:
-        """Hand a payload to everybody who subscribed."""
-        self.messages += 1
-        if self.subscribers:
-            message = Message(self.name, self.type_name, self.type, payload, stamp_ns)
-            for subscriber in self.subscribers:
+    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
+        """Pass a payload to every subscriber, and to no device."""
+        if self._subscribers:
+            self._dispatch(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+        else:
+            self.messages += 1
+
+    def _message(self, payload: bytes, source: Hashable, at_s: float, priority: int) -> Message:
+        return Message(
+            self.name,
+            self.type_name,
+            self.type,
+            payload,
+            source=source,
+            stamp_ns=time.time_ns(),
+            at_s=at_s,
+            priority=priority,
+        )
+
+    def _pass_to_devices(self, message: Message) -> HostlinkError | None:
+        refusal = None
+        for key, device in list(self.devices.items()):
+            if key is not message.source:
                 try:
-                    subscriber.deliver(message)
-                except Exception as error:  # noqa: BLE001 - a subscriber's crash is neither the device's nor another's
-                    self._remove(subscriber)
-                    self._isolation.crashed("subscriber", error, topic=self.name, subscriber=str(subscriber.key))
+                    device.receive(message)
+                except HostlinkError as error:
+                    refusal = error
+        return refusal
+
+    def _dispatch(self, message: Message) -> None:
+        self.messages += 1
+        for subscriber in self.subscribers:
+            try:
+                subscriber.receive(message)
+            except Exception as error:  # noqa: BLE001 - a subscriber's crash is neither the device's nor another's
+                self._remove(subscriber)
+                subscriber.fail(error)
 
     def _remove(self, subscriber: Subscriber) -> None:
         for number, other in list(self._subscribers.items()):
             if other is subscriber:
                 self.remove_subscriber(number)
 
+    def deliver_latched(self, subscriber: Subscriber) -> None:
+        """Pass the last message of every publisher that latches; raises what the subscriber's callback raises."""
+        at_s = asyncio.get_running_loop().time() if self.latched else 0.0
+        for source, payload in self.latched.items():
+            if payload is not None:
+                subscriber.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+
 
 class TopicGraph:
-    """All topics of all devices and clients. A topic lives as long as somebody uses it."""
+    """All topics of all devices and participants. A topic lives as long as somebody uses it."""
 
-    def __init__(self, catalog: Catalog, isolation: Isolation | None = None) -> None:
+    def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._isolation = Isolation(reraises=True) if isolation is None else isolation
         self._topics: dict[str, Topic] = {}
-        self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes or takes, by name
+        self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes, or subscribes as a device
 
     def all(self) -> list[Topic]:
         """Every topic, by name."""
@@ -158,7 +224,11 @@ class TopicGraph:
         return self._topics.keys()
 
     def find(self, name: str) -> Topic:
-        """The topic of that name; UnknownTopic if nobody uses one."""
+        """The topic of that name.
+
+        Raises:
+            UnknownTopic: nobody uses one.
+        """
         topic = self.find_or_none(name)
         if topic is None:
             raise UnknownTopic("topic", name, self._topics)
@@ -168,13 +238,18 @@ class TopicGraph:
         """The topic of that name, if anybody uses one."""
         return self._topics.get(resolve(name))
 
-    def subscribe(self, name: str, deliver: Deliver, *, type_name: str = "", key: Hashable = DAEMON) -> Unsubscribe:
-        """Deliver what was latched, and every message from now on; call what is returned to end it."""
-        topic = self._open(name, type_name, _CLIENT_RANK)
-        number = topic.add_subscriber(Subscriber(deliver, key, type_name))
-        for payload in topic.latched.values():
-            if payload is not None:
-                deliver(Message(topic.name, topic.type_name, topic.type, payload, time.time_ns()))
+    def subscribe(self, name: str, subscriber: Subscriber) -> Unsubscribe:
+        """Deliver what was latched, and every message from now on; call what is returned to end it.
+
+        Raises:
+            WrongType: it is in use with another type.
+        """
+        topic = self._open(name, subscriber.type_name, _PROGRAM_RANK)
+        number = topic.add_subscriber(subscriber)
+        try:
+            topic.deliver_latched(subscriber)
+        except Exception as error:  # noqa: BLE001 - as with every later message
+            subscriber.fail(error)
 
         def unsubscribe() -> None:
             topic.remove_subscriber(number)
@@ -183,7 +258,11 @@ class TopicGraph:
         return unsubscribe
 
     def advertise(self, name: str, key: Hashable, *, type_name: str, is_latched: bool = False) -> Topic:
-        """Note that `key` publishes the topic; WrongType if it is in use with another type."""
+        """Note that `key` publishes the topic.
+
+        Raises:
+            WrongType: it is in use with another type.
+        """
         topic = self._open(name, type_name, _rank(key))
         topic.publishers.add(key)
         self._note(key, topic)
@@ -191,10 +270,14 @@ class TopicGraph:
             topic.latched.setdefault(key)
         return topic
 
-    def subscribe_device(self, name: str, key: Hashable, send: SendToDevice, *, type_name: str) -> Topic:
-        """Note that the device `key` takes the topic. It gets nothing of before: an old command is no command."""
+    def subscribe_device(self, name: str, key: Hashable, subscription: DeviceSubscription, *, type_name: str) -> Topic:
+        """Note that the device `key` subscribes, and not to what was latched: an old command is no command.
+
+        Raises:
+            WrongType: it is in use with another type.
+        """
         topic = self._open(name, type_name, _rank(key))
-        topic.devices[key] = send
+        topic.add_device(key, subscription)
         self._note(key, topic)
         return topic
 
@@ -207,33 +290,33 @@ class TopicGraph:
             self._settle(topic)
 
     def unsubscribe_device(self, name: str, key: Hashable) -> None:
-        """`key` takes the topic no more."""
+        """The device `key` subscribes no more."""
         topic = self.find_or_none(name)
         if topic is not None:
-            topic.devices.pop(key, None)
+            topic.remove_device(key)
             self._unnote(key, topic)
             self._settle(topic)
 
     def leave(self, key: Hashable) -> None:
-        """`key` is gone: it publishes and takes nothing any more."""
+        """`key` publishes no more, and is no device any more."""
         for topic in self._of_key.pop(key, {}).values():
             topic.forget_publisher(key)
-            topic.devices.pop(key, None)
+            topic.remove_device(key)
             self._settle(topic)
 
     def _note(self, key: Hashable, topic: Topic) -> None:
         self._of_key.setdefault(key, {})[topic.name] = topic
 
     def _unnote(self, key: Hashable, topic: Topic) -> None:
-        held = self._of_key.get(key, {})
+        used = self._of_key.get(key, {})
         if key not in topic.publishers and key not in topic.devices:
-            held.pop(topic.name, None)
-        if not held:
+            used.pop(topic.name, None)
+        if not used:
             self._of_key.pop(key, None)
 
     def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
-        topic = self._topics.get(resolved) or Topic(resolved, self._isolation)
+        topic = self._topics.get(resolved) or Topic(resolved)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
         if plain_name and plain_name != topic.type_name:
@@ -249,19 +332,19 @@ class TopicGraph:
         return topic
 
     def _settle(self, topic: Topic) -> None:
-        """Somebody left: a topic without users goes, one that is only waited for has the type that is waited for."""
+        """Somebody left: a topic without users goes; one that has subscribers alone has the type that they expect."""
         if self._topics.get(topic.name) is not topic:
             return
         topic.rank = topic.highest_rank
         if not topic.is_used:
             del self._topics[topic.name]
         elif not topic.publishers and not topic.devices:
-            wanted = topic.expected_type
-            topic.type = self._catalog.message(wanted) if wanted else None
-            topic.type_name = wanted if topic.type is None else topic.type.name
+            expected = topic.expected_type
+            topic.type = self._catalog.message(expected) if expected else None
+            topic.type_name = expected if topic.type is None else topic.type.name
 
 
 def _rank(key: Hashable) -> int:
-    if not isinstance(key, str):
+    if not isinstance(key, Node):
         return _DEVICE_RANK
-    return _DAEMON_RANK if key == DAEMON else _CLIENT_RANK
+    return _DAEMON_RANK if key.is_daemon else _PROGRAM_RANK

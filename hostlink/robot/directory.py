@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 from hostlink.robot.presence import Presence
 from hostlink.robot.robot_names import LONGEST_NAME, Named, Origin, RobotNames
+from hostlink.robot.velocity import TWIST_TYPE
 
-VELOCITY_TYPE = "geometry_msgs/Twist"
 ODOMETRY_TYPES = ("geometry_msgs/Pose2D", "nav_msgs/Odometry")
 RESET_TYPE = "std_msgs/Empty"
 _USUAL_NAMES = ("velocity_commands", "cmd_vel")  # the likelier first
@@ -217,7 +217,7 @@ class Directory:
 
 def find_robot(topics: Sequence[TopicClaim]) -> RobotTopicNames | None:
     """A device that takes a Twist and tells a pose is a robot, named by their common namespace."""
-    velocities = [topic for topic, type_name, is_to_device in topics if is_to_device and type_name == VELOCITY_TYPE]
+    velocities = [topic for topic, type_name, is_to_device in topics if is_to_device and type_name == TWIST_TYPE]
     odometries = [
         (topic, type_name)
         for topic, type_name, is_to_device in topics

@@ -1,8 +1,14 @@
 """Velocity: the six components of a geometry_msgs/Twist, in m/s and rad/s."""
 
 import math
+import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
+
+from hostlink.errors import BadPayload
+
+TWIST_TYPE = "geometry_msgs/Twist"
+_TWIST = struct.Struct("<6d")
 
 
 class Velocity(NamedTuple):
@@ -21,10 +27,20 @@ class Velocity(NamedTuple):
         linear, angular = twist["linear"], twist["angular"]
         return cls(linear["x"], linear["y"], linear["z"], angular["x"], angular["y"], angular["z"])
 
-    def to_twist(self) -> dict[str, dict[str, float]]:
-        """As a Twist to encode."""
-        x, y, z, roll, pitch, yaw = self
-        return {"linear": {"x": x, "y": y, "z": z}, "angular": {"x": roll, "y": pitch, "z": yaw}}
+    @classmethod
+    def decode(cls, payload: bytes) -> "Velocity":
+        """From a serialised Twist.
+
+        Raises:
+            BadPayload: it is none.
+        """
+        if len(payload) != _TWIST.size:
+            raise BadPayload(TWIST_TYPE, f"{len(payload)} bytes instead of {_TWIST.size}")
+        return cls(*_TWIST.unpack(payload))
+
+    def encode(self) -> bytes:
+        """As a serialised Twist."""
+        return _TWIST.pack(*self)
 
     @property
     def is_zero(self) -> bool:

@@ -36,7 +36,7 @@ async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2)
 def take_over(host: Daemon) -> None:
     """As a person at the keys."""
     robot = host.hub.robots.find("robot_0")
-    host.hub.robots.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+    host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
 
 
 @contextlib.asynccontextmanager
@@ -118,7 +118,7 @@ async def test_a_held_velocity_that_is_overruled_is_dropped_and_the_next_drive_s
         await robot.drive(0.2, 0.0)
         take_over(host)
         await expect(lambda: not robot.is_driven)
-        host.hub.leave("a person")
+        host.hub.gates.release("a person")
         assert await refused(me) == (
             "robot_0 was stopped, drive again if it is still meant: robot_0: a person drives it with a higher priority"
         )

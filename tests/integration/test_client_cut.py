@@ -11,7 +11,7 @@ import pytest
 from hostlink.client import ConnectionChange, Host, Robot, connect
 from hostlink.client.mailbox import Mailbox
 from hostlink.errors import HostlinkError
-from hostlink.hub.robots import Robot as RobotOfHub
+from hostlink.hub.robot import Robot as RobotOfHub
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, Proxy, proxy

@@ -21,7 +21,7 @@ CURVE = (0.2, 0.5)
 def drive(host: Daemon, owner: str = "test", *, priority: int = 50, velocity: tuple[float, float] = CURVE) -> None:
     robot = host.hub.robots.find("robot_0")
     wanted = Velocity(linear_x_m_s=velocity[0], angular_z_rad_s=velocity[1])
-    host.hub.robots.command(robot, wanted, owner=owner, priority=priority)
+    host.hub.gates.command(robot, wanted, owner=owner, priority=priority)
 
 
 async def greeted(device: FakeDevice) -> None:
@@ -55,7 +55,7 @@ async def test_a_client_that_leaves_stops_the_robot_at_once() -> None:
         await greeted(device)
         drive(host, "client 1")
         assert await device.velocity() == CURVE
-        host.hub.leave("client 1")
+        host.hub.gates.release("client 1")
         assert await device.velocity() == ZERO
 
 
@@ -275,7 +275,7 @@ async def test_everything_stops_at_one_request() -> None:
     ):
         for name, device in (("robot_0", first), ("robot_1", second)):
             await greeted(device)
-            host.hub.robots.command(host.hub.robots.find(name), Velocity(0.2, angular_z_rad_s=0.5), owner="test")
+            host.hub.gates.command(host.hub.robots.find(name), Velocity(0.2, angular_z_rad_s=0.5), owner="test")
         status, body = await host.rest("POST", "/api/stop")
         assert (status, [robot["holder"] for robot in body["robots"]]) == (200, [None, None])
         assert await first.velocity_other_than(CURVE) == ZERO
@@ -340,7 +340,7 @@ async def test_when_who_was_more_important_vanishes_the_robot_stops_and_another_
         with pytest.raises(RobotHeld):
             drive(host, "script")
         assert await device.velocity() == (0.1, 0.0)
-        host.hub.leave("person")
+        host.hub.gates.release("person")
         assert await device.velocity_other_than((0.1, 0.0)) == ZERO
         drive(host, "script")
         assert await device.velocity_other_than(ZERO) == CURVE

@@ -17,6 +17,7 @@ from hostlink.robot.velocity import Velocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.participants import publish, subscribe
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -93,7 +94,7 @@ async def test_each_has_its_own_poses(config: Config, second: str, names: tuple[
 
     async with daemon(config) as host:
         for name in names:
-            host.hub.topics.subscribe(f"/{name}/odometry", lambda message, name=name: listen(name, message))
+            subscribe(host.hub, f"/{name}/odometry", lambda message, name=name: listen(name, message))
         async with two_alike(host, second=second):
             assert [robot["name"] for robot in (await host.get("/api/robots"))["robots"]] == sorted(names)
             assert [await x_of(host, name) for name in names] == [1.0, 2.0]
@@ -106,9 +107,9 @@ async def test_each_hears_its_own_commands(config: Config, second: str, names: t
     async with daemon(config) as host, two_alike(host, second=second) as devices:
         for device, name, velocity in zip(devices, names, (SLOW, FAST), strict=True):
             for by in ("velocity_commands", "cmd_vel"):
-                host.hub.publish(f"/{name}/{by}", velocity.to_twist(), source=by)
+                publish(host.hub, f"/{name}/{by}", velocity.encode(), source=by)
                 assert await device.velocity_other_than((0.0, 0.0)) == (velocity.linear_x_m_s, 0.0)
-                host.hub.robots.stop(host.hub.robots.find(name))
+                host.hub.gates.stop(host.hub.robots.find(name))
                 assert await device.velocity_other_than((velocity.linear_x_m_s, 0.0)) == (0.0, 0.0)
 
 
@@ -118,7 +119,7 @@ async def test_their_topics_stand_under_their_names_and_what_is_not_theirs_is_sh
         assert {"/a/odometry", "/a/velocity_commands", "/a/pid_tune_l", "/b/odometry", "/b/pid_tune_l"} <= names
         assert not [name for name in names if name.startswith("/robot_0")]
         assert len(host.hub.topics.find("/chatter").publishers) == 2
-        host.hub.publish("/chatter_in", {"data": True}, source="test")
+        publish(host.hub, "/chatter_in", {"data": True}, source="test")
         assert [await device.frame(103) for device in (one, other)] == [b"\x01", b"\x01"]
         links = (await host.get("/api/links"))["links"]
         shown = {(each["own_name"], each["name"]) for link in links for each in link["topics"]}
@@ -180,7 +181,7 @@ async def test_limits_hold_for_every_robot_that_tells_the_name() -> None:
     async with daemon(config) as host, two_alike(host):
         for name in ("robot_0", "robot_0_2"):
             robot = host.hub.robots.find(name)
-            assert host.hub.robots.command(robot, FAST, owner="test").linear_x_m_s == 0.2
+            assert host.hub.gates.command(robot, FAST, owner="test").linear_x_m_s == 0.2
         assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
 
 
@@ -192,13 +193,13 @@ async def test_one_that_comes_back_while_its_old_link_looks_alive_has_its_name_a
         talking(other, 2.0),
     ):
         await expect(lambda: host.hub.robots.find("robot_0_2").link)
-        host.hub.robots.lock(host.hub.robots.find("robot_0"), "a person is near")
+        host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
         async with fake_device(host.tcp, robot_topics(), local_host=ONE), asyncio.timeout(2.0):
             await old.closed()
             await expect(lambda: host.hub.robots.find("robot_0").link)
             with pytest.raises(RobotHeld, match="a person is near"):
-                host.hub.robots.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
-            host.hub.robots.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+                host.hub.gates.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
+            host.hub.gates.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -210,7 +211,7 @@ async def test_what_the_old_link_was_driven_by_drives_the_new_one_no_more() -> N
             async def drive() -> None:
                 robot, first = host.hub.robots.find("robot_0"), host.hub.links()[0]
                 while robot.link is first:
-                    host.hub.robots.command(robot, SLOW, owner="test")
+                    host.hub.gates.command(robot, SLOW, owner="test")
                     await asyncio.sleep(0.02)
 
             tasks.create_task(drive())
@@ -231,7 +232,7 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics(), local_host=ONE):
             await expect(lambda: host.hub.robots.find("robot_0").link)
-            host.hub.robots.lock(host.hub.robots.find("robot_0"), "a person is near")
+            host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
         async with (
             fake_device(host.tcp, robot_topics(), local_host=OTHER) as taker,
             talking(taker, 1.0),
@@ -240,7 +241,7 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
             for name in ("robot_0", "robot_0_2"):
                 with pytest.raises(RobotHeld, match="a person is near"):
-                    host.hub.robots.command(host.hub.robots.find(name), SLOW, owner="test")
+                    host.hub.gates.command(host.hub.robots.find(name), SLOW, owner="test")
 
 
 async def test_one_that_is_surely_another_is_not_locked() -> None:
@@ -250,10 +251,10 @@ async def test_one_that_is_surely_another_is_not_locked() -> None:
         talking(one, 1.0),
     ):
         await expect(lambda: host.hub.robots.find("robot_0").link)
-        host.hub.robots.lock(host.hub.robots.find("robot_0"), "a person is near")
+        host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
         async with fake_device(host.tcp, robot_topics(), local_host=OTHER) as other:
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
-            host.hub.robots.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+            host.hub.gates.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -261,9 +262,7 @@ async def test_what_a_device_says_while_it_is_not_known_who_it_is_is_heard_later
     heard: list[float] = []
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.find("robot_0").link)
-        host.hub.topics.subscribe(
-            "/robot_0/odometry", lambda message: heard.append(struct.unpack("<3d", message.payload)[0])
-        )
+        subscribe(host.hub, "/robot_0/odometry", lambda message: heard.append(struct.unpack("<3d", message.payload)[0]))
         async with fake_device(host.tcp, robot_topics()) as back:
             await back.send(b"".join(pose(x / 10) for x in range(5)))
             await expect(lambda: len(heard) == 5)
@@ -277,7 +276,7 @@ async def test_a_robot_that_drives_and_tells_its_topics_without_its_odometry_is_
     async def drive() -> None:
         robot = host.hub.robots.find("robot_0")
         while robot.link is not None:
-            host.hub.robots.command(robot, SLOW, owner="test")
+            host.hub.gates.command(robot, SLOW, owner="test")
             await asyncio.sleep(0.02)
 
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, asyncio.TaskGroup() as tasks:
@@ -295,7 +294,7 @@ async def test_a_robot_that_drives_and_tells_its_topics_without_its_odometry_is_
                     last = await device.velocity()
         assert last == (0.0, 0.0)
         with pytest.raises(DeviceGone):
-            host.hub.robots.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
+            host.hub.gates.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
 
 
 async def test_a_host_is_ready_again_when_a_robot_that_left_is_forgotten() -> None:
@@ -318,7 +317,7 @@ async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:
         assert names == ["robot_0", "robot_0_2", "robot_0_3"]
         links = [robot.link for robot in host.hub.robots.all()]
         for name, velocity in zip(names, (SLOW, FAST), strict=False):
-            host.hub.robots.command(host.hub.robots.find(name), velocity, owner="test")
+            host.hub.gates.command(host.hub.robots.find(name), velocity, owner="test")
         await expect(lambda: all(robot.odometry.count > 10 for robot in host.hub.robots.all()))
         assert [robot.link for robot in host.hub.robots.all()] == links
         findings = {each.code for link in host.hub.links() for each in host.hub.diagnoses.of(link)}

@@ -33,7 +33,7 @@ def reader_of(graph: dict[str, tuple[str, str]]) -> Any:
 
 async def subscribed(host: Daemon, names: list[str]) -> None:
     def is_so() -> bool:
-        keys = [[subscriber.key for subscriber in host.hub.topics.find(name).subscribers] for name in names]
+        keys = [[str(subscriber.key) for subscriber in host.hub.topics.find(name).subscribers] for name in names]
         return all("client 1" in found for found in keys)
 
     await expect(is_so)

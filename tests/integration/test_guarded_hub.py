@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -27,8 +27,10 @@ class Guard:
     said: list[tuple[object, ...]] = field(default_factory=list)
     connections: dict[int, Callable[[], int | None]] = field(default_factory=dict)
 
-    def watch(self, number: int, connection: Callable[[], int | None], *, topic_id: int, claim_bytes: int) -> None:
-        self.said.append(("watch", number, topic_id, claim_bytes))
+    def watch(
+        self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
+    ) -> None:
+        self.said.append(("watch", number, *topic_ids, claim_bytes))
         self.connections[number] = connection
 
     def release(self, number: int) -> None:
@@ -57,6 +59,14 @@ async def test_a_robot_is_watched_from_its_appearance_to_its_end() -> None:
             assert descriptor is not None
             with socket.socket(fileno=os.dup(descriptor)) as same:
                 assert same.getpeername() == device._writer.get_extra_info("sockname")
+        await expect(lambda: guard.said[-1] == ("release", 1))
+
+
+async def test_a_second_velocity_topic_is_watched_too() -> None:
+    second = topic(Id.SUBSCRIBER, 107, "/robot_0/arm_vel", "geometry_msgs/Twist")
+    async with guarded() as (guard, _, address):
+        async with fake_device(address, [second, *robot_topics()]):
+            await expect(lambda: guard.said[-1:] == [("watch", 1, 100, 107, 512)])
         await expect(lambda: guard.said[-1] == ("release", 1))
 
 

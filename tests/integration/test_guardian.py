@@ -22,7 +22,7 @@ from tests.support.fork_server import is_running
 from tests.support.pty_pair import pty_pair
 from tests.support.waiting import expect
 
-SEQUENCE = b"".join(part for _, part in stop_sequence(100, 0))
+SEQUENCE = b"".join(part for _, part in stop_sequence((100,), 0))
 ROBOTS = 200
 MOST_KIB = 10 * 1024
 SIGNALS = signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}
@@ -76,7 +76,7 @@ def pid(ours: Guardian) -> int:
 
 def watch(ours: Guardian, peers: list[Peer]) -> None:
     for number, peer in enumerate(peers):
-        ours.watch(number, lambda peer=peer: peer.ours.fileno(), topic_id=100, claim_bytes=0)
+        ours.watch(number, lambda peer=peer: peer.ours.fileno(), topic_ids=(100,), claim_bytes=0)
 
 
 def descriptors(number: int) -> list[str]:
@@ -112,7 +112,7 @@ async def test_a_serial_port_gets_the_same_and_is_free_afterwards() -> None:
     with pty_pair() as (device, path):
         port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         async with guardian() as ours:
-            ours.watch(1, lambda: port, topic_id=100, claim_bytes=0)
+            ours.watch(1, lambda: port, topic_ids=(100,), claim_bytes=0)
             began_s = time.monotonic()
             ours.abandon()
             assert time.monotonic() - began_s < 0.4  # it waits for no peer to close
@@ -146,7 +146,7 @@ async def test_a_link_that_gets_another_velocity_topic_is_stopped_by_that_one() 
     with connections() as (peer,):
         async with guardian() as ours:
             watch(ours, [peer])
-            ours.watch(0, peer.ours.fileno, topic_id=107, claim_bytes=0)
+            ours.watch(0, peer.ours.fileno, topic_ids=(107,), claim_bytes=0)
             peer.ours.close()
             ours.abandon()
         assert peer.read_all()[0] == 3 * zero_frame(107) + STOP_REQUEST
@@ -220,7 +220,7 @@ async def test_a_stopped_guardian_delays_no_hand_over_and_no_goodbye() -> None:
             os.kill(number, signal.SIGSTOP)
             began_s = time.monotonic()
             for turn in range(5000):  # more than its queue takes
-                ours.watch(turn, peer.ours.fileno, topic_id=100, claim_bytes=0)
+                ours.watch(turn, peer.ours.fileno, topic_ids=(100,), claim_bytes=0)
                 ours.release(turn)
             assert time.monotonic() - began_s < 2.0
             ours.goodbye()
@@ -268,7 +268,7 @@ async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*
     with connections() as (peer,):
         channel, process = _spawn()
         with channel:
-            socket.send_fds(channel, [encode_watch(1, 100, 0)], [peer.ours.fileno()])
+            socket.send_fds(channel, [encode_watch(1, (100,), 0)], [peer.ours.fileno()])
             channel.send(encode_ping())
             await expect(lambda: held_by(process.pid) == 1)
             await asyncio.sleep(0.05)  # the answer waits
@@ -300,7 +300,7 @@ async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
         sizes = memory_kib(pid(ours))
         with connections(ROBOTS) as peers:  # more memory for more robots, and for longer frames, would be too much
             for number, peer in enumerate(peers):
-                ours.watch(number, peer.ours.fileno, topic_id=100 + number, claim_bytes=65543)
+                ours.watch(number, peer.ours.fileno, topic_ids=(100 + number,), claim_bytes=65543)
             await expect(lambda: held(ours) == ROBOTS)
             with_robots = memory_kib(pid(ours))
         assert with_robots["Rss"] < MOST_KIB

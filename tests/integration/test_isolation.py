@@ -1,4 +1,4 @@
-"""A crash ends what it belongs to: a link, a robot, a subscriber, a task. Everything else goes on."""
+"""A crash ends what it belongs to: a link, a robot, a participant, a task. Everything else continues."""
 
 import asyncio
 import contextlib
@@ -15,6 +15,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.participants import publish, subscribe
 from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
@@ -23,7 +24,7 @@ OTHER = "127.0.0.3"
 
 
 def drive(host: Daemon, name: str) -> None:
-    host.hub.robots.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+    host.hub.gates.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
 
 
 async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:
@@ -60,14 +61,14 @@ async def test_a_crash_in_a_link_stops_its_robot_and_no_other(
     ):
         await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link]) == 2)
         await is_driven(host, "a", one)
-        host.hub._reactions[events.DeviceLogged] = crash
+        host.hub._device_events._reactions[events.DeviceLogged] = crash
         await one.send(encode(Id.LOG, b"\x01\x02\x00\x00\x00hi"))
         await hears_zero_and_is_cut(one)
         await is_driven(host, "b", other)
     assert crashes(logged) == ["link.crashed"]
 
 
-async def test_a_crash_of_a_subscriber_is_its_own(logged: list[dict[str, object]]) -> None:
+async def test_a_crash_of_a_subscriber_ends_its_participant_alone(logged: list[dict[str, object]]) -> None:
     seen = []
 
     def crash(_: Message) -> None:
@@ -75,14 +76,14 @@ async def test_a_crash_of_a_subscriber_is_its_own(logged: list[dict[str, object]
 
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
-        host.hub.topics.subscribe("/robot_0/odometry", crash, key="client 1")
-        host.hub.topics.subscribe("/robot_0/odometry", seen.append, key="client 2")
+        subscribe(host.hub, "/robot_0/odometry", crash, name="client 1")
+        subscribe(host.hub, "/robot_0/odometry", seen.append, name="client 2")
         for number in range(5):
             await device.send(pose(number))
         await expect(lambda: len(seen) == 5)
         await is_driven(host, "robot_0", device)
-        assert host.hub.isolation.crashes == {"subscriber": 1}  # then it is no subscriber any more
-    assert [line["subscriber"] for line in logged if line["event"] == "subscriber.crashed"] == ["client 1"]
+        assert host.hub.isolation.crashes == {"participant": 1}  # then it is no subscriber any more
+    assert [line["participant"] for line in logged if line["event"] == "participant.crashed"] == ["client 1"]
 
 
 async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[str, object]]) -> None:
@@ -103,7 +104,7 @@ async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[st
     assert "robot.crashed" in crashes(logged)
 
 
-async def test_a_crash_in_a_velocity_without_a_gate_leaves_the_clock_of_the_gates(
+async def test_a_crash_in_the_gate_of_a_device_without_poses_leaves_the_clock_of_all_gates(
     logged: list[dict[str, object]],
 ) -> None:
     cart = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
@@ -117,13 +118,13 @@ async def test_a_crash_in_a_velocity_without_a_gate_leaves_the_clock_of_the_gate
         fake_device(host.tcp, cart),
     ):
         await expect(lambda: host.hub.topics.find("/cart/cmd_vel").devices)
-        host.hub.publish("/cart/cmd_vel", {"linear": {"x": 0.2}}, source="test")
+        publish(host.hub, "/cart/cmd_vel", {"linear": {"x": 0.2}}, source="test")
         session = next(link for link in host.hub.links() if link.address != OTHER).session
         session.publish = crash  # type: ignore[method-assign]
-        await expect(lambda: host.hub.isolation.crashes["link"] > 0)
+        await expect(lambda: host.hub.isolation.crashes["robot"] > 0)
         await is_driven(host, "a", robot)
         assert await robot.velocity_other_than(CURVE) == ZERO  # the lease ends by the clock
-    assert set(crashes(logged)) == {"link.crashed"}
+    assert set(crashes(logged)) == {"robot.crashed"}
 
 
 async def test_a_crash_of_a_task_or_a_diagnosis_ends_nothing_else(logged: list[dict[str, object]]) -> None:
@@ -189,7 +190,7 @@ async def test_names_asked_in_vain_are_not_kept(logged: list[dict[str, object]])
             name = f"/{number}/{'x' * 200}".encode()
             await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))
         await expect(lambda: host.hub.links()[0].session.counts.frames_from_device > 2000)
-        assert len(host.hub._unknown_parameters) == 256
+        assert len(host.hub._device_events._receivers.parameters._unknown) == 256
         host.hub.parameters["/there"] = 3
         name = b"/there"
         await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))

@@ -42,7 +42,7 @@ async def velocity(device: FakeDevice, topic_id: int, *, other_than: bytes) -> b
 async def moving(host: Daemon, device: FakeDevice, topic_id: int) -> bytes:
     await expect(lambda: host.hub.robots.find("robot_0").link)
     robot = host.hub.robots.find("robot_0")
-    host.hub.robots.command(robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+    host.hub.gates.command(robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
     return await velocity(device, topic_id, other_than=bytes(48))
 
 
@@ -68,7 +68,7 @@ async def test_one_that_never_tells_it_again_hears_zero_before_it_is_no_robot_an
     async with daemon() as host, fake_device(host.tcp, infos) as device:
         driven = await moving(host, device, topic_id)
         for count in (2, 3, 4):
-            host.hub.robots.command(
+            host.hub.gates.command(
                 host.hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
             )
             await device.send(without_velocity(infos))

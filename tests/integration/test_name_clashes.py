@@ -10,6 +10,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.participants import publish, subscribe
 from tests.support.waiting import expect
 
 TWIST, POSE = "geometry_msgs/Twist", "geometry_msgs/Pose2D"
@@ -19,7 +20,7 @@ BOTH_WAYS = [topic(Id.SUBSCRIBER, 100, "/x", TWIST), topic(Id.PUBLISHER, 125, "/
 async def goes_on(host: Daemon, device: FakeDevice, *, name: str = "robot_0") -> None:
     """The robot can be driven, and tells where it is."""
     await expect(lambda: host.hub.robots.find(name).link)
-    host.hub.robots.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.1), owner="test")
+    host.hub.gates.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.1), owner="test")
     assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
     seen = host.hub.robots.find(name).odometry.count
     await device.send(pose(3.0))
@@ -39,7 +40,7 @@ async def test_one_name_in_both_directions_and_of_two_types() -> None:
             type_ = CATALOG.message(message_type)
             assert type_ is not None
             try:
-                host.hub.publish("/x", type_.encode({}), source="test", type_name=message_type)
+                publish(host.hub, "/x", type_.encode({}), source="test", type_name=message_type)
             except HostlinkError:
                 assert message_type != host.hub.topics.find("/x").type_name
         await device.send(pose(3.0))
@@ -75,7 +76,7 @@ async def test_nobody_but_a_robot_says_where_it_is() -> None:
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
         for _ in range(3):
             await other.send(encode(130, struct.pack("<3d", 9.0, 9.0, 0.0)))
-            host.hub.publish("/robot_0/odometry", {"x": 9.0}, source="a program")
+            publish(host.hub, "/robot_0/odometry", {"x": 9.0}, source="a program")
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 7)
         odometry = await host.get("/api/robots/robot_0/odometry")
         assert (odometry["count"], odometry["pose"]["x_m"]) == (1, 1.0)
@@ -97,11 +98,11 @@ async def test_two_robots_that_share_a_velocity_topic_are_both_driven_by_it() ->
     async with daemon() as host, fake_device(host.tcp, shared("a")) as one:
         async with fake_device(host.tcp, shared("b")) as other:
             await expect(lambda: len(host.hub.robots.all()) == 2)
-            host.hub.publish("/cmd_vel", {"linear": {"x": 0.1}}, source="test")
+            publish(host.hub, "/cmd_vel", {"linear": {"x": 0.1}}, source="test")
             assert await one.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
         await expect(lambda: host.hub.robots.find("b").link is None)
-        host.hub.publish("/cmd_vel", {"linear": {"x": 0.2}}, source="test")
+        publish(host.hub, "/cmd_vel", {"linear": {"x": 0.2}}, source="test")
         assert await one.velocity_other_than((0.1, 0.0)) == (0.2, 0.0)
 
 
@@ -126,7 +127,7 @@ async def test_nobody_takes_the_emergency_stop_away(is_first: bool) -> None:
 async def test_a_device_that_tells_the_transforms_in_the_old_type_silences_nobody() -> None:
     frames = [topic(Id.PUBLISHER, 125, "/tf", "tf/tfMessage"), topic(Id.PUBLISHER, 126, "/rosout", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
-        host.hub.topics.subscribe("/tf", lambda _: None)
+        subscribe(host.hub, "/tf", lambda _: None)
         await goes_on(host, device)
         async with fake_device(host.tcp, frames):
             await expect(lambda: host.hub.topics.find("/tf").type_name == "tf/tfMessage")

@@ -110,7 +110,7 @@ async def test_a_robot_that_takes_its_velocity_again_is_reachable() -> None:
     async with small_robot() as host:
         robot = host.hub.robots.find("robot_0")
         with pytest.raises(FrameTooLarge):
-            host.hub.robots.stop(robot)
+            host.hub.gates.stop(robot)
         async with fake_device(host.tcp, robot_topics()) as better:  # the same address replaces it
             await expect(lambda: robot.refusals.cause is None)
             assert (await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}'))[0] == 200

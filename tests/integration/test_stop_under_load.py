@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, LinkConfig
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import Robot
+from hostlink.hub.robot import Robot
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
@@ -22,6 +22,7 @@ from hostlink.robot.velocity import Velocity
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
+from tests.support.participants import publish
 from tests.support.virtual_device import NumberedRobot
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 from tests.support.virtual_world import CATALOG, World, world
@@ -45,7 +46,7 @@ async def ready(made: World) -> Robot:
 
 
 def drive(made: World, velocity: Velocity = FAST) -> None:
-    made.hub.robots.command(made.hub.robots.find("robot_0"), velocity, owner="test")
+    made.hub.gates.command(made.hub.robots.find("robot_0"), velocity, owner="test")
 
 
 async def driven(made: World, seconds: float = 1.0) -> None:
@@ -77,7 +78,7 @@ def numbered(test: Callable[[World, NumberedRobot], Awaitable[None]]) -> None:
 def test_a_stop_reaches_an_idle_robot_within_a_turn_and_a_line() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         since_s = loop().time()
-        made.hub.robots.stop(await ready(made))
+        made.hub.gates.stop(await ready(made))
         await asyncio.sleep(1.0)
         assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
 
@@ -95,7 +96,7 @@ def test_a_loop_that_is_busy_for_95_of_100_delays_a_stop_by_its_own_turns_only()
             load = tasks.create_task(burn())
             await driven(made)
             since_s = loop().time()
-            made.hub.robots.stop(await ready(made))
+            made.hub.gates.stop(await ready(made))
             await asyncio.sleep(1.0)
             load.cancel()
         # the writer's turn, the relay's two and the device's are each up to 20 ms late here
@@ -109,7 +110,7 @@ def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> No
         since_s = loop().time()
         for number in range(1000):
             drive(made, Velocity(linear_x_m_s=0.1 + number / 10_000))
-        made.hub.robots.stop(await ready(made))
+        made.hub.gates.stop(await ready(made))
         await asyncio.sleep(1.0)
         assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
         assert len([at_s for at_s, payload in robot.commands if at_s >= since_s and payload != STOP]) <= 1
@@ -127,9 +128,9 @@ def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
                 assert robot.controllers[0].set_point.target > 0
                 for number in range(500):
                     for wheel in "lr":
-                        made.hub.publish(f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
+                        publish(made.hub, f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
                 since_s = loop().time()
-                made.hub.robots.stop(await ready(made))
+                made.hub.gates.stop(await ready(made))
                 await expect(lambda: robot.controllers[0].set_point.target == 0)
                 # a turn for what was on the line already, and the 5 ms between two looks of `expect`
                 assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
@@ -211,11 +212,11 @@ def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded
             robot = device.hub.robots.find("robot_0")
             for number in range(20):
                 velocity = Velocity(linear_x_m_s=0.1 + number / 100)
-                device.hub.robots.command(robot, velocity, owner="test")
+                device.hub.gates.command(robot, velocity, owner="test")
                 await asyncio.sleep(0.1)
             assert robot.link is not None
             assert robot.link.session.oldest_waiting_s(loop().time()) < 0.2  # the newest; those before it are gone
-            device.hub.robots.stop(robot)
+            device.hub.gates.stop(robot)
             heard = await device.velocities(5)
         speeds = [struct.unpack_from("<d", payload)[0] for payload in heard]
         assert speeds[:3] == pytest.approx([0.1, 0.11, 0.12])  # two in the room, one that was being written
@@ -229,8 +230,8 @@ def test_a_socket_that_stays_full_ends_its_link() -> None:
     async def run() -> None:
         async with deaf(room_bytes=56, write_timeout_s=2.0) as device:
             robot = device.hub.robots.find("robot_0")
-            device.hub.robots.command(robot, FAST, owner="test")
-            device.hub.robots.stop(robot)
+            device.hub.gates.command(robot, FAST, owner="test")
+            device.hub.gates.stop(robot)
             await asyncio.sleep(2.5)
             assert robot.link is None
 

@@ -19,6 +19,7 @@ from hostlink.protocol.control import decode_parameter, encode_parameter_request
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.participants import publish
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -167,8 +168,8 @@ async def test_a_message_larger_than_the_device_buffer() -> None:
     text = [topic(Id.SUBSCRIBER, 100, "/text", "std_msgs/String", buffer_bytes=64)]
     async with daemon() as host, fake_device(host.tcp, text) as device:
         with pytest.raises(FrameTooLarge):
-            host.hub.publish("/text", {"data": "x" * 100}, source="test")
-        host.hub.publish("/text", {"data": "short"}, source="test")
+            publish(host.hub, "/text", {"data": "x" * 100}, source="test")
+        publish(host.hub, "/text", {"data": "short"}, source="test")
         assert await device.frame(100) == b"\x05\x00\x00\x00short"
 
 
@@ -179,12 +180,12 @@ async def test_a_device_that_never_reads() -> None:
         link = host.hub.links()[0]
         sent = 0
         while not link.session.replaced:
-            host.hub.publish("/text", {"data": "x" * 50_000}, source="test")
+            publish(host.hub, "/text", {"data": "x" * 50_000}, source="test")
             sent += 1
             assert sent < 1000
             await asyncio.sleep(0)
         for _ in range(50):
-            host.hub.publish("/text", {"data": "x" * 50_000}, source="test")
+            publish(host.hub, "/text", {"data": "x" * 50_000}, source="test")
         await asyncio.sleep(0)
         assert link.session.replaced >= 50 - COMMAND_DEPTH
         await device.send(pose(1.0))

@@ -130,7 +130,9 @@ class Faults(RuleBasedStateMachine):
             intact += intact_poses(tap, self.robot)
         more, less = delivered - intact, intact - delivered
         assert more.total() == invented  # a damaged frame that passes the checksum: measured, not excluded
-        waiting = sum(len(device.early) for device in self.world.hub._devices.values()) + self.world.hub.unheard
+        waiting = (
+            sum(len(device.early) for device in self.world.hub._identities.devices.values()) + self.world.hub.unheard
+        )
         assert less.total() <= unknown + invented + waiting  # and what such a frame reaches into
         if not self.is_dirty:
             assert max(delivered.values(), default=1) == 1

@@ -19,11 +19,12 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
-from hostlink.hub.robots import MAX_PRIORITY
+from hostlink.hub.message import MAX_PRIORITY
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
+from tests.support.participants import publish
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import VirtualLoop
 
@@ -169,7 +170,7 @@ class Clashes(RuleBasedStateMachine):
 
     @rule(name=names, type_name=st.sampled_from(MESSAGE_TYPES), payload=payloads)
     def a_program_publishes(self, name: str, type_name: str, payload: bytes) -> None:
-        self.try_now(lambda: self.hub.publish(name, payload, source="program", type_name=type_name))
+        self.try_now(lambda: publish(self.hub, name, payload, source="program", type_name=type_name))
 
     @rule(name=names, lock=st.booleans())
     def lock(self, name: str, lock: bool) -> None:
@@ -179,9 +180,9 @@ class Clashes(RuleBasedStateMachine):
         def act() -> None:
             robot = self.hub.robots.find(robot_name)
             if lock:
-                self.hub.robots.lock(robot, "smoke")
+                self.hub.emergency_stop.stop(robot, "smoke")
             else:
-                self.hub.robots.unlock(robot)
+                self.hub.emergency_stop.release(robot)
 
         self.try_now(act)
 
@@ -193,15 +194,19 @@ class Clashes(RuleBasedStateMachine):
 
         async def act() -> None:
             robot, velocity = self.hub.robots.find(self.names[number]), Velocity(linear_x_m_s=speed)
-            self.hub.robots.unlock(robot)
+            self.hub.emergency_stop.release(robot)
             if by == "name":
-                self.hub.robots.command(robot, velocity, owner="driver", priority=MAX_PRIORITY)
+                self.hub.gates.command(robot, velocity, owner="driver", priority=MAX_PRIORITY)
             else:
                 try:
-                    self.hub.publish(
-                        f"/{robot.name}/{by}", velocity.to_twist(), source="driver", priority=MAX_PRIORITY,
+                    publish(
+                        self.hub,
+                        f"/{robot.name}/{by}",
+                        velocity.encode(),
+                        source="driver",
+                        priority=MAX_PRIORITY,
                         type_name=TWIST,
-                    )  # fmt: skip
+                    )
                 except HostlinkError:  # another device means something else by that name
                     return
             await asyncio.sleep(0.2)

@@ -17,7 +17,12 @@ from structlog.testing import capture_logs
 from hostlink.config import LinkConfig, RobotConfig
 from hostlink.errors import DeviceGone, RobotHeld
 from hostlink.hub.device import check_type
-from hostlink.hub.robots import TICK_S, Robots
+from hostlink.hub.emergency_stop import EmergencyStop
+from hostlink.hub.gates import TICK_S, Gates
+from hostlink.hub.isolation import Isolation
+from hostlink.hub.participant import Participant, Parts
+from hostlink.hub.robots import Robots
+from hostlink.hub.services import Services
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.messages.catalog import Catalog
@@ -74,9 +79,12 @@ class Drivers(RuleBasedStateMachine):
         self.runner.run(self.build(config))
 
     async def build(self, config: RobotConfig) -> None:
-        topics = TopicGraph(CATALOG)
-        self.robots = Robots({NAME: config}, CATALOG, subscribe=topics.subscribe, show=lambda *_: None)
-        self.tasks = [asyncio.get_running_loop().create_task(self.robots.run())]
+        isolation = Isolation(reraises=True)
+        self.gates = Gates(isolation)
+        self.robots = Robots({NAME: config}, self.gates)
+        parts = Parts(CATALOG, TopicGraph(CATALOG), Services(CATALOG), self.gates, isolation)
+        self.emergency_stop = EmergencyStop(self.robots, self.gates, Participant(parts, "hostlink", is_daemon=True))
+        self.tasks = [asyncio.get_running_loop().create_task(self.gates.run())]
         await self.connect()
 
     async def connect(self) -> None:
@@ -94,10 +102,10 @@ class Drivers(RuleBasedStateMachine):
         if isinstance(event, TopicsNegotiated) and event.is_changed:
             robot = find_robot([(info.name, info.type, info.is_to_device) for info in event.topics])
             assert robot is not None
-            self.robots.appear(NAME, robot, link)
+            self.robots.appear(NAME, robot, robot, link)
             if self.is_eager and self.locked_since is None:
                 fast = Velocity(linear_x_m_s=FASTEST[0])
-                self.robots.command(self.robots.find(NAME), fast, owner="eager")
+                self.gates.command(self.robots.find(NAME), fast, owner="eager")
                 self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
 
     async def serve(self, link: Link) -> None:
@@ -134,7 +142,7 @@ class Drivers(RuleBasedStateMachine):
             robot = self.robots.find(NAME)
             velocity = Velocity(linear_x_m_s=linear_m_s, angular_z_rad_s=angular_rad_s)
             try:
-                self.robots.command(robot, velocity, owner=owner, priority=priority)
+                self.gates.command(robot, velocity, owner=owner, priority=priority)
             except DeviceGone:
                 assert robot.link is None
             except RobotHeld:
@@ -151,14 +159,14 @@ class Drivers(RuleBasedStateMachine):
         async def now() -> None:
             if self.robots.find(NAME).gate.holder == owner:
                 self.driven_until_s = asyncio.get_running_loop().time()
-            self.robots.leave(owner)
+            self.gates.release(owner)
 
         self.runner.run(now())
 
     @rule()
     def stop(self) -> None:
         async def now() -> None:
-            self.robots.stop(self.robots.find(NAME))
+            self.gates.stop(self.robots.find(NAME))
             self.driven_until_s = asyncio.get_running_loop().time()
 
         self.runner.run(now())
@@ -167,7 +175,7 @@ class Drivers(RuleBasedStateMachine):
     def lock(self) -> None:
         async def now() -> None:
             await asyncio.sleep(0)  # what has left the host has been heard
-            self.robots.lock(self.robots.find(NAME), "smoke")
+            self.emergency_stop.stop(self.robots.find(NAME), "smoke")
             self.driven_until_s = asyncio.get_running_loop().time()
 
         self.run_for(0.02)  # a velocity that was put before is on its way
@@ -177,7 +185,7 @@ class Drivers(RuleBasedStateMachine):
     @rule()
     def unlock(self) -> None:
         async def now() -> None:
-            self.robots.unlock(self.robots.find(NAME))
+            self.emergency_stop.release(self.robots.find(NAME))
 
         self.runner.run(now())
         self.locked_since = None

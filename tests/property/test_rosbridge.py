@@ -6,7 +6,7 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.client_queue import MAX_MESSAGES, MAX_RESULTS
+from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.rosbridge_memory import World, world
 from tests.support.virtual_loop import run_virtual
 
@@ -64,7 +64,7 @@ def test_no_client_can_break_itself_or_another(said: list[tuple[int, str | bytes
             await asyncio.sleep(100)  # virtual: every deadline is over
             for peer in peers:
                 peer.client.flush(asyncio.get_running_loop().time())
-                assert len(list(iter(peer.queue.take, None))) <= MAX_MESSAGES + MAX_RESULTS
+                assert len(list(iter(peer.queue.pop, None))) <= MAX_MESSAGES + MAX_RESULTS
             await still_works(here)
             for peer in peers:
                 peer.client.close()

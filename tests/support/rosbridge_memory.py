@@ -9,7 +9,7 @@ from typing import Any
 
 import cbor2
 
-from hostlink.api.client_queue import ClientQueue
+from hostlink.api.outgoing import client_queue
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
@@ -21,7 +21,7 @@ class Peer:
     """One client: what it says, and all that it has heard since it was last asked."""
 
     def __init__(self, name: str, hub: Hub, tasks: asyncio.TaskGroup) -> None:
-        self.queue = ClientQueue()
+        self.queue = client_queue()
         self.client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task)
         self.say(op="set_level", level="info")
 
@@ -31,8 +31,9 @@ class Peer:
     def heard(self) -> list[Any]:
         """JSON and CBOR messages, oldest first."""
         heard = []
-        while (outgoing := self.queue.take()) is not None:
-            heard.append(cbor2.loads(outgoing.data) if outgoing.is_binary else json.loads(outgoing.data))
+        while (waiting := self.queue.pop()) is not None:
+            data, is_binary = waiting.item
+            heard.append(cbor2.loads(data) if is_binary else json.loads(data))
         return heard
 
     async def answers(self) -> list[Any]:

@@ -14,6 +14,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.session import Session
 from hostlink.robot.velocity import Velocity
 from tests.support.memory_transport import MemoryTransport, memory_pair
+from tests.support.participants import subscribe
 from tests.support.virtual_device import POSE, Program, VirtualDevice
 from tools.faults import Script
 from tools.relay import Relay
@@ -87,7 +88,7 @@ def command(hub: Hub, number: int) -> bool:
     """Drive robot_0 at the speed of this number; False when the host has no such robot."""
     velocity = Velocity(linear_x_m_s=(number + 1) * LEAST_STEP_M_S)
     try:
-        hub.robots.command(hub.robots.find("robot_0"), velocity, owner="test")
+        hub.gates.command(hub.robots.find("robot_0"), velocity, owner="test")
     except HostlinkError:
         return False
     return True
@@ -123,7 +124,7 @@ async def world(
         made = World(hub, relay, VirtualDevice(program, reach_relay, loop_s=loop_s), taps)
         running = [tasks.create_task(hub.run(), name="hub")]
         await hub.is_running.wait()
-        hub.topics.subscribe("/robot_0/odometry", lambda message: _see(made, message))
+        subscribe(hub, "/robot_0/odometry", lambda message: _see(made, message))
         running += [tasks.create_task(made.device.run(), name="device"), tasks.create_task(relay.run(), name="relay")]
         try:
             yield made

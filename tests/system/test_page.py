@@ -83,7 +83,7 @@ async def everything() -> AsyncIterator[Scene]:
 @pytest_asyncio.fixture(loop_scope="module")
 async def scene(everything: Scene) -> Scene:
     """As if nobody had been there."""
-    everything.host.hub.robots.unlock(everything.host.hub.robots.find("robot_0"))
+    everything.host.hub.emergency_stop.release(everything.host.hub.robots.find("robot_0"))
     await everything.stands()
     return everything
 

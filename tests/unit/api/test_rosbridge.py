@@ -8,11 +8,9 @@ from typing import Any
 
 import pytest
 
-from hostlink.api.client_services import MAX_SERVICES
-from hostlink.api.client_subscriptions import MAX_SUBSCRIPTIONS
-from hostlink.api.client_topics import MAX_ADVERTISED, MAX_LATCHED
 from hostlink.api.request import MAX_TEXT
 from hostlink.api.rosbridge import MAX_CALLS
+from hostlink.hub.participant import MAX_ADVERTISED, MAX_LATCHED, MAX_SERVICES, MAX_SUBSCRIPTIONS
 from tests.support.rosbridge_memory import call, offered, world
 from tests.support.virtual_loop import run_virtual
 
@@ -64,7 +62,7 @@ async def test_a_topic_is_advertised_until_its_last_id_takes_it_back() -> None:
         for number in ("a", "b"):
             peer.say(op="advertise", id=number, **CHAT)
         peer.say(op="unadvertise", id="a", topic="chat")
-        assert here.hub.topics.find("/chat").publishers == {"client 1"}
+        assert here.hub.topics.find("/chat").publishers == {peer.client.participant}
         peer.say(op="unadvertise", id="b", topic="/chat")
         assert here.hub.topics.find_or_none("/chat") is None
         peer.say(op="advertise", id="c", **CHAT)
@@ -274,7 +272,7 @@ async def test_what_a_client_may_hold_is_bounded() -> None:
         for number in range(10_000):
             peer.say(op="subscribe", topic=f"/topic_{number}", type="std_msgs/Bool")
             peer.say(op="subscribe", id=number, topic="/one", type="std_msgs/Bool")
-            peer.queue.take()
+            peer.queue.pop()
         assert sum(len(topic.subscribers) for topic in here.hub.topics.all()) == MAX_SUBSCRIPTIONS // 2 + 1
         for number in range(MAX_ADVERTISED + 50):
             peer.say(op="advertise", id=number, latch=number < 50, topic=f"/mine_{number}", type="std_msgs/Bool")

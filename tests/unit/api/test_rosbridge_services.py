@@ -145,7 +145,7 @@ async def test_the_newest_offer_gets_the_calls_and_who_had_them_is_told_and_has_
         caller.say(op="call_service", id=1, service="/switch")
         (asked,) = await first.answers()
         second = await offered(here)
-        told = f"/switch: {second.client.name} offers it too and gets the calls, as long as it is there"
+        told = f"/switch: {second.client.participant.name} offers it too and gets the calls, as long as it is there"
         assert statuses(first.heard()) == [told]
         first.say(op="service_response", id=asked["id"], service="switch", values={"message": "first"}, result=True)
         assert (await caller.answers())[0]["values"]["message"] == "first"

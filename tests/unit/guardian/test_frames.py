@@ -26,14 +26,14 @@ def test_the_request_to_fall_silent_is_the_daemons() -> None:
 
 
 def test_zeros_at_three_times_50_ms_apart_then_id_11() -> None:
-    times, parts = zip(*stop_sequence(100, 0), strict=True)
+    times, parts = zip(*stop_sequence((100,), 0), strict=True)
     assert times == pytest.approx([0.0, 0.05, 0.1, 0.15])
     assert list(parts) == [zero_frame(100)] * 3 + [STOP_REQUEST]
 
 
 @pytest.mark.parametrize("claim_bytes", [1, 56, 57, 58, 114, 512, 65543])
 def test_the_first_zero_is_repeated_over_the_length_of_any_frame(claim_bytes: int) -> None:
-    first, *others = [part for _, part in stop_sequence(100, claim_bytes)]
+    first, *others = [part for _, part in stop_sequence((100,), claim_bytes)]
     assert first.removeprefix(zero_frame(100)).replace(b"\0" + zero_frame(100), b"") == b""
     assert claim_bytes <= len(first) - 2 * 57 + 1 < claim_bytes + 57
     assert others == [zero_frame(100)] * 2 + [STOP_REQUEST]
@@ -78,7 +78,7 @@ READERS = [(True, 0.001), (True, 0.033), (False, 0.001), (False, 0.033)]
 def test_a_frame_that_was_cut_anywhere_costs_no_robot_its_stop(whole: bytes, *, gives_up: bool, turn_s: float) -> None:
     for cut in range(1, len(whole)):
         device = Device(gives_up=gives_up)
-        device.run([(-0.001, VELOCITY + whole[:cut]), *stop_sequence(100, BUFFER_BYTES)], first_s=0.0, turn_s=turn_s)
+        device.run([(-0.001, VELOCITY + whole[:cut]), *stop_sequence((100,), BUFFER_BYTES)], first_s=0.0, turn_s=turn_s)
         assert device.zero_at_s() <= LIMIT_S, cut
 
 
@@ -89,7 +89,7 @@ def test_nor_does_a_device_that_was_busy_meanwhile_and_reads_all_at_once(
 ) -> None:
     for cut in range(1, len(LONG)):
         device = Device(gives_up=gives_up)
-        arrivals = [(-0.001, VELOCITY + LONG[:cut]), *stop_sequence(100, BUFFER_BYTES)]
+        arrivals = [(-0.001, VELOCITY + LONG[:cut]), *stop_sequence((100,), BUFFER_BYTES)]
         device.run(arrivals, first_s=busy_until_s, turn_s=0.005)
         assert device.zero_at_s() <= LIMIT_S, cut
 
@@ -100,7 +100,7 @@ def test_a_line_of_38400_baud_has_the_zero_in_time_too(*, gives_up: bool) -> Non
     byte_s = 1 / 3840
     for cut in range(1, len(LONG), 7):
         arrivals, free_at_s = [(-0.001, VELOCITY + LONG[:cut])], 0.0
-        for due_s, part in stop_sequence(100, BUFFER_BYTES):
+        for due_s, part in stop_sequence((100,), BUFFER_BYTES):
             for value in part:
                 free_at_s = max(free_at_s, due_s) + byte_s
                 arrivals.append((free_at_s, bytes([value])))
@@ -116,32 +116,42 @@ def test_a_frame_that_is_never_given_up_costs_its_own_length_and_no_more(topic_i
         seen: dict[int, bytes] = {}
         reader = RosLibReader(seen.__setitem__, gives_up=False)
         reader.turn(LONG[:cut], 0.0)
-        reader.turn(stop_sequence(topic_id, BUFFER_BYTES)[0][1], 0.0)
+        reader.turn(stop_sequence((topic_id,), BUFFER_BYTES)[0][1], 0.0)
         assert seen.get(topic_id) == bytes(48), cut
 
 
 def test_without_the_repetition_a_long_claim_would_swallow_every_zero() -> None:
     device = Device(gives_up=False)
-    device.run([(-0.001, VELOCITY + LONG[:10]), *stop_sequence(100, 0)], first_s=0.0, turn_s=0.001)
+    device.run([(-0.001, VELOCITY + LONG[:10]), *stop_sequence((100,), 0)], first_s=0.0, turn_s=0.001)
     assert device.zero_at_s() == math.inf
 
 
 def test_what_a_connection_does_not_take_is_kept_in_order() -> None:
-    writer, sent = StopWriter(100, BUFFER_BYTES), b""
+    writer, sent = StopWriter((100,), BUFFER_BYTES), b""
     for step in range(1000):
         part = writer.take_due(step / 1000)[:3]
         writer.written(len(part))
         sent += part
-    assert sent == b"".join(part for _, part in stop_sequence(100, BUFFER_BYTES))
+    assert sent == b"".join(part for _, part in stop_sequence((100,), BUFFER_BYTES))
     assert writer.is_done()
     assert writer.next_s() is None
 
 
 def test_the_writer_says_when_there_is_more() -> None:
-    writer = StopWriter(100, 0)
+    writer = StopWriter((100,), 0)
     assert not writer.is_done()
     assert writer.take_due(0.0) == zero_frame(100)
     assert writer.next_s() == INTERVAL_S
     writer.written(56)
     assert writer.take_due(INTERVAL_S - 0.001) == b""
     assert not writer.is_done()
+
+
+@pytest.mark.parametrize("topic_ids", [(100, 107), (255, 511, 256), tuple(range(100, 116))])
+def test_a_frame_that_is_never_given_up_costs_none_of_several_topics(topic_ids: tuple[int, ...]) -> None:
+    for cut in range(1, len(LONG)):
+        seen: dict[int, bytes] = {}
+        reader = RosLibReader(seen.__setitem__, gives_up=False)
+        reader.turn(LONG[:cut], 0.0)
+        reader.turn(stop_sequence(topic_ids, BUFFER_BYTES)[0][1], 0.0)
+        assert {each: seen.get(each) for each in topic_ids} == dict.fromkeys(topic_ids, bytes(48)), cut

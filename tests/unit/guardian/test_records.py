@@ -8,16 +8,17 @@ from hostlink.guardian import records
 NUMBERS = st.integers(0, 2**64 - 1)
 
 
-@given(NUMBERS, st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1))
-def test_a_record_says_what_was_meant(number: int, topic_id: int, claim_bytes: int) -> None:
-    record = records.encode_watch(number, topic_id, claim_bytes)
-    assert records.decode(record) == (records.WATCH, number, topic_id, claim_bytes)
-    assert records.decode(records.encode_release(number)) == (records.RELEASE, number, 0, 0)
+@given(NUMBERS, st.lists(st.integers(1, 2**16 - 1), max_size=records.MAX_TOPICS), st.integers(0, 2**32 - 1))
+def test_a_record_is_read_as_it_was_meant(number: int, ids: list[int], claim_bytes: int) -> None:
+    topic_ids = tuple(ids)
+    record = records.encode_watch(number, topic_ids, claim_bytes)
+    assert records.decode(record) == (records.WATCH, number, topic_ids, claim_bytes)
+    assert records.decode(records.encode_release(number)) == (records.RELEASE, number, (), 0)
 
 
 def test_every_record_has_one_size() -> None:
     every = [
-        records.encode_watch(1, 100, 512),
+        records.encode_watch(1, (100,), 512),
         records.encode_release(1),
         records.encode_ping(),
         records.encode_goodbye(),

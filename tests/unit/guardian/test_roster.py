@@ -22,10 +22,10 @@ class Guardian:
         if found is None:
             return False
         record, descriptor = found
-        kind, number, topic_id, _ = records.decode(record)
+        kind, number, topic_ids, _ = records.decode(record)
         if kind == records.WATCH:
             assert descriptor is not None
-            self.held[number] = topic_id
+            (self.held[number],) = topic_ids
         else:
             assert descriptor is None
             del self.held[number]
@@ -39,13 +39,13 @@ class Guardian:
 
 
 def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
-    return Watched(lambda: descriptor, topic_id, 512)
+    return Watched(lambda: descriptor, (topic_id,), 512)
 
 
 def test_a_link_is_told_with_its_descriptor_then_released() -> None:
     roster = Roster()
     roster.watch(3, watched())
-    assert roster.next() == (records.encode_watch(3, 100, 512), 7)
+    assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
     roster.told(is_held=True)
     assert (roster.next(), roster.held) == (None, 1)
     roster.release(3)
@@ -112,7 +112,7 @@ def test_in_the_end_the_guardian_holds_what_is_open_and_wanted(steps: list[tuple
         if step == "watch":
             closed.discard(number)
             wanted[number] = 100 + number_of_step
-            roster.watch(number, Watched(lambda number=number: None if number in closed else 7, wanted[number], 512))
+            roster.watch(number, Watched(lambda number=number: None if number in closed else 7, (wanted[number],), 512))
         elif step == "release":
             wanted.pop(number, None)
             roster.release(number)

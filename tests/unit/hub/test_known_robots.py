@@ -11,7 +11,8 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import RobotHeld, UnknownTopic
 from hostlink.hub.hub import Hub
-from hostlink.hub.topic_graph import TopicGraph
+from hostlink.hub.node import Node
+from hostlink.hub.topic_graph import Subscriber, TopicGraph
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
@@ -118,7 +119,7 @@ def test_a_robot_is_forgotten_after_a_while_and_a_configured_one_never() -> None
 def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None:
     async def check(hub: Hub) -> None:
         await visit(hub, robot_topics("robot_0"))
-        hub.robots.lock(hub.robots.find("robot_0"), "a person is near")
+        hub.emergency_stop.stop(hub.robots.find("robot_0"), "a person is near")
         for number in range(2 * MAX_AWAY):
             await visit(hub, robot_topics(f"crowd_{number}"))
         await asyncio.sleep(10 * FORGET_S)
@@ -126,10 +127,10 @@ def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None
         device = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
         await asyncio.sleep(0.1)
         with pytest.raises(RobotHeld, match="a person is near"):
-            hub.robots.command(hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.1), owner="test")
+            hub.gates.command(hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.1), owner="test")
         await device.aclose()
         await asyncio.sleep(FORGET_S)
-        hub.robots.unlock(hub.robots.find("robot_0"))
+        hub.emergency_stop.release(hub.robots.find("robot_0"))
         await asyncio.sleep(FORGET_S - 1.0)
         assert known(hub) == ["robot_0"]
         await asyncio.sleep(1.0)
@@ -144,7 +145,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
         await asyncio.sleep(0.1)
         robot = hub.robots.find("robot_0")
         for number in range(MAX_AWAY + 10):
-            hub.robots.command(robot, Velocity(linear_x_m_s=0.1), owner="test")
+            hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="test")
             await visit(hub, robot_topics(f"crowd_{number}"))
         assert robot.gate.holder == "test"
         await device.aclose()
@@ -154,7 +155,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
 
 def test_the_first_robot_has_the_plain_frames_and_another_only_when_it_is_forgotten() -> None:
     def frame(hub: Hub, name: str) -> str:
-        return hub.robot_topics._frames[name].odom
+        return hub._identities._affected.robot_topics._frames[name].odom
 
     async def check(hub: Hub) -> None:
         other = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.9")
@@ -244,7 +245,8 @@ def test_a_robot_that_comes_or_leaves_costs_the_same_however_many_are_there(is_a
 def test_twenty_thousand_subscriptions_of_one_topic_cost_little() -> None:
     graph = TopicGraph(CATALOG)
     began_s = time.process_time()
-    endings = [graph.subscribe("/x", lambda _: None, key=f"client {number}") for number in range(20_000)]
+    subscriber = Subscriber(lambda _: None, Node("client"), "", lambda _: None)
+    endings = [graph.subscribe("/x", subscriber) for _ in range(20_000)]
     for end in reversed(endings):
         end()
     assert time.process_time() - began_s < 2.0  # 0.2 s; a copy of all for each took 16

@@ -4,15 +4,26 @@ import math
 
 import pytest
 
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.errors import BadPayload
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from tests.support.fake_device import CATALOG
 
 TWIST = {"linear": {"x": 1.0, "y": 2.0, "z": 2.0}, "angular": {"x": 2.0, "y": 3.0, "z": 6.0}}
 VELOCITY = Velocity(1.0, 2.0, 2.0, 2.0, 3.0, 6.0)
 
 
 def test_it_is_a_twist_and_back() -> None:
+    type_ = CATALOG.message(TWIST_TYPE)
+    assert type_ is not None
     assert Velocity.from_twist(TWIST) == VELOCITY
-    assert VELOCITY.to_twist() == TWIST
+    assert VELOCITY.encode() == type_.encode(TWIST)
+    assert Velocity.decode(type_.encode(TWIST)) == VELOCITY
+
+
+@pytest.mark.parametrize("size", [0, 47, 49])
+def test_bytes_of_another_length_are_no_twist(size: int) -> None:
+    with pytest.raises(BadPayload, match=f"{size} bytes instead of 48"):
+        Velocity.decode(bytes(size))
 
 
 def test_speeds_are_of_all_axes() -> None:

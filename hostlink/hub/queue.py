@@ -1,43 +1,45 @@
-"""ClientQueue: what waits for one client of the API; bounded, so that a slow client costs nobody else anything."""
+"""Queue: what waits for one participant; bounded, so that a slow one costs nobody else anything."""
 
 import asyncio
-import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 MAX_MESSAGES = 1024
 MAX_BYTES = 8 * 1024 * 1024
 MAX_RESULTS = 256
 MAX_RESULT_BYTES = 8 * 1024 * 1024
 
+Item = TypeVar("Item")
 
-class Outgoing(NamedTuple):
-    """A WebSocket frame to be."""
+
+class Waiting(NamedTuple, Generic[Item]):
+    """An item and since when it waits."""
 
     order: int
-    data: bytes
-    is_binary: bool
+    item: Item
+    size_bytes: int
     since_s: float
 
 
-class ClientQueue:
-    """Telemetry by topic, where the oldest of a full queue goes and is counted; results, which may not be lost.
+class Queue(Generic[Item]):
+    """Telemetry by topic, where the oldest of a full queue is dropped and counted; results, which may not be lost.
 
-    Everything leaves in the order in which it came. A client that lets its results pile up is `is_too_slow`.
+    Everything leaves in the order in which it came. A participant that lets its results pile up is `is_too_slow`.
     """
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """`clock` is the event loop's."""
+    def __init__(self, size_of: Callable[[Item], int], clock: Callable[[], float]) -> None:
+        """`size_of` an item in bytes; `clock` is the event loop's."""
         self.dropped = 0
-        self._clock = clock
         self.is_too_slow = False
+        self.is_closed = False
+        self._size_of, self._clock = size_of, clock
         self._order = 0
         self._messages = 0
         self._bytes = 0
         self._result_bytes = 0
-        self._topics: dict[str, deque[Outgoing]] = {}
-        self._results: deque[Outgoing] = deque()
+        self._topics: dict[str, deque[Waiting[Item]]] = {}
+        self._results: deque[Waiting[Item]] = deque()
         self._news = asyncio.Event()
         self._room = asyncio.Event()
         self._room.set()
@@ -60,39 +62,43 @@ class ClientQueue:
             heads.append(self._results[0].since_s)
         return min(heads, default=None)
 
-    def put_message(self, topic: str, data: bytes, *, is_binary: bool = False) -> None:
-        """Queue telemetry; over a bound the oldest of this topic goes, else the oldest of the longest."""
-        waiting = self._topics.setdefault(topic, deque())
-        waiting.append(self._outgoing(data, is_binary=is_binary))
+    def put_message(self, topic: str, item: Item, at_s: float | None = None) -> None:
+        """Queue telemetry, which arrived `at_s`; over a bound the oldest of this topic goes, else of the longest."""
+        waiting = self._topics.get(topic)
+        if waiting is None:
+            waiting = self._topics[topic] = deque()
+        new = self._waiting(item, at_s)
+        waiting.append(new)
         self._messages += 1
-        self._bytes += len(data)
+        self._bytes += new.size_bytes
         while self._messages > MAX_MESSAGES or self._bytes > MAX_BYTES:
             self._drop(topic if len(waiting) > 1 else max(self._topics, key=lambda name: len(self._topics[name])))
         self._news.set()
 
-    def put_result(self, data: bytes) -> None:
+    def put_result(self, item: Item) -> None:
         """Queue an answer or an event."""
-        is_too_large = self._results and self._result_bytes + len(data) > MAX_RESULT_BYTES
+        new = self._waiting(item, None)
+        is_too_large = self._results and self._result_bytes + new.size_bytes > MAX_RESULT_BYTES
         if is_too_large or len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
         else:
-            self._results.append(self._outgoing(data, is_binary=False))
-            self._result_bytes += len(data)
+            self._results.append(new)
+            self._result_bytes += new.size_bytes
         self._note_room()
         self._news.set()
 
     def forget(self, topic: str) -> None:
-        """The client is not interested in this topic any more."""
+        """Nothing of this topic is wanted any more."""
         for waiting in self._topics.pop(topic, ()):
             self._messages -= 1
-            self._bytes -= len(waiting.data)
+            self._bytes -= waiting.size_bytes
 
-    def take(self) -> Outgoing | None:
+    def pop(self) -> Waiting[Item] | None:
         """The oldest of all, or None."""
         topic = min(self._topics, key=lambda name: self._topics[name][0].order, default=None)
         if self._results and (topic is None or self._results[0].order < self._topics[topic][0].order):
             result = self._results.popleft()
-            self._result_bytes -= len(result.data)
+            self._result_bytes -= result.size_bytes
             self._note_room()
             return result
         if topic is None:
@@ -100,7 +106,12 @@ class ClientQueue:
             return None
         return self._pop(topic)
 
-    def nudge(self) -> None:
+    def close(self) -> None:
+        """The participant has ended: `is_closed` from now on, and `wait` returns."""
+        self.is_closed = True
+        self._news.set()
+
+    def wake(self) -> None:
         """Let `wait` return: a time limit has changed."""
         self._news.set()
 
@@ -109,7 +120,7 @@ class ClientQueue:
         await self._news.wait()
 
     async def room(self) -> None:
-        """Wait while results fill half of the queue: whoever asks for more must read first."""
+        """Wait while results fill half of the queue: whoever requests more must read first."""
         await self._room.wait()
 
     def _note_room(self) -> None:
@@ -118,19 +129,19 @@ class ClientQueue:
         else:
             self._room.set()
 
-    def _outgoing(self, data: bytes, *, is_binary: bool) -> Outgoing:
+    def _waiting(self, item: Item, at_s: float | None) -> Waiting[Item]:
         self._order += 1
-        return Outgoing(self._order, data, is_binary, self._clock())
+        return Waiting(self._order, item, self._size_of(item), self._clock() if at_s is None else at_s)
 
     def _drop(self, topic: str) -> None:
         self._pop(topic)
         self.dropped += 1
 
-    def _pop(self, topic: str) -> Outgoing:
+    def _pop(self, topic: str) -> Waiting[Item]:
         waiting = self._topics[topic]
         oldest = waiting.popleft()
         if not waiting:
             del self._topics[topic]
         self._messages -= 1
-        self._bytes -= len(oldest.data)
+        self._bytes -= oldest.size_bytes
         return oldest

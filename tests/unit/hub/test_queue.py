@@ -1,23 +1,28 @@
 """What a slow client costs: bounded, counted, and nobody else's business."""
 
 import asyncio
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.api.client_queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULT_BYTES, MAX_RESULTS, ClientQueue
+from hostlink.hub.queue import MAX_BYTES, MAX_MESSAGES, MAX_RESULT_BYTES, MAX_RESULTS, Queue
 
 
-def drain(queue: ClientQueue) -> list[bytes]:
-    taken = []
-    while (outgoing := queue.take()) is not None:
-        taken.append(outgoing.data)
-    return taken
+def made() -> Queue[bytes]:
+    return Queue(len, time.monotonic)
+
+
+def drain(queue: Queue[bytes]) -> list[bytes]:
+    popped = []
+    while (waiting := queue.pop()) is not None:
+        popped.append(waiting.item)
+    return popped
 
 
 def test_everything_leaves_in_the_order_in_which_it_came() -> None:
-    queue = ClientQueue()
+    queue = made()
     queue.put_message("/a", b"1")
     queue.put_result(b"2")
     queue.put_message("/b", b"3")
@@ -26,29 +31,29 @@ def test_everything_leaves_in_the_order_in_which_it_came() -> None:
 
 
 def test_a_full_queue_drops_the_oldest_of_the_topic_that_fills_it() -> None:
-    queue = ClientQueue()
+    queue = made()
     queue.put_message("/rare", b"kept")
     for number in range(MAX_MESSAGES + 10):
         queue.put_message("/often", b"%d" % number)
-    taken = drain(queue)
-    assert taken[0] == b"kept"
-    assert taken[-1] == b"%d" % (MAX_MESSAGES + 9)
-    assert len(taken) == MAX_MESSAGES
+    popped = drain(queue)
+    assert popped[0] == b"kept"
+    assert popped[-1] == b"%d" % (MAX_MESSAGES + 9)
+    assert len(popped) == MAX_MESSAGES
     assert queue.dropped == 11
 
 
 def test_a_new_topic_makes_room_in_the_longest() -> None:
-    queue = ClientQueue()
+    queue = made()
     for number in range(MAX_MESSAGES):
         queue.put_message("/often", b"%d" % number)
     queue.put_message("/rare", b"new")
-    taken = drain(queue)
-    assert taken[0] == b"1"
-    assert taken[-1] == b"new"
+    popped = drain(queue)
+    assert popped[0] == b"1"
+    assert popped[-1] == b"new"
 
 
 def test_bytes_are_bounded_too() -> None:
-    queue = ClientQueue()
+    queue = made()
     for _ in range(10):
         queue.put_message("/image", bytes(MAX_BYTES // 4))
     assert len(drain(queue)) == 4
@@ -56,7 +61,7 @@ def test_bytes_are_bounded_too() -> None:
 
 
 def test_a_client_that_lets_results_pile_up_is_too_slow() -> None:
-    queue = ClientQueue()
+    queue = made()
     for _ in range(MAX_RESULTS):
         queue.put_result(b"r")
     assert not queue.is_too_slow
@@ -65,7 +70,7 @@ def test_a_client_that_lets_results_pile_up_is_too_slow() -> None:
 
 
 def test_results_are_bounded_by_bytes_too_but_one_may_be_of_any_size() -> None:
-    queue = ClientQueue()
+    queue = made()
     queue.put_result(bytes(MAX_RESULT_BYTES + 1))
     assert not queue.is_too_slow
     queue.put_result(b"r")
@@ -73,7 +78,7 @@ def test_results_are_bounded_by_bytes_too_but_one_may_be_of_any_size() -> None:
 
 
 async def test_there_is_room_until_results_fill_half() -> None:
-    queue = ClientQueue()
+    queue = made()
     for _ in range(MAX_RESULTS // 2):
         queue.put_result(b"r")
     await queue.room()
@@ -81,12 +86,12 @@ async def test_there_is_room_until_results_fill_half() -> None:
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0.001):
             await queue.room()
-    queue.take()
+    queue.pop()
     await queue.room()
 
 
 def test_a_forgotten_topic_leaves_nothing_behind() -> None:
-    queue = ClientQueue()
+    queue = made()
     queue.put_message("/a", b"1")
     queue.put_message("/b", b"2")
     queue.forget("/a")
@@ -95,24 +100,24 @@ def test_a_forgotten_topic_leaves_nothing_behind() -> None:
 
 
 async def test_wait_returns_when_something_was_put() -> None:
-    queue = ClientQueue()
+    queue = made()
     queue.put_message("/a", b"1")
     await queue.wait()
     assert drain(queue) == [b"1"]
-    queue.nudge()
+    queue.wake()
     await queue.wait()
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "/b", "/c", ""]), st.integers(1, MAX_BYTES // 3)), max_size=60))
 def test_bounds_hold_and_what_leaves_is_in_order(puts: list[tuple[str, int]]) -> None:
-    queue = ClientQueue()
+    queue = made()
     for number, (topic, size) in enumerate(puts):
         data = b"%06d" % number + bytes(size)
         if topic:
             queue.put_message(topic, data)
         else:
             queue.put_result(data[:6])
-    taken = drain(queue)
-    assert [data[:6] for data in taken] == sorted(data[:6] for data in taken)
-    assert sum(len(data) for data in taken if len(data) > 6) <= MAX_BYTES
-    assert len(taken) + queue.dropped == len(puts)
+    popped = drain(queue)
+    assert [data[:6] for data in popped] == sorted(data[:6] for data in popped)
+    assert sum(len(data) for data in popped if len(data) > 6) <= MAX_BYTES
+    assert len(popped) + queue.dropped == len(puts)

@@ -8,6 +8,7 @@ import pytest
 from hostlink.protocol.frame import Id
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.participants import publish
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -26,7 +27,7 @@ async def heard(device: FakeDevice, topic_id: int, *, is_zero: bool) -> None:
 
 async def driven(host: Daemon, device: FakeDevice, topic_id: int, name: str) -> None:
     await expect(lambda: host.hub.topics.find(name).devices)
-    host.hub.publish(name, {"linear": {"x": 0.3}}, source="test")
+    publish(host.hub, name, {"linear": {"x": 0.3}}, source="test")
     await heard(device, topic_id, is_zero=False)
 
 
@@ -55,7 +56,7 @@ class TestBoth:
         async with daemon() as host, fake_device(host.tcp, infos) as device:
             await driven(host, device, topic_id, name)
             for _ in range(8):
-                host.hub.publish(name, {"linear": {"x": 0.3}}, source="test")
+                publish(host.hub, name, {"linear": {"x": 0.3}}, source="test")
                 assert await device.frame(topic_id) != ZERO
                 await asyncio.sleep(0.1)
 
@@ -109,7 +110,7 @@ async def test_a_twist_that_is_no_velocity_by_its_name_stays_as_it_was_sent() ->
     plain = [topic(Id.SUBSCRIBER, 100, "/show/target", "geometry_msgs/Twist")]
     async with daemon() as host, fake_device(host.tcp, plain) as device:
         await expect(lambda: host.hub.topics.find("/show/target").devices)
-        host.hub.publish("/show/target", {"linear": {"x": 0.3}}, source="test")
+        publish(host.hub, "/show/target", {"linear": {"x": 0.3}}, source="test")
         assert struct.unpack("<6d", await device.frame(100))[0] == 0.3
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.8):

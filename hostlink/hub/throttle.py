@@ -1,4 +1,4 @@
-"""Throttle: `throttle_rate` and `queue_length` of one rosbridge subscription, as its clients expect them."""
+"""Throttle: the pace of one subscription, as rosbridge's `throttle_rate` and `queue_length` have it."""
 
 from collections import deque
 
@@ -14,7 +14,7 @@ class Throttle:
         self._free_at_s = float("-inf")
 
     def change(self, *, interval_s: float, queue_length: int) -> None:
-        """Another pace from now on; what waits and fits goes on waiting."""
+        """Another pace from now on; what waits and fits continues to wait."""
         if (interval_s, queue_length) != (self.interval_s, self._waiting.maxlen):
             self._free_at_s += interval_s - self.interval_s
             self.interval_s = interval_s
@@ -30,7 +30,7 @@ class Throttle:
         self._free_at_s = now_s + self.interval_s
         return self._waiting.popleft() if self._waiting else message
 
-    def take(self, now_s: float) -> Message | None:
+    def pop(self, now_s: float) -> Message | None:
         """A message that waited long enough."""
         if not self._waiting or now_s < self._free_at_s:
             return None
@@ -38,5 +38,5 @@ class Throttle:
         return self._waiting.popleft()
 
     def due_s(self) -> float | None:
-        """When `take` has something; None: nothing waits."""
+        """When `pop` has something; None: nothing waits."""
         return self._free_at_s if self._waiting else None

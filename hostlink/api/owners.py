@@ -1,0 +1,39 @@
+"""Owners: who drives and publishes over REST. It is no connection, for one may carry a single request."""
+
+from collections import OrderedDict
+
+from aiohttp import web
+
+from hostlink.api.access import GRANT
+from hostlink.hub.hub import Hub
+from hostlink.hub.participant import Participant
+
+MAX_OWNERS = 64  # as many as one robot keeps apart; each that drives sends a request in every lease
+
+
+class Owners:
+    """All requests with one token, or from one computer, are one participant; its lease ends by itself.
+
+    Over MAX_OWNERS the one leaves that sent nothing for the longest time, and what it drives stops.
+    """
+
+    def __init__(self, hub: Hub) -> None:
+        self.evicted = 0
+        self._hub = hub
+        self._owners: OrderedDict[str, Participant] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._owners)
+
+    def of(self, request: web.Request) -> Participant:
+        """Who sends this request."""
+        grant = request[GRANT]
+        name = f"rest {grant.who or request.remote}"
+        owner = self._owners.pop(name, None)
+        if owner is None or owner.has_left:
+            owner = self._hub.join(name, role=grant.role)
+        self._owners[name] = owner
+        if len(self._owners) > MAX_OWNERS:
+            self._owners.popitem(last=False)[1].leave()
+            self.evicted += 1
+        return owner

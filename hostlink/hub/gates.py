@@ -1,0 +1,266 @@
+"""Gates: every velocity gate, and the one clock of all. No velocity reaches a device but through here."""
+
+import asyncio
+import contextlib
+from collections.abc import Iterable
+
+import structlog
+
+from hostlink.errors import DeviceGone, HostlinkError, WrongType
+from hostlink.hub.drivable import Drivable
+from hostlink.hub.guard import Guard
+from hostlink.hub.isolation import Isolation
+from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.link.link import Link, LinkEnd
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+
+log = structlog.get_logger()
+
+TICK_S = 0.05  # how late the end of a lease may be noticed
+FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
+MAX_GUARDED = 16  # velocity topics of a device that the guard stops; each that comes must be sent to it
+ENDING = "hostlink is stopping, and drives no robot any more"
+
+
+class Gates:
+    """What each link can be driven by. Methods are synchronous; `run` is the clock."""
+
+    def __init__(self, isolation: Isolation, guard: Guard | None = None) -> None:
+        """`guard` stops the devices when this process cannot any more."""
+        self.is_closed = False  # the daemon ends, and drives nobody any more
+        self._isolation, self._guardian = isolation, guard
+        self._of_link: dict[Link, list[Drivable]] = {}
+        self._topic_ids: dict[Link, list[int]] = {}  # that the guard knows
+        self._active: dict[Drivable, None] = {}  # whose gate may have something to send
+        self._wake = asyncio.Event()
+
+    # -- which there are ----------------------------------------------------------------------------------------------
+
+    def attach(self, drivable: Drivable, link: Link) -> None:
+        """Its device is ready: no command of before holds any more, and its first velocity is zero."""
+        drivable.link, drivable.last_frame = link, b""
+        drivable.gate.restart()
+        if link not in self._of_link:
+            self._of_link[link], self._topic_ids[link] = [], []
+            link.last_frame = b""
+        self._of_link[link].append(drivable)
+        self._guard(drivable, link)
+        self._activate(drivable)
+
+    def detach(self, link: Link) -> None:
+        """Nothing is driven by this link any more: what may move is sent a zero."""
+        drivables = self._of_link.pop(link, [])
+        for drivable in drivables:
+            with self._isolation.around("robot", robot=drivable.name):  # the others must be detached, too
+                self._send_last_zero(drivable, link)
+            drivable.link = None
+            drivable.echoes.clear()
+            drivable.gate.restart()
+            self._activate(drivable)
+        if self._topic_ids.pop(link, None) and self._guardian is not None:
+            self._guardian.release(link.number)
+
+    def all(self) -> list[Drivable]:
+        """Whatever can be driven now."""
+        return [drivable for drivables in self._of_link.values() for drivable in drivables]
+
+    def of_link(self, link: Link | None) -> list[Drivable]:
+        """What is driven by this link, a robot's own velocity first."""
+        return [] if link is None else list(self._of_link.get(link, ()))
+
+    def beside(self, drivable: Drivable) -> list[Drivable]:
+        """This one, and whatever else is driven by the same link."""
+        return self.of_link(drivable.link) or [drivable]
+
+    # -- driving ------------------------------------------------------------------------------------------------------
+
+    def receive(self, drivable: Drivable, message: Message) -> None:
+        """The gate's end of a velocity topic: a Twist is a command of who published it.
+
+        Raises:
+            HostlinkError: as `command`.
+            WrongType: it is none.
+        """
+        if message.type_name != TWIST_TYPE:
+            raise WrongType(message.topic, TWIST_TYPE, message.type_name)
+        velocity = Velocity.decode(message.payload)
+        self.command(drivable, velocity, owner=str(message.source), priority=message.priority, now_s=message.at_s)
+
+    def command(
+        self,
+        drivable: Drivable,
+        velocity: Velocity,
+        *,
+        owner: str,
+        priority: int = PROGRAM_PRIORITY,
+        now_s: float | None = None,
+    ) -> Velocity:
+        """Drive for the length of a lease; returns the velocity after the limits.
+
+        Raises:
+            DeviceGone: the device is not connected, or the daemon stops.
+            RobotHeld: another drives with a higher priority, or it is locked.
+            BadRequest: the velocity is not finite.
+            FrameTooLarge, WrongType, UnknownTopic: the device cannot take it; then nobody drives.
+        """
+        if self.is_closed:
+            raise DeviceGone(drivable.name, ENDING)
+        if drivable.link is None:
+            raise DeviceGone(drivable.name)
+        now_s = _now_s() if now_s is None else now_s
+        gate = drivable.gate
+        limited = gate.command(owner, velocity, priority=priority, now_s=now_s)
+        if gate.holder in (owner, None):  # another's idle zero changes nothing, so the device need not hear it
+            refusal = self._send_news(drivable)
+            if refusal is not None:
+                gate.release(owner, now_s=now_s)
+                raise refusal
+        return limited
+
+    def release(self, owner: str) -> None:
+        """A source of commands is gone: what it drives stops."""
+        for drivable in list(self._active):
+            is_driving = drivable.gate.holder == owner
+            drivable.gate.release(owner, now_s=_now_s())  # also what it has claimed without driving now
+            if is_driving:
+                log.info("robot.stopped", robot=drivable.name, reason="owner left", owner=owner)
+                self._send_news(drivable)
+
+    def stop(self, drivable: Drivable) -> None:
+        """Stop it, and whatever else its link drives, as fast as decelerations allow, whoever drives.
+
+        Raises:
+            HostlinkError: the device could not take it.
+        """
+        self._stop(self.beside(drivable))
+
+    def stop_all(self) -> None:
+        """Stop whatever can be driven.
+
+        Raises:
+            HostlinkError: a device could not take it; all others have been stopped.
+        """
+        self._stop(self.all())
+
+    def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
+        """Zero, whatever the limits; a device that cannot take it is passed over."""
+        for drivable in drivables:
+            drivable.gate.halt()
+            self._send_news(drivable)
+
+    def lock(self, drivables: Iterable[Drivable], reason: str) -> None:
+        """Zero at once, and no command until the gates are unlocked.
+
+        Raises:
+            HostlinkError: a device could not take the zero; its gate is locked all the same.
+        """
+        refusal = None
+        for drivable in drivables:
+            drivable.gate.lock(reason)
+            refusal = self._send_news(drivable) or refusal
+        _raise(refusal)
+
+    def close(self) -> None:
+        """The daemon ends: no command is accepted any more, for good."""
+        self.is_closed = True
+
+    # -- the clock ----------------------------------------------------------------------------------------------------
+
+    async def run(self) -> None:
+        """Step every gate that is active; sleep while none is."""
+        while True:
+            now_s = _now_s()
+            for drivable in list(self._active):
+                if drivable.gate.is_active:
+                    self._step(drivable, now_s)
+                elif not drivable.gate.is_claimed(now_s):
+                    self._active.pop(drivable, None)
+            if self._active:
+                await asyncio.sleep(TICK_S)
+            else:
+                self._wake.clear()
+                await self._wake.wait()
+
+    def _stop(self, drivables: Iterable[Drivable]) -> None:
+        refusal = None
+        now_s = _now_s()
+        for drivable in drivables:
+            drivable.gate.stop(now_s=now_s)
+            refusal = self._send_news(drivable) or refusal
+        _raise(refusal)
+
+    def _activate(self, drivable: Drivable) -> None:
+        self._active[drivable] = None
+        self._wake.set()
+
+    def _send_news(self, drivable: Drivable) -> HostlinkError | None:
+        self._activate(drivable)
+        return self._step(drivable, _now_s(), is_news=True)
+
+    def _step(self, drivable: Drivable, now_s: float, *, is_news: bool = False) -> HostlinkError | None:
+        """Send what the gate gives, if it is time; returns why the device cannot take it.
+
+        A crash here is this device's own: its link ends, with a zero as its last frame.
+        """
+        try:
+            return self._send(drivable, now_s, is_news=is_news)
+        except Exception as error:  # noqa: BLE001 - counted; no other gate may miss its turn
+            if drivable.link is not None:
+                drivable.link.end(LinkEnd.CRASHED)
+            self._isolation.crashed("robot", error, robot=drivable.name)
+            return DeviceGone(drivable.name)
+
+    def _send(self, drivable: Drivable, now_s: float, *, is_news: bool) -> HostlinkError | None:
+        gate, link = drivable.gate, drivable.link
+        was_held_by, is_first = gate.holder, gate.is_new_device
+        velocity = gate.step(now_s)
+        if was_held_by is not None and gate.holder is None:
+            log.info("robot.stopped", robot=drivable.name, reason="no command came", owner=was_held_by)
+        if velocity is None or link is None:
+            return None
+        is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
+        if is_repeat and now_s < drivable.sent_at_s + FEED_INTERVAL_S:
+            return None
+        payload = velocity.encode()
+        try:
+            link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
+            link.session.keep_clear(robot_moves=any(each.gate.may_move for each in self._of_link.get(link, ())))
+        except HostlinkError as error:
+            drivable.refusals.add(drivable.name, error)
+            return error
+        drivable.refusals.cause = None
+        drivable.sent, drivable.sent_at_s = velocity, now_s
+        link.wake()
+        for topic in drivable.echoes.values():
+            topic.deliver(payload, source=drivable, at_s=now_s)
+        return None
+
+    def _send_last_zero(self, drivable: Drivable, link: Link) -> None:
+        """To a device that may have announced other topics, or has another link by now; most often it is gone."""
+        if drivable.gate.may_move:
+            try:
+                link.session.publish(drivable.velocity_topic, ZERO.encode(), is_urgent=True)
+            except HostlinkError:
+                if drivable.last_frame:
+                    link.session.send_last(drivable.last_frame)
+            link.wake()
+
+    def _guard(self, drivable: Drivable, link: Link) -> None:
+        """Let link and guard stop it when nobody else can; what takes no velocity cannot be driven."""
+        with contextlib.suppress(HostlinkError):
+            drivable.last_frame = link.session.frame_to(drivable.velocity_topic, ZERO.encode())
+            link.last_frame += drivable.last_frame
+            topic_ids = self._topic_ids[link]
+            if self._guardian is not None and len(topic_ids) < MAX_GUARDED:
+                topic_ids.append(link.session.topic_id(drivable.velocity_topic))
+                longest_bytes = link.session.longest_to_device_bytes
+                self._guardian.watch(link.number, link.descriptor, topic_ids=topic_ids, claim_bytes=longest_bytes)
+
+
+def _raise(refusal: HostlinkError | None) -> None:
+    if refusal is not None:
+        raise refusal
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

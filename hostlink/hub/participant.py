@@ -1,0 +1,303 @@
+"""Participant: the seam. Whatever is not a device takes part in the hub as one, and leaves with all that it has.
+
+Payloads are bytes here, as devices send and receive them; whoever speaks another language translates.
+"""
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
+from hostlink.hub.gates import ENDING, Gates
+from hostlink.hub.isolation import Isolation
+from hostlink.hub.message import PROGRAM_PRIORITY
+from hostlink.hub.node import Node, Role
+from hostlink.hub.robot import Robot
+from hostlink.hub.services import Answer, Notify, Provider, Services
+from hostlink.hub.subscription import Subscription
+from hostlink.hub.topic_graph import Receive, Subscriber, Topic, TopicGraph, resolve
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.message_type import MessageType
+from hostlink.robot.freshness import Freshness
+from hostlink.robot.velocity import Velocity
+
+MAX_ADVERTISED = 256  # topics
+MAX_LATCHED = 16  # topics; each keeps a message
+MAX_SUBSCRIPTIONS = 256
+MAX_SERVICES = 64
+MAX_CALLS = 64  # of services, under way at once
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What of the hub a participant uses."""
+
+    catalog: Catalog
+    topics: TopicGraph
+    services: Services
+    gates: Gates
+    isolation: Isolation
+
+
+class Participant(Node):
+    """One program, or one part of the daemon.
+
+    A callback of it that fails ends it: that is counted and logged, and touches no link and no other participant. A
+    part of the daemon stays: an emergency stop that has failed once is better than none.
+    """
+
+    def __init__(
+        self,
+        parts: Parts,
+        name: str,
+        *,
+        role: Role = Role.DRIVE,
+        priority: int = PROGRAM_PRIORITY,
+        is_daemon: bool = False,
+        on_end: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`priority`: of its velocities; `on_end`: called when a failure ends it."""
+        super().__init__(name, is_daemon=is_daemon)
+        self.role, self.priority = role, priority
+        self.has_left = False
+        self._parts, self._on_end = parts, on_end
+        self._freshness = Freshness()
+        self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
+        self._subscriptions: dict[Subscription, None] = {}
+        self._services: set[str] = set()
+        self._calls: set[asyncio.Timeout] = set()
+
+    # -- topics -------------------------------------------------------------------------------------------------------
+
+    def advertise(self, topic: str, type_name: str, *, is_latched: bool = False) -> Topic:
+        """Note that it publishes the topic; with `is_latched` its last message is kept for later subscribers.
+
+        Raises:
+            BadRequest: nobody knows the type, it may not publish, or it has too many topics.
+            WrongType: the topic is in use with another type.
+        """
+        self.check(Role.DRIVE, "advertise")
+        name = resolve(topic)
+        if self._parts.catalog.message(type_name) is None:
+            raise BadRequest(f"unknown type {type_name}; put its .msg into a folder named in message_folders")
+        is_latched = is_latched or self._advertised.get(name, False)
+        latched = {each for each, is_kept in self._advertised.items() if is_kept}
+        if not self.is_daemon and len(self._advertised.keys() | {name}) > MAX_ADVERTISED:
+            raise BadRequest(f"more than {MAX_ADVERTISED} topics advertised")
+        if is_latched and len(latched | {name}) > MAX_LATCHED:
+            raise BadRequest(f"more than {MAX_LATCHED} latched topics")
+        found = self._parts.topics.advertise(name, self, type_name=type_name, is_latched=is_latched)
+        self._advertised[name] = is_latched
+        return found
+
+    def unadvertise(self, topic: str) -> None:
+        """It publishes the topic no more; one that it did not advertise is no error."""
+        self._advertised.pop(resolve(topic), None)
+        self._parts.topics.unadvertise(topic, self)
+
+    def message_type(self, topic: str, type_name: str = "") -> MessageType:
+        """The type of a topic's messages: as it is known, else the one of this name.
+
+        Raises:
+            UnknownTopic: neither the topic nor the type is known.
+            WrongType: the topic has another type, or one without a definition.
+        """
+        known = self._parts.topics.find_or_none(topic)
+        named = self._parts.catalog.message(type_name) if type_name else None
+        if known is None and named is None:
+            raise UnknownTopic("topic", topic, self._parts.topics.names())
+        if known is not None and known.type_name and named is not None and known.type_name != named.name:
+            raise WrongType(known.name, known.type_name, named.name)
+        found = known.type if known is not None and known.type_name else named
+        if found is None:
+            raise WrongType(topic, "a type with a definition", type_name or "none")
+        return found
+
+    def publish(self, topic: str, payload: bytes, *, priority: int | None = None) -> None:
+        """Send a payload to all who subscribe; a velocity is a command at this priority.
+
+        Raises:
+            BadRequest: it may not publish, or the velocity is not finite.
+            DeviceGone: the daemon stops, or the robot is not connected.
+            RobotHeld: another drives the robot with a higher priority, or it is locked.
+            FrameTooLarge, WrongType: a device cannot take it; all others have it.
+        """
+        self.check(Role.DRIVE, "publish")
+        if self._parts.gates.is_closed:
+            raise DeviceGone(topic, ENDING)
+        known = self._parts.topics.find_or_none(topic)
+        if known is not None:
+            known.publish(payload, source=self, priority=self.priority if priority is None else priority)
+
+    def subscribe(
+        self,
+        topic: str,
+        receive: Receive,
+        *,
+        type_name: str = "",
+        interval_s: float = 0.0,
+        queue_length: int = 0,
+        on_held: Callable[[], None] = lambda: None,
+    ) -> Subscription:
+        """Call `receive` with what was latched and every message from now on, at most one in `interval_s`.
+
+        In between the newest `queue_length` are held for `flush`, and `on_held` is called for each.
+
+        Raises:
+            BadRequest: it has left, or has too many subscriptions.
+            WrongType: the topic is in use with another type.
+        """
+        self.check(Role.READ, "subscribe")
+        if not self.is_daemon and len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
+            raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
+        subscription = Subscription(receive, on_held, interval_s=interval_s, queue_length=queue_length)
+        self._subscriptions[subscription] = None
+        subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
+        try:
+            unsubscribe = self._parts.topics.subscribe(topic, subscriber)
+        except WrongType:
+            del self._subscriptions[subscription]
+            raise
+
+        def close() -> None:
+            unsubscribe()
+            self._subscriptions.pop(subscription, None)
+
+        subscription.close = close
+        if self.has_left:  # what was latched ended it
+            close()
+        return subscription
+
+    def flush(self, now_s: float) -> float | None:
+        """Deliver what subscriptions held back until now; returns when the next is due."""
+        try:
+            due = [subscription.flush(now_s) for subscription in list(self._subscriptions)]
+        except Exception as error:  # noqa: BLE001 - as when a message comes
+            self.fail(error)
+            return None
+        return min((at_s for at_s in due if at_s is not None), default=None)
+
+    # -- services -----------------------------------------------------------------------------------------------------
+
+    def provide(
+        self,
+        service: str,
+        type_name: str,
+        answer: Answer,
+        *,
+        notify: Notify | None = None,
+        is_reading: bool = False,
+    ) -> None:
+        """Answer the calls of a service; the newest offer of a name counts.
+
+        `notify` is told when another gets the calls; `is_reading`: a call changes nothing.
+
+        Raises:
+            BadRequest: it may not serve, has too many services, or the name is the daemon's own.
+        """
+        self.check(Role.DRIVE, "advertise_service")
+        name = resolve(service)
+        if not self.is_daemon and len(self._services | {name}) > MAX_SERVICES:
+            raise BadRequest(f"more than {MAX_SERVICES} services")
+        provider = Provider(name, type_name, self, answer, notify, fail=self.fail, is_reading=is_reading)
+        self._parts.services.provide(provider)
+        self._services.add(name)
+
+    def withdraw(self, service: str) -> None:
+        """Answer it no more; one that it did not provide is no error."""
+        self._services.discard(resolve(service))
+        self._parts.services.withdraw(service, self)
+
+    async def call(
+        self, service: str, request: Mapping[str, object], *, timeout_s: float | None = None
+    ) -> Mapping[str, object]:
+        """Call a service, whoever provides it.
+
+        Raises:
+            UnknownTopic: nobody provides it.
+            WrongType, BadRequest, BadPayload: request or answer is not of its type, or it may not call it.
+            ServiceFailed, ServiceTimeout, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
+        """
+        self.check(Role.READ, "call_service")
+        if self.role < Role.DRIVE and not self._parts.services.is_reading(service):
+            raise BadRequest("the token may only read: of the services it may call rosapi's")
+        if len(self._calls) >= MAX_CALLS:
+            raise BadRequest(f"more than {MAX_CALLS} calls under way")
+        try:
+            async with asyncio.timeout(None) as end:  # `leave` sets it
+                self._calls.add(end)
+                try:
+                    return await self._parts.services.call(service, request, timeout_s=timeout_s)
+                finally:
+                    self._calls.discard(end)
+        except TimeoutError:
+            raise ServiceFailed(service, f"{self.name} has left") from None
+
+    # -- robots -------------------------------------------------------------------------------------------------------
+
+    def drive(
+        self,
+        robot: Robot,
+        velocity: Velocity,
+        *,
+        priority: int | None = None,
+        link: int | None = None,
+        sent_s: float | None = None,
+    ) -> Velocity:
+        """Drive for the length of a lease; returns the velocity after the limits.
+
+        `link`: the connection for which it is meant, if not any; `sent_s`: when it was sent, by the sender's clock.
+
+        A command that was delayed on its way for longer than it holds is refused: a network that comes back must not
+        deliver a motion that nobody means any more. So is one for a device that has connected again since.
+
+        Raises:
+            BadRequest: it may not drive, the command is late or for another connection, or it is not finite.
+            DeviceGone: the device is not connected, or the daemon stops.
+            RobotHeld: another drives with a higher priority, or the robot is locked.
+            FrameTooLarge, WrongType, UnknownTopic: the device cannot take it; then nobody drives.
+        """
+        self.check(Role.DRIVE, "drive")
+        if sent_s is not None:
+            late_s = self._freshness.late_s(sent_s, asyncio.get_running_loop().time())
+            if late_s > robot.gate.lease_s:
+                raise BadRequest(f"{robot.name}: the command was {late_s:.1f} s on its way, longer than it holds")
+        if link is not None and robot.link is not None and robot.link.number != link:
+            raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
+        wanted_priority = self.priority if priority is None else priority
+        return self._parts.gates.command(robot, velocity, owner=self.name, priority=wanted_priority)
+
+    # -- its end ------------------------------------------------------------------------------------------------------
+
+    def check(self, role: Role, what: str) -> None:
+        """Refuse what is not allowed.
+
+        Raises:
+            BadRequest: it has left, or its role is less.
+        """
+        if self.has_left:
+            raise BadRequest(f"{what}: {self.name} has left")
+        if self.role < role:
+            raise BadRequest(f"{what}: the token may only read")
+
+    def fail(self, error: Exception) -> None:
+        """A callback of it has failed: it is counted, and ends."""
+        if not self.is_daemon:
+            self.leave()
+            self._on_end()
+        self._parts.isolation.crashed("participant", error, participant=self.name)
+
+    def leave(self) -> None:
+        """Take back all that it has: what it drove stops, what it provided is no more, its calls fail."""
+        if self.has_left:
+            return
+        self.has_left = True
+        self._parts.gates.release(self.name)
+        for subscription in list(self._subscriptions):
+            subscription.close()
+        self._parts.topics.leave(self)
+        self._parts.services.leave(self)
+        for end in self._calls:
+            end.reschedule(asyncio.get_running_loop().time())
+        self._advertised.clear()
+        self._services.clear()

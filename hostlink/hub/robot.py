@@ -1,0 +1,54 @@
+"""Robot: a differential-drive robot (or any other that takes a Twist and publishes its pose), while it is known."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import structlog
+
+from hostlink.config import RobotConfig
+from hostlink.errors import BadPayload
+from hostlink.hub.drivable import Drivable
+from hostlink.hub.message import Message
+from hostlink.link.link import Link
+from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.odometry_estimator import OdometryEstimator
+
+log = structlog.get_logger()
+
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class Robot(Drivable):
+    """It outlives its link: a robot that comes back continues with the same gate, at zero."""
+
+    config: RobotConfig
+    odometry: OdometryEstimator
+    topics: RobotTopicNames  # as its device names them
+    shown: RobotTopicNames  # as the graph names them
+    locked_link: Link | None = None  # the one that it had when it was locked
+    unreadable: int = 0  # messages of its odometry that are none
+    relay: Callable[[Message], None] | None = None  # what receives the messages that were poses
+
+    def receive_odometry(self, message: Message) -> None:
+        """A message of its odometry's topic. A pose belongs to the robot of the link by which it came."""
+        if message.source is not self.link or message.type_name != self.topics.odometry_type:
+            return
+        count = self.odometry.count
+        try:
+            self.odometry.see(message.decoded, now_s=message.at_s, wall_ns=self._stamp_ns(message))
+        except BadPayload as error:
+            self.unreadable += 1
+            log.debug("odometry.unreadable", robot=self.name, reason=str(error))
+            return
+        if self.relay is not None and self.odometry.count > count:
+            self.relay(message)
+
+    def _stamp_ns(self, message: Message) -> int:
+        """When the message was made, in the host's time: its header's stamp where it has one, else its arrival."""
+        header: Any = message.decoded.get("header")
+        if header is None or self.link is None:
+            return message.stamp_ns
+        stamp_ns = header["stamp"]["secs"] * _NS_PER_S + header["stamp"]["nsecs"]
+        return self.link.session.device_clock.to_host_ns(stamp_ns, message.stamp_ns)

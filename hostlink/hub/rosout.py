@@ -1,0 +1,38 @@
+"""Rosout: the logs of devices, in the daemon's log and as rosgraph_msgs/Log on /rosout."""
+
+import contextlib
+import time
+
+import structlog
+
+from hostlink.errors import HostlinkError
+from hostlink.hub.participant import Participant
+from hostlink.link.link import Link
+from hostlink.logs import printable
+from hostlink.protocol.control import LOG_LEVELS
+from hostlink.protocol.events import DeviceLogged
+
+log = structlog.get_logger()
+
+TOPIC, TYPE = "/rosout", "rosgraph_msgs/Log"
+_NS_PER_S = 1_000_000_000
+_METHODS = ("debug", "info", "warning", "error", "error")  # the log's, for each of rosserial's levels
+
+
+class Rosout:
+    """Publishes for all devices."""
+
+    def __init__(self, participant: Participant) -> None:
+        self._participant = participant
+        self._topic = participant.advertise(TOPIC, TYPE)
+
+    def log(self, link: Link, event: DeviceLogged) -> None:
+        """A device logs."""
+        level, text = event.level, printable(event.text)
+        getattr(log, _METHODS[level])("device.logged", level_name=LOG_LEVELS[level], text=text)
+        if self._topic.has_subscribers and self._topic.type is not None:
+            secs, nsecs = divmod(time.time_ns(), _NS_PER_S)
+            line = {"level": 1 << level, "name": link.peer, "msg": event.text}
+            header = {"stamp": {"secs": secs, "nsecs": nsecs}}
+            with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
+                self._participant.publish(TOPIC, self._topic.type.encode({"header": header, **line}))

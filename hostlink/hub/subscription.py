@@ -1,0 +1,40 @@
+"""Subscription: what a participant receives of one topic, at the pace that it chose."""
+
+from collections.abc import Callable
+
+from hostlink.hub.message import Message
+from hostlink.hub.throttle import Throttle
+
+
+class Subscription:
+    """`close` ends it."""
+
+    def __init__(
+        self,
+        deliver: Callable[[Message], None],
+        on_held: Callable[[], None],
+        *,
+        interval_s: float = 0.0,
+        queue_length: int = 0,
+    ) -> None:
+        self.close: Callable[[], None] = lambda: None  # until it is in the graph
+        self._deliver, self._on_held = deliver, on_held
+        self._throttle = Throttle(interval_s=interval_s, queue_length=queue_length)
+
+    def change(self, *, interval_s: float, queue_length: int) -> None:
+        """Another pace from now on."""
+        self._throttle.change(interval_s=interval_s, queue_length=queue_length)
+
+    def receive(self, message: Message) -> None:
+        """Deliver a message, or hold it back."""
+        ready = self._throttle.offer(message, message.at_s)
+        if ready is not None:
+            self._deliver(ready)
+        elif self._throttle.due_s() is not None:
+            self._on_held()
+
+    def flush(self, now_s: float) -> float | None:
+        """Deliver what is due; returns when the next is."""
+        while (message := self._throttle.pop(now_s)) is not None:
+            self._deliver(message)
+        return self._throttle.due_s()
