@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.request import Request
-from hostlink.errors import BadRequest, ServiceFailed, UnknownTopic
+from hostlink.errors import BadRequest, ServiceFailed
 from hostlink.hub.participant import Participant
-from hostlink.hub.topic_graph import resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import ServiceType
 
@@ -38,7 +37,7 @@ class _Call(NamedTuple):
 
 
 class ClientServices:
-    """Provided, called and answered; what is withdrawn fails every call that waits for it at once."""
+    """Provided, called and answered."""
 
     def __init__(
         self, participant: Participant, catalog: Catalog, queue: ClientQueue, warn: Callable[[str], None]
@@ -46,13 +45,7 @@ class ClientServices:
         """`warn` sends the client what is no error of its own."""
         self._participant, self._catalog, self._queue, self._warn = participant, catalog, queue, warn
         self._numbers = itertools.count(1)
-        self._names: set[str] = set()
         self._waiting: dict[str, _Call] = {}
-
-    @property
-    def names(self) -> list[str]:
-        """The services."""
-        return sorted(self._names)
 
     def advertise(self, request: Request) -> None:
         """Provide a service; the newest offer of a name counts.
@@ -66,11 +59,10 @@ class ClientServices:
             return await self._call(name, type_name, arguments)
 
         self._participant.provide(name, type_name, answer, notify=self._warn)
-        self._names.add(resolve(name))
 
     def unadvertise(self, request: Request) -> None:
         """Provide it no more."""
-        self._withdraw(resolve(request.text("service")))
+        self._participant.withdraw(request.text("service"))
 
     def respond(self, request: Request) -> None:
         """Accept the client's `service_response`; one that nobody waits for is late, and harmless.
@@ -88,11 +80,6 @@ class ClientServices:
             call.fail(error)
             raise
 
-    def close(self) -> None:
-        """The client is gone."""
-        for name in self.names:
-            self._withdraw(name)
-
     def _accept(self, call: _Call, request: Request) -> None:
         """As rosbridge does, an object goes to the caller whatever `result` says: whether it is a success stands in it.
 
@@ -107,13 +94,6 @@ class ClientServices:
             call.succeed(call.completed(values or {}))
         else:
             raise BadRequest(f"{call.service}: its answer is no object")
-
-    def _withdraw(self, name: str) -> None:
-        self._participant.withdraw(name)
-        self._names.discard(name)
-        for call in self._waiting.values():
-            if resolve(call.service) == name:
-                call.fail(UnknownTopic("service", call.service))
 
     async def _call(self, name: str, type_name: str, arguments: Values) -> Values:
         """Call the client. Where the type has a definition, both ways are complete and right, as through ROS."""

@@ -64,11 +64,6 @@ class ClientSubscriptions:
         self._participant, self._queue, self._warn = participant, queue, warn
         self._subscriptions: dict[str, _ClientSubscription] = {}
 
-    @property
-    def names(self) -> list[str]:
-        """The topics, as the client spells them."""
-        return list(self._subscriptions)
-
     def subscribe(self, request: Request) -> None:
         """Add an id to a topic, or change what it chose.
 

@@ -16,11 +16,6 @@ class ClientTopics:
         self._ids: defaultdict[str, set[object]] = defaultdict(set)
         self._latched: set[str] = set()
 
-    @property
-    def names(self) -> list[str]:
-        """The topics."""
-        return list(self._ids)
-
     def advertise(self, request: Request) -> None:
         """Note a topic.
 

@@ -2,10 +2,8 @@
 
 from collections import OrderedDict
 
-from aiohttp import web
-
-from hostlink.api.access import GRANT
 from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 
 MAX_OWNERS = 64  # as many as one robot keeps apart; each that drives sends a request in every lease
@@ -25,13 +23,11 @@ class Owners:
     def __len__(self) -> int:
         return len(self._owners)
 
-    def of(self, request: web.Request) -> Participant:
-        """Who sends this request."""
-        grant = request[GRANT]
-        name = f"rest {grant.who or request.remote}"
+    def of(self, name: str, role: Role) -> Participant:
+        """The one of this name."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
-            owner = self._hub.join(name, role=grant.role)
+            owner = self._hub.join(f"rest {name}", role=role)
         self._owners[name] = owner
         if len(self._owners) > MAX_OWNERS:
             self._owners.popitem(last=False)[1].leave()

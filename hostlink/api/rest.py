@@ -7,6 +7,7 @@ from typing import Annotated, TypedDict, TypeVar
 import msgspec
 from aiohttp import web
 
+from hostlink.api.access import GRANT
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.owners import Owners
 from hostlink.api.replies import refusal, reply
@@ -28,6 +29,7 @@ from hostlink.hub.emergency_stop import LOCK_REASON
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.node import Role
+from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 
@@ -196,8 +198,12 @@ class Rest:
         robot = self._find(request)
         wanted = _read(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
-        limited = self._owners.of(request).drive(robot, velocity, priority=wanted.priority)
+        limited = self._owner(request).drive(robot, velocity, priority=wanted.priority)
         return reply(velocity_answer(robot, velocity, limited))
+
+    def _owner(self, request: web.Request) -> Participant:
+        grant = request[GRANT]
+        return self._owners.of(grant.who or request.remote or "", grant.role)
 
     async def _stop(self, request: web.Request) -> web.Response:
         robot = self._find(request)
@@ -230,7 +236,7 @@ class Rest:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
             raise DeviceGone(robot.name)
-        self._owners.of(request).publish(robot.shown.reset, b"")  # a std_msgs/Empty
+        self._owner(request).publish(robot.shown.reset, b"")  # a std_msgs/Empty
         return reply({"reset": robot.shown.reset})
 
     async def _links(self, _: web.Request) -> web.Response:

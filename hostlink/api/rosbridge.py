@@ -31,7 +31,7 @@ _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one 
 
 
 class RosbridgeClient:
-    """One participant, and the language that its program speaks; `close` takes back what it has."""
+    """One participant, and the language that its program speaks."""
 
     def __init__(
         self,
@@ -44,9 +44,9 @@ class RosbridgeClient:
     ) -> None:
         """`spawn` runs a service call as a child of the client's connection."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
-        self.topics = ClientTopics(self.participant)
-        self.services = ClientServices(self.participant, hub.catalog, queue, self._warn)
-        self.subscriptions = ClientSubscriptions(self.participant, queue, self._warn)
+        self._topics = ClientTopics(self.participant)
+        services = ClientServices(self.participant, hub.catalog, queue, self._warn)
+        subscriptions = ClientSubscriptions(self.participant, queue, self._warn)
         self._hub = hub
         self._queue = queue
         self._spawn = spawn
@@ -56,15 +56,15 @@ class RosbridgeClient:
         self._fragments = Fragments(hub.config.api.max_message_bytes)
         self._drive = Drive(self.participant, hub.robots, queue)
         self._operations: dict[str, Callable[[Request], None]] = {
-            "advertise": self.topics.advertise,
-            "unadvertise": self.topics.unadvertise,
+            "advertise": self._topics.advertise,
+            "unadvertise": self._topics.unadvertise,
             "publish": self._publish,
-            "subscribe": self.subscriptions.subscribe,
-            "unsubscribe": self.subscriptions.unsubscribe,
+            "subscribe": subscriptions.subscribe,
+            "unsubscribe": subscriptions.unsubscribe,
             "call_service": self._call_service,
-            "advertise_service": self.services.advertise,
-            "unadvertise_service": self.services.unadvertise,
-            "service_response": self.services.respond,
+            "advertise_service": services.advertise,
+            "unadvertise_service": services.unadvertise,
+            "service_response": services.respond,
             "set_level": self._set_level,
             "auth": _accept,
             "fragment": self._add_fragment,
@@ -94,22 +94,13 @@ class RosbridgeClient:
             await asyncio.sleep(0)  # many calls came in one read, and most are answered at once
         await self._queue.room()
 
-    def flush(self, now_s: float) -> float | None:
-        """Queue what throttled subscriptions held back until now; returns when the next is due."""
-        return self.participant.flush(now_s)
-
-    def close(self) -> None:
-        """The client is gone: all that it has ends, and what it drove stops."""
-        self.services.close()
-        self.participant.leave()
-
     # -- operations ---------------------------------------------------------------------------------------------------
 
     def _publish(self, request: Request) -> None:
         topic, type_name = request.text("topic"), request.text_or("type", "")
         message = request.table("msg")
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
-        self.topics.publish(request)
+        self._topics.publish(request)
         type_ = self.participant.message_type(topic, type_name)
         payload = type_.encode(fill_stamps(type_, message, time.time_ns()))
         self.participant.publish(topic, payload, priority=priority)

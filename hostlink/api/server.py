@@ -229,7 +229,7 @@ class ApiServer:
                         break
                     await rosbridge.settle()
             finally:
-                rosbridge.close()
+                rosbridge.participant.leave()
                 sender.cancel()
 
     async def _refuse_flood(self, socket: web.WebSocketResponse) -> None:
@@ -245,7 +245,7 @@ class ApiServer:
         loop = asyncio.get_running_loop()
         async with asyncio.timeout(None) as patience:
             while not queue.is_too_slow and not queue.is_closed:
-                due_s = rosbridge.flush(loop.time())
+                due_s = rosbridge.participant.flush(loop.time())
                 patience.reschedule(loop.time() + SEND_TIMEOUT_S)
                 for waiting in itertools.islice(iter(queue.pop, None), SEND_BATCH):
                     kind = WSMsgType.BINARY if waiting.item.is_binary else WSMsgType.TEXT

@@ -47,7 +47,7 @@ async def _demo(config: Config, robots: int) -> None:
             host, port = addresses.tcp
             fleet = tasks.create_task(run_fleet(host, port, robots=robots), name="simulated robots")
             participant = hub.join(OWNER, priority=DEMO_PRIORITY)
-            driver = tasks.create_task(_drive(hub, participant), name="demo driver")
+            driver = tasks.create_task(drive_robots(hub, participant), name="demo driver")
             line = tasks.create_task(_show(hub), name="live line")
             _print_welcome(addresses.api)
             await ending.wait()
@@ -69,7 +69,7 @@ def _print_welcome(api: str) -> None:
     )
 
 
-async def _drive(hub: Hub, participant: Participant) -> None:
+async def drive_robots(hub: Hub, participant: Participant) -> None:
     """Drive every robot in a curve; whoever else drives one has it until he has left it alone for a while."""
     now_s = asyncio.get_running_loop().time
     busy_until_s: dict[str, float] = {}

@@ -134,6 +134,41 @@ class Provider:
         self.name, self.type_name, self.key, self.answer = name, type_name, key, answer
         self.notify: Notify = _ignore if notify is None else notify
         self.fail, self.is_reading = fail, is_reading
+        self._is_withdrawn = False
+        self._calls: set[asyncio.Timeout] = set()
+
+    async def call(self, name: str, request: Mapping[str, object], *, timeout_s: float) -> Mapping[str, object]:
+        """The answer; `name` is the service's as its caller spells it.
+
+        Raises:
+            UnknownTopic: it was withdrawn before it answered.
+            ServiceTimeout: it did not answer in time.
+            ServiceFailed: it has a bug, which ends who provides it.
+            HostlinkError: what else it answers.
+        """
+        try:
+            async with asyncio.timeout(timeout_s) as end:  # `withdraw` sets it
+                self._calls.add(end)
+                try:
+                    return await self.answer(request)
+                finally:
+                    self._calls.discard(end)
+        except TimeoutError:
+            if self._is_withdrawn:
+                raise UnknownTopic("service", name) from None
+            raise ServiceTimeout(self.name, timeout_s) from None
+        except HostlinkError:
+            raise
+        except Exception as error:
+            log.exception("service.crashed", service=printable(self.name))
+            self.fail(error)
+            raise ServiceFailed(self.name, f"{type(error).__name__}: {error}") from error
+
+    def withdraw(self) -> None:
+        """It is provided no more: every call that waits fails at once."""
+        self._is_withdrawn = True
+        for end in self._calls:
+            end.reschedule(asyncio.get_running_loop().time())
 
     @property
     def is_daemon(self) -> bool:
@@ -195,7 +230,9 @@ class Services:
     def withdraw(self, name: str, key: Hashable) -> None:
         """A program offers it no more."""
         name = resolve(name)
-        if _remove(self._providers, name, key) is not None:
+        provider = _remove(self._providers, name, key)
+        if provider is not None:
+            provider.withdraw()
             self._names[key].discard(name)
 
     def leave(self, key: Hashable) -> None:
@@ -204,7 +241,9 @@ class Services:
             service = _remove(self._devices, name, key)
             if service is not None:
                 service.close()
-            _remove(self._providers, name, key)
+            provider = _remove(self._providers, name, key)
+            if provider is not None:
+                provider.withdraw()
 
     def of_device(self, name: str) -> DeviceService | None:
         """The device's service of that name, of several the newest."""
@@ -259,7 +298,7 @@ class Services:
         """
         service = self.find(name)
         if isinstance(service, Provider):
-            return await _ask(service, request, PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s)
+            return await service.call(name, request, timeout_s=PROGRAM_TIMEOUT_S if timeout_s is None else timeout_s)
         if service.type is None:
             raise WrongType(service.name, "a service type with a definition", service.type_name)
         timeout_s = DEVICE_TIMEOUT_S if timeout_s is None else timeout_s
@@ -269,20 +308,6 @@ class Services:
     def _take_over(self, name: str, key: Hashable, before: Provider) -> None:
         log.warning("service.taken_over", service=printable(name), by=str(key), before=str(before.key))
         before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
-
-
-async def _ask(provider: Provider, request: Mapping[str, object], timeout_s: float) -> Mapping[str, object]:
-    try:
-        async with asyncio.timeout(timeout_s):
-            return await provider.answer(request)
-    except TimeoutError:
-        raise ServiceTimeout(provider.name, timeout_s) from None
-    except HostlinkError:
-        raise
-    except Exception as error:  # a bug in one service must not reach who calls it, nor anybody else
-        log.exception("service.crashed", service=printable(provider.name))
-        provider.fail(error)
-        raise ServiceFailed(provider.name, f"{type(error).__name__}: {error}") from error
 
 
 def _newest(offers: Mapping[str, dict[Hashable, _Offer]], name: str) -> _Offer | None:

@@ -63,11 +63,11 @@ def test_no_client_can_break_itself_or_another(said: list[tuple[int, str | bytes
                 await asyncio.sleep(0)
             await asyncio.sleep(100)  # virtual: every deadline is over
             for peer in peers:
-                peer.client.flush(asyncio.get_running_loop().time())
+                peer.client.participant.flush(asyncio.get_running_loop().time())
                 assert len(list(iter(peer.queue.pop, None))) <= MAX_MESSAGES + MAX_RESULTS
             await still_works(here)
             for peer in peers:
-                peer.client.close()
+                peer.client.participant.leave()
             assert [topic.name for topic in here.hub.topics.all()] == ["/rosout"]
             assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
 
@@ -84,7 +84,7 @@ async def still_works(here: World) -> None:
     assert heard[0] == {"op": "publish", "topic": "/fresh", "msg": {"data": "x"}}
     assert "/fresh" in heard[1]["values"]["topics"]
     for peer in (speaker, listener):
-        peer.client.close()
+        peer.client.participant.leave()
 
 
 ids = st.sampled_from([None, "x", "y", 1, 2])
@@ -103,7 +103,7 @@ def test_ids_that_come_and_go_leave_what_is_asked_for(said: list[tuple[str, obje
                     wanted = {other for other in wanted if other[0] != topic}
                 else:
                     wanted.discard((topic, request_id))
-            assert set(peer.client.subscriptions.names) == {topic for topic, _ in wanted}
+            assert len(peer.client.participant._subscriptions) == len({topic for topic, _ in wanted})
             assert peer.heard() == []
 
     run_virtual(run())

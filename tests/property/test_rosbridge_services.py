@@ -59,7 +59,7 @@ class Program:
                 self.peer.client.receive(json.dumps(said | {"values": what, "result": more}))
             case "leave":
                 self.is_there = False
-                self.peer.client.close()
+                self.peer.client.participant.leave()
 
 
 @given(st.lists(st.tuples(st.integers(0, PEERS - 1), actions), max_size=40))
@@ -78,7 +78,7 @@ def test_every_call_is_answered_exactly_once(said: list[tuple[int, tuple[str, An
                 program.read()
                 if program.is_there:
                     assert sorted(program.answers) == program.calls
-                    program.peer.client.close()
+                    program.peer.client.participant.leave()
             assert all(name.startswith("/rosapi/") for name, _ in here.hub.services.all())
 
     run_virtual(run())

@@ -1,10 +1,39 @@
-"""Participants of a hub, as tests have them: they stay until the hub ends."""
+"""Participants of a hub, of every kind, and the scene in which they meet robots and a neighbour."""
 
-from collections.abc import Callable, Mapping
+import asyncio
+import contextlib
+import itertools
+import json
+import struct
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
+from structlog.testing import capture_logs
+
+from hostlink.api.outgoing import ClientQueue, Outgoing, client_queue
+from hostlink.api.owners import Owners
+from hostlink.api.rosbridge import RosbridgeClient
+from hostlink.config import Config
+from hostlink.errors import BadRequest, HostlinkError, RobotHeld
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.node import Role
+from hostlink.hub.participant import Participant
+from hostlink.hub.queue import Queue
 from hostlink.hub.subscription import Subscription
+from hostlink.robot.velocity import Velocity
+from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.scripted_device import ScriptedDevice
+from tests.support.virtual_loop import run_virtual
+
+Answer = Callable[[Mapping[str, object]], Awaitable[Mapping[str, object]]]
+
+POSE = struct.Struct("<3d")
+VELOCITY_ID, ODOMETRY_ID = 100, 125
+SERVICE, SERVICE_TYPE = "/switch", "std_srvs/SetBool"
+TEXT, TEXT_TYPE = "/chat", "std_msgs/String"
+ROBOT, NEIGHBOUR = "robot_0", "robot_1"
 
 
 def publish(
@@ -26,3 +55,250 @@ def publish(
 def subscribe(hub: Hub, topic: str, receive: Callable[[Message], None], *, name: str = "test") -> Subscription:
     """Subscribe, as whoever has this name."""
     return hub.join(name).subscribe(topic, receive)
+
+
+def text(data: str) -> bytes:
+    type_ = CATALOG.message(TEXT_TYPE)
+    assert type_ is not None
+    return type_.encode({"data": data})
+
+
+class Defect(Exception):
+    """What a callback fails with."""
+
+
+@dataclass
+class Program:
+    """A participant of any kind that uses the seam itself; its queue holds what it was sent."""
+
+    participant: Participant
+    queue: Queue[Message] = field(init=False)
+    is_failing: bool = False
+
+    def __post_init__(self) -> None:
+        self.queue = Queue(lambda message: len(message.payload), asyncio.get_running_loop().time)
+
+    def publish(self, topic: str, type_name: str, payload: bytes) -> None:
+        self.participant.advertise(topic, type_name)
+        self.participant.publish(topic, payload)
+
+    def subscribe(self, topic: str, *, interval_s: float = 0.0, queue_length: int = 0) -> None:
+        def receive(message: Message) -> None:
+            if self.is_failing:
+                raise Defect
+            self.queue.put_message(topic, message)
+
+        self.participant.subscribe(topic, receive, interval_s=interval_s, queue_length=queue_length)
+
+    def received(self) -> list[bytes]:
+        return [waiting.item.payload for waiting in iter(self.queue.pop, None)]
+
+    def serve(self, answer: Answer) -> None:
+        async def serving(request: Mapping[str, object]) -> Mapping[str, object]:
+            if self.is_failing:
+                raise Defect
+            return await answer(request)
+
+        self.participant.provide(SERVICE, SERVICE_TYPE, serving)
+
+    async def call(self, service: str, request: Mapping[str, object]) -> Mapping[str, object]:
+        return await self.participant.call(service, request)
+
+    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
+        self.participant.drive(hub.robots.find(robot), Velocity(speed_m_s))
+
+    def settle(self) -> None:
+        self.participant.flush(asyncio.get_running_loop().time())
+
+
+class RosbridgeProgram:
+    """A program at the other end of a WebSocket, with JSON in both directions."""
+
+    def __init__(self, hub: Hub, name: str, tasks: asyncio.TaskGroup, role: Role) -> None:
+        self.is_failing = False
+        self.queue: ClientQueue = client_queue()
+        self.queue._size_of = self._size_of
+        self._numbers = itertools.count()
+        self._client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task, role=role)
+        self._served: Answer | None = None
+        self._answers: dict[str, asyncio.Future[Mapping[str, Any]]] = {}
+        self._tasks = tasks
+        self._received: list[bytes] = []
+        self.say(op="set_level", level="error")
+
+    @property
+    def participant(self) -> Participant:
+        return self._client.participant
+
+    def publish(self, topic: str, type_name: str, payload: bytes) -> None:
+        type_ = CATALOG.message(type_name)
+        assert type_ is not None
+        self.say(op="publish", topic=topic, type=type_name, msg=type_.decode(payload))
+        self.settle()
+
+    def subscribe(self, topic: str, *, interval_s: float = 0.0, queue_length: int = 0) -> None:
+        self.say(op="subscribe", topic=topic, throttle_rate=interval_s * 1000, queue_length=queue_length)
+
+    def received(self) -> list[bytes]:
+        self.settle()
+        received, self._received = self._received, []
+        return received
+
+    def serve(self, answer: Answer) -> None:
+        self._served = answer
+        self.say(op="advertise_service", service=SERVICE, type=SERVICE_TYPE)
+        self.settle()
+
+    async def call(self, service: str, request: Mapping[str, object]) -> Mapping[str, object]:
+        key = str(next(self._numbers))
+        self._answers[key] = asyncio.get_running_loop().create_future()
+        self.say(op="call_service", id=key, service=service, args=request)
+        while not self._answers[key].done():
+            await asyncio.sleep(0.01)
+            self.settle()
+        answer = self._answers[key].result()
+        if not answer["result"]:
+            raise HostlinkError(answer["values"])
+        return answer["values"]  # type: ignore[no-any-return]
+
+    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:  # noqa: ARG002 - as the other kinds have it
+        self.say(op="drive", id="drive", robot=robot, linear=speed_m_s, angular=0.0)
+        self.settle()
+
+    def settle(self) -> None:
+        """Read all that waits, and answer what is called."""
+        self.participant.flush(asyncio.get_running_loop().time())
+        for waiting in iter(self.queue.pop, None):
+            self._hear(json.loads(waiting.item.data))
+
+    def _hear(self, said: dict[str, Any]) -> None:
+        if said["op"] == "publish":
+            type_ = CATALOG.message(TEXT_TYPE if said["topic"] == TEXT else "geometry_msgs/Pose2D")
+            assert type_ is not None
+            self._received.append(type_.encode(said["msg"]))
+        elif said["op"] == "call_service":
+            self._tasks.create_task(self._answer(said))
+        elif said["op"] == "service_response":
+            self._answers[said["id"]].set_result(said)
+        elif said["op"] == "drive_result" and not said["result"]:
+            raise {"RobotHeld": RobotHeld("robot", "other")}.get(said["kind"], HostlinkError(said["reason"]))
+        elif said["op"] == "status":
+            raise BadRequest(said["msg"])
+
+    async def _answer(self, said: dict[str, Any]) -> None:
+        assert self._served is not None
+        values = await self._served(said["args"])
+        self.say(op="service_response", id=said["id"], service=SERVICE, values=values, result=True)
+
+    def _size_of(self, outgoing: Outgoing) -> int:
+        if self.is_failing:
+            raise Defect
+        return len(outgoing.data)
+
+    def say(self, **request: Any) -> None:
+        self._client.receive(json.dumps(request))
+
+
+Make = Callable[["Scene", Role], Any]
+
+
+def plain(scene: "Scene", role: Role) -> Program:
+    return Program(scene.hub.join("program", role=role))
+
+
+def rest(scene: "Scene", role: Role) -> Program:
+    return Program(Owners(scene.hub).of("127.0.0.1", role))
+
+
+def rosbridge(scene: "Scene", role: Role) -> RosbridgeProgram:
+    return RosbridgeProgram(scene.hub, "client 1", scene.tasks, role)
+
+
+def daemon(scene: "Scene", role: Role) -> Program:
+    """As /rosout, the services of the emergency stop and rosapi are."""
+    assert role is Role.DRIVE
+    return Program(scene.hub.join_daemon())
+
+
+PROGRAMS = [plain, rest, rosbridge]
+ALL = [*PROGRAMS, daemon]
+
+
+class Scene:
+    """Two robots in virtual time, and a neighbour.
+
+    It drives a robot of its own, subscribes to it and serves, before and after all that happens: its robot, its link
+    and itself must be there at the end.
+    """
+
+    def __init__(self, tasks: asyncio.TaskGroup) -> None:
+        self.tasks = tasks
+        self.hub = Hub(Config(), CATALOG)
+        self.neighbour_heard: list[bytes] = []
+
+    async def begin(self) -> None:
+        self.robot = ScriptedDevice(self.hub, robot_topics(ROBOT), address="10.0.0.1")
+        self.other = ScriptedDevice(self.hub, robot_topics(NEIGHBOUR), address="10.0.0.2")
+        await asyncio.sleep(0.5)
+        self.neighbour = self.hub.join("neighbour")
+        self.neighbour.subscribe(f"/{NEIGHBOUR}/odometry", lambda message: self.neighbour_heard.append(message.payload))
+
+        async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
+            return {"success": True, "message": "here"}
+
+        self.neighbour.provide("/neighbour", "std_srvs/Trigger", answer)
+        await self.neighbour_works()
+
+    async def neighbour_works(self) -> None:
+        """It is driven, it is heard, and it answers; no link has ended."""
+        before = len(self.neighbour_heard)
+        self.neighbour.drive(self.hub.robots.find(NEIGHBOUR), Velocity(0.2))
+        await self.other.send(ODOMETRY_ID, POSE.pack(0.0, 0.0, 0.0))
+        await asyncio.sleep(0.1)
+        assert struct.unpack("<6d", self.other.payloads(VELOCITY_ID)[-1])[0] == 0.2
+        assert len(self.neighbour_heard) == before + 1
+        asker = self.hub.join("asker")
+        assert (await asker.call("/neighbour", {}))["message"] == "here"
+        asker.leave()
+        assert len(self.hub.links()) == 2
+        assert self.hub.isolation.crashes.keys() <= {"participant"}
+
+    def speeds(self) -> list[float]:
+        """Of the velocities that the robot received."""
+        return [struct.unpack("<6d", payload)[0] for payload in self.robot.payloads(VELOCITY_ID)]
+
+    def uses_of(self, participant: Participant) -> list[str]:
+        """Whatever of a participant is in the hub."""
+        uses = [topic.name for topic in self.hub.topics.all() if participant in topic.publishers]
+        uses += [
+            topic.name
+            for topic in self.hub.topics.all()
+            if participant in [subscriber.key for subscriber in topic.subscribers]
+        ]
+        uses += [name for name, _ in self.hub.services.all() if self.hub.services.find(name).key is participant]
+        return uses + [robot.name for robot in self.hub.robots.all() if robot.gate.holder == participant.name]
+
+
+@contextlib.asynccontextmanager
+async def scene() -> AsyncIterator[Scene]:
+    with capture_logs():
+        async with asyncio.TaskGroup() as tasks:
+            made = Scene(tasks)
+            running = tasks.create_task(made.hub.run())
+            await made.hub.is_running.wait()
+            try:
+                await made.begin()
+                yield made
+                await made.neighbour_works()
+            finally:
+                for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                    task.cancel()
+                running.cancel()
+
+
+def play(test: Callable[[Scene], Awaitable[None]]) -> None:
+    async def run() -> None:
+        async with scene() as made:
+            await test(made)
+
+    run_virtual(run())

@@ -77,7 +77,7 @@ async def test_another_type_is_an_error_until_nobody_uses_the_topic() -> None:
         second.say(op="subscribe", topic="/chat")
         second.say(op="advertise", topic="/chat", type="std_msgs/Int32")
         assert statuses(second.heard()) == ["/chat: wanted std_msgs/String, got std_msgs/Int32"]
-        first.client.close()
+        first.client.participant.leave()
         second.say(op="publish", topic="/chat", type="std_msgs/Int32", msg={"data": 7})
         assert messages(second.heard()) == [{"data": 7}]
 
@@ -93,7 +93,7 @@ async def test_the_last_message_of_a_latched_topic_goes_to_who_comes_later() -> 
         for topic in ("/map", "/unsaid"):
             listener.say(op="subscribe", topic=topic)
         assert messages(listener.heard()) == [{"data": "new"}, {"data": "too"}]
-        speaker.client.close()
+        speaker.client.participant.leave()
         late = here.client()
         late.say(op="subscribe", topic="/map")
         assert late.heard() == []
@@ -277,9 +277,9 @@ async def test_what_a_client_may_hold_is_bounded() -> None:
         for number in range(MAX_ADVERTISED + 50):
             peer.say(op="advertise", id=number, latch=number < 50, topic=f"/mine_{number}", type="std_msgs/Bool")
             peer.say(op="advertise_service", service=f"/mine_{number}", type="std_srvs/Empty")
-        assert len(peer.client.topics.names) == MAX_ADVERTISED
+        assert len(peer.client.participant._advertised) == MAX_ADVERTISED
         assert sum(bool(topic.latched) for topic in here.hub.topics.all()) == MAX_LATCHED
-        assert len(peer.client.services.names) == MAX_SERVICES
+        assert len(peer.client.participant._services) == MAX_SERVICES
         peer.heard()
         peer.say(op="subscribe", topic="x" * (MAX_TEXT + 1))
         assert statuses(peer.heard()) == [f"subscribe: topic is longer than {MAX_TEXT} characters"]

@@ -134,7 +134,7 @@ async def test_what_is_offered_no_more_fails_the_calls_that_wait_for_it_and_no_o
         asked = await server.answers()
         server.say(op="unadvertise_service", service="/switch")
         (heard,) = await caller.answers()
-        assert (heard["id"], heard["result"], heard["values"]) == (1, False, "no service named switch")
+        assert (heard["id"], heard["result"], heard["values"]) == (1, False, "no service named /switch")
         server.say(op="service_response", id=asked[1]["id"], service="/other", values={"success": True}, result=True)
         assert [answer["id"] for answer in await caller.answers()] == [2]
 
@@ -151,7 +151,7 @@ async def test_the_newest_offer_gets_the_calls_and_who_had_them_is_told_and_has_
         assert (await caller.answers())[0]["values"]["message"] == "first"
         caller.say(op="call_service", id=2, service="/switch")
         assert (len(await second.answers()), first.heard()) == (1, [])
-        second.client.close()
+        second.client.participant.leave()
         caller.say(op="call_service", id=3, service="/switch")
         assert [asked["op"] for asked in await first.answers()] == ["call_service"]
 
@@ -191,9 +191,9 @@ async def test_a_program_that_leaves_fails_its_calls_at_once() -> None:
         server, caller = await offered(here), here.client()
         caller.say(op="call_service", id=7, service="/switch")
         await server.answers()
-        server.client.close()
+        server.client.participant.leave()
         (heard,) = await caller.answers()
-        assert (heard["result"], heard["values"]) == (False, "no service named switch")
+        assert (heard["result"], heard["values"]) == (False, "no service named /switch")
 
 
 def test_a_call_has_a_deadline_of_the_callers_choice() -> None:
@@ -218,5 +218,5 @@ async def test_hostlinks_own_services_are_nobody_elses() -> None:
         thief = here.client()
         thief.say(op="advertise_service", service="/rosapi/topics", type="rosapi/Topics")
         assert statuses(thief.heard()) == ["/rosapi/topics is a service of hostlink's own"]
-        thief.client.close()
+        thief.client.participant.leave()
         assert "/rosout" in (await call(here.client(), "/rosapi/topics"))["topics"]

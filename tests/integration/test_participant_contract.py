@@ -1,0 +1,380 @@
+"""What holds for every kind of participant: what it does, how it leaves, and that nobody else is touched by it."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+import pytest
+
+from hostlink.api.owners import Owners
+from hostlink.cli.demo import drive_robots
+from hostlink.errors import BadRequest, HostlinkError, RobotHeld
+from hostlink.hub.node import Role
+from hostlink.hub.participant import MAX_CALLS
+from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
+from hostlink.robot.velocity import Velocity
+from tests.support.participants import (
+    ALL,
+    NEIGHBOUR,
+    ODOMETRY_ID,
+    POSE,
+    PROGRAMS,
+    ROBOT,
+    SERVICE,
+    TEXT,
+    TEXT_TYPE,
+    Make,
+    Scene,
+    daemon,
+    plain,
+    play,
+    rest,
+    rosbridge,
+    text,
+)
+
+# -- what each does ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_it_publishes_and_receives_what_is_published(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+        one.subscribe(TEXT)
+        other.subscribe(TEXT)
+        one.publish(TEXT, TEXT_TYPE, text("from it"))
+        other.publish(TEXT, TEXT_TYPE, text("to it"))
+        assert one.received() == other.received() == [text("from it"), text("to it")]
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_it_receives_what_a_device_sends_byte_for_byte(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one = make(made, Role.DRIVE)
+        one.subscribe(f"/{ROBOT}/odometry")
+        await made.robot.send(ODOMETRY_ID, POSE.pack(0.1, 0.2, 0.3))
+        await asyncio.sleep(0.1)
+        assert one.received() == [POSE.pack(0.1, 0.2, 0.3)]
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_it_serves_and_calls(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+
+        async def answer(request: Mapping[str, object]) -> Mapping[str, object]:
+            return {"success": request["data"], "message": "done"}
+
+        one.serve(answer)
+        calling = made.tasks.create_task(other.call(SERVICE, {"data": True}))
+        for _ in range(20):
+            await asyncio.sleep(0.01)
+            one.settle()
+        assert calling.result() == {"success": True, "message": "done"}
+        assert (await one.call("/neighbour", {}))["message"] == "here"
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_it_drives_and_a_more_important_one_may_not_be_driven_over(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one = make(made, Role.DRIVE)
+        one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.2)
+        assert made.speeds()[-1] == 0.2
+        made.hub.join("person", priority=60).drive(made.hub.robots.find(ROBOT), Velocity(0.3))
+        with pytest.raises(RobotHeld):
+            one.drive(ROBOT, 0.2, made.hub)
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", PROGRAMS)
+def test_one_that_may_only_read_subscribes_and_changes_nothing(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one = make(made, Role.READ)
+        one.subscribe(f"/{ROBOT}/odometry")
+        await made.robot.send(ODOMETRY_ID, POSE.pack(1.0, 0.0, 0.0))
+        await asyncio.sleep(0.1)
+        assert one.received() == [POSE.pack(1.0, 0.0, 0.0)]
+
+        async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
+            return {}
+
+        forbidden: list[Callable[[], None]] = [
+            lambda: one.publish(TEXT, TEXT_TYPE, text("no")),
+            lambda: one.drive(ROBOT, 0.2, made.hub),
+            lambda: one.serve(answer),
+        ]
+        for act in forbidden:
+            with pytest.raises(BadRequest, match="may only read"):
+                act()
+        with pytest.raises(HostlinkError, match="may only read"):
+            await one.call(f"/{ROBOT}/unlock", {})
+        assert [use for use in made.uses_of(one.participant) if use != f"/{ROBOT}/odometry"] == []
+        assert not any(made.speeds())
+
+    play(test)
+
+
+# -- how it ends ------------------------------------------------------------------------------------------------------
+
+
+def takes_all(one: Any, made: Scene) -> None:
+    """All that a participant can have."""
+
+    async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
+        return {"success": True, "message": ""}
+
+    one.publish(TEXT, TEXT_TYPE, text("x"))
+    one.subscribe(TEXT, interval_s=10.0, queue_length=5)
+    one.subscribe(f"/{ROBOT}/odometry")
+    one.serve(answer)
+    one.drive(ROBOT, 0.2, made.hub)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_leaving_releases_all_that_it_has_and_stops_what_it_drove(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one = make(made, Role.DRIVE)
+        takes_all(one, made)
+        await asyncio.sleep(0.1)
+        assert made.speeds()[-1] == 0.2
+        assert len(made.uses_of(one.participant)) == 5
+        one.participant.leave()
+        assert made.uses_of(one.participant) == []
+        await asyncio.sleep(0.01)
+        assert made.speeds()[-1] == 0.0
+        assert not made.hub.robots.find(ROBOT).gate.is_claimed(asyncio.get_running_loop().time())
+        one.participant.leave()  # once is enough, and twice does no harm
+        with pytest.raises(BadRequest, match="has left"):
+            one.participant.publish(TEXT, text("late"))
+        assert one.participant.flush(1e9) is None
+        assert made.hub.isolation.crashes.total() == 0
+
+    play(test)
+
+
+@pytest.mark.parametrize("what", ["topic", "service", "flush"])
+@pytest.mark.parametrize("make", PROGRAMS)
+def test_a_callback_that_fails_ends_it_alone(make: Make, what: str) -> None:
+    async def test(made: Scene) -> None:
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+        takes_all(one, made)
+        other.subscribe(f"/{ROBOT}/odometry")
+        await asyncio.sleep(0.1)
+        for number in range(2):
+            other.publish(TEXT, TEXT_TYPE, text(str(number)))
+        one.is_failing = True
+        if what == "topic":
+            await made.robot.send(ODOMETRY_ID, POSE.pack(0.0, 0.0, 0.0))
+        elif what == "flush":
+            assert one.participant.flush(asyncio.get_running_loop().time() + 100.0) is None
+        else:
+            with pytest.raises(HostlinkError):
+                await other.call(SERVICE, {"data": True})
+        await asyncio.sleep(0.1)
+        assert made.hub.isolation.crashes == {"participant": 1}
+        assert one.participant.has_left
+        assert made.uses_of(one.participant) == []
+        assert made.speeds()[-1] == 0.0
+        assert len(other.received()) == (what == "topic")
+
+    play(test)
+
+
+def test_a_part_of_the_daemon_stays_when_a_callback_of_it_fails() -> None:
+    """An emergency stop that has failed once is better than none."""
+
+    async def test(made: Scene) -> None:
+        one, other = daemon(made, Role.DRIVE), plain(made, Role.DRIVE)
+        takes_all(one, made)
+        one.is_failing = True
+        with pytest.raises(HostlinkError, match="Defect"):
+            await other.call(SERVICE, {"data": True})
+        assert made.hub.isolation.crashes == {"participant": 1}
+        one.is_failing = False
+        assert (await other.call(SERVICE, {"data": True}))["success"] is True
+        assert (await other.call(f"/{ROBOT}/lock", {}))["success"] is True
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_one_that_leaves_during_its_call_has_it_fail_at_once(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
+            await asyncio.sleep(1000)
+            return {}
+
+        made.hub.join("slow").provide("/slow", "std_srvs/Trigger", never)
+        one = make(made, Role.DRIVE)
+        calling = made.tasks.create_task(_refused(one.call("/slow", {})))
+        await asyncio.sleep(0.1)
+        one.participant.leave()
+        await asyncio.sleep(0.1)
+        assert calling.done()
+        assert "has left" in calling.result()
+        assert not one.participant._calls
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_one_that_leaves_while_it_is_called_fails_its_callers_at_once(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
+            await asyncio.sleep(1000)
+            return {}
+
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+        one.serve(never)
+        calling = made.tasks.create_task(_refused(other.call(SERVICE, {"data": True})))
+        await asyncio.sleep(0.1)
+        one.settle()
+        await asyncio.sleep(0.1)
+        one.participant.leave()
+        await asyncio.sleep(0.1)
+        assert calling.done()
+        assert "no service named /switch" in calling.result()
+
+    play(test)
+
+
+async def _refused(call: Awaitable[object]) -> str:
+    try:
+        await call
+    except HostlinkError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("make", [plain, rest, daemon])
+def test_one_that_leaves_in_its_own_callback_takes_nothing_of_others_with_it(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+        one.participant.subscribe(f"/{ROBOT}/odometry", lambda _: one.participant.leave())
+        other.subscribe(f"/{ROBOT}/odometry")
+        one.drive(ROBOT, 0.2, made.hub)
+        for _ in range(2):
+            await made.robot.send(ODOMETRY_ID, POSE.pack(0.0, 0.0, 0.0))
+        await asyncio.sleep(0.1)
+        assert len(other.received()) == 2
+        assert made.speeds()[-1] == 0.0
+        assert made.hub.isolation.crashes.total() == 0
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_a_command_of_one_that_only_falls_silent_ends_with_its_lease(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one = make(made, Role.DRIVE)
+        one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.4)
+        assert made.speeds()[-1] == 0.2
+        await asyncio.sleep(0.2)
+        assert made.speeds()[-1] == 0.0
+
+    play(test)
+
+
+# -- what a slow or greedy one costs ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_a_slow_one_loses_the_oldest_of_its_messages_which_is_counted(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+        one.subscribe(TEXT)
+        for number in range(MAX_MESSAGES + 10):
+            other.publish(TEXT, TEXT_TYPE, text(str(number)))
+        assert one.queue.dropped == 10
+        received = one.received()
+        assert len(received) == MAX_MESSAGES
+        assert (received[0], received[-1]) == (text("10"), text(str(MAX_MESSAGES + 9)))
+
+    play(test)
+
+
+def test_one_that_does_not_read_its_answers_is_too_slow() -> None:
+    async def test(made: Scene) -> None:
+        one = rosbridge(made, Role.DRIVE)
+        for _ in range(MAX_RESULTS + 1):
+            one.say(op="drive", robot=ROBOT, linear=0.0, angular=0.0)
+        assert one.queue.is_too_slow
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", ALL)
+def test_throttled_messages_are_held_for_it_up_to_its_bound(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
+        one.subscribe(TEXT, interval_s=0.1, queue_length=2)
+        for number in range(5):
+            other.publish(TEXT, TEXT_TYPE, text(str(number)))
+        assert one.received() == [text("0")]
+        for expected in ("3", "4"):
+            await asyncio.sleep(0.11)
+            one.settle()
+            assert one.received() == [text(expected)]
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", [plain, rest])
+def test_its_calls_under_way_are_bounded(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
+            await asyncio.sleep(1000)
+            return {}
+
+        made.hub.join("slow").provide("/slow", "std_srvs/Trigger", never)
+        one = make(made, Role.DRIVE)
+        for _ in range(MAX_CALLS):
+            made.tasks.create_task(_refused(one.call("/slow", {})))
+        await asyncio.sleep(0)
+        with pytest.raises(BadRequest, match=f"more than {MAX_CALLS} calls"):
+            await one.call("/slow", {})
+        one.participant.leave()
+
+    play(test)
+
+
+def test_owners_over_the_bound_leave_and_what_they_drove_stops() -> None:
+    async def test(made: Scene) -> None:
+        owners = Owners(made.hub)
+        first = owners.of("0", Role.DRIVE)
+        first.drive(made.hub.robots.find(ROBOT), Velocity(0.2))
+        for number in range(1, 70):
+            owners.of(str(number), Role.DRIVE)
+        assert (len(owners), owners.evicted, first.has_left) == (64, 6, True)
+        await asyncio.sleep(0.01)
+        assert made.speeds()[-1] == 0.0
+        assert owners.of("69", Role.DRIVE) is owners.of("69", Role.DRIVE)
+
+    play(test)
+
+
+# -- the demo's driver ------------------------------------------------------------------------------------------------
+
+
+def test_the_demo_drives_until_somebody_else_does_and_its_leaving_stops_the_robots() -> None:
+    async def test(made: Scene) -> None:
+        made.neighbour.drive(made.hub.robots.find(NEIGHBOUR), Velocity(0.2))
+        participant = made.hub.join("demo", priority=0)
+        driving = made.tasks.create_task(drive_robots(made.hub, participant))
+        await asyncio.sleep(0.5)
+        assert made.speeds()[-1] > 0.05
+        driving.cancel()
+        participant.leave()
+        await asyncio.sleep(0.01)
+        assert made.speeds()[-1] == 0.0
+
+    play(test)
