@@ -1,6 +1,8 @@
 """The OpenAPI document: true for every request that schemathesis thinks of, and complete."""
 
 import asyncio
+import json
+from pathlib import Path
 from typing import Any
 
 import schemathesis
@@ -11,6 +13,7 @@ from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 
 EXAMPLES = 25  # a path
+PROMISED = Path(__file__).with_name("openapi.json")
 PATIENT = LinkConfig(silence_timeout_s=None, idle_timeout_s=None)  # the device says nothing for as long as this takes
 GENEROUS = Config(api=ApiConfig(max_requests_s=1e6), link=PATIENT)
 
@@ -38,6 +41,14 @@ def try_everything(url: str, document: dict[str, Any]) -> list[str]:
         check()
         called.append(operation.label)
     return called
+
+
+async def test_the_document_is_the_promised_one() -> None:
+    """A change of the public JSON changes this file: its difference shows keys, units and what may be null."""
+    async with daemon() as host:
+        document = await host.get("/api/openapi.json")
+    del document["info"]["version"]
+    assert json.dumps(document, indent=1) + "\n" == PROMISED.read_text()
 
 
 async def test_the_document_is_true() -> None:
