@@ -48,6 +48,7 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
         processors=[
             structlog.contextvars.merge_contextvars,
             _keep_budget,
+            _round_figures,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.StackInfoRenderer(),
@@ -93,6 +94,17 @@ def _keep_budget(
     if peer is not None and not budget.allows(peer, time.monotonic()):
         raise structlog.DropEvent
     return event
+
+
+def _round_figures(_: object, __: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
+    """Six digits after the point: microseconds, where they are seconds."""
+    return {key: _rounded(value) for key, value in event.items()}
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _rounded(part) for key, part in value.items()}
+    return round(value, 6) if isinstance(value, float) else value
 
 
 def _replace(text: str) -> str:

@@ -4,8 +4,6 @@ Whole, they are JSON lines. For those who follow a link, they come in pieces: wh
 position.
 """
 
-import heapq
-from collections.abc import Iterator
 from http import HTTPStatus
 from typing import NotRequired, TypedDict
 
@@ -42,7 +40,7 @@ class CaptureView(TypedDict):
 
 
 class Captures:
-    """The handlers."""
+    """The handlers of its routes."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -70,20 +68,12 @@ class Captures:
 
     async def _whole(self, request: web.Request) -> web.Response:
         diagnosis = self._find(request)
-        lines = b"".join(msgspec.json.encode(read) + b"\n" for read in reads(diagnosis))
+        lines = b"".join(msgspec.json.encode(read) + b"\n" for read in capture_view(diagnosis)["reads"])
         return web.Response(body=lines, content_type="application/x-ndjson", headers={"Cache-Control": "no-store"})
 
     async def _after(self, request: web.Request) -> web.Response:
         since = _parse_position(request.match_info["position"])
-        diagnosis = self._find(request)
-        from_device, to_device = diagnosis.link.captured_from_device, diagnosis.link.captured_to_device
-        view: CaptureView = {
-            "reads": list(reads(diagnosis, since)),
-            "position": f"{from_device.total_bytes}-{to_device.total_bytes}",
-            "lost_bytes": from_device.lost_bytes(since[0]) + to_device.lost_bytes(since[1]),
-            "is_open": diagnosis.end is None,
-        }
-        return reply(view)
+        return reply(capture_view(self._find(request), since))
 
     def _find(self, request: web.Request) -> Diagnosis:
         number = request.match_info["number"]
@@ -94,18 +84,23 @@ class Captures:
         return diagnosis
 
 
-def reads(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> Iterator[ReadView]:
-    """The lines of a recording, in order of time; `since`: bytes of each direction that are known already."""
-    link, number = diagnosis.link, diagnosis.link.number
+def capture_view(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> CaptureView:
+    """What passed on a link, in order of time; `since`: bytes of each direction that are known already."""
+    number, found = diagnosis.link.number, diagnosis.captured(since)
+    reads: list[ReadView] = []
     if since == _START:
-        yield {"t": 0.0, "dir": "device", "hex": "", "conn": number, "event": "open"}
-    buffers = ((link.captured_from_device, "device", since[0]), (link.captured_to_device, "host", since[1]))
-    both = [[(piece.time_s, who, piece.data) for piece in buffer.pieces(known)] for buffer, who, known in buffers]
-    for time_s, who, data in heapq.merge(*both):
-        yield {"t": round(time_s - link.opened_at_s, 6), "dir": who, "hex": data.hex(), "conn": number}
+        reads.append({"t": 0.0, "dir": "device", "hex": "", "conn": number, "event": "open"})
+    for time_s, is_from_device, data in found.pieces:
+        sender = "device" if is_from_device else "host"
+        reads.append({"t": round(time_s, 6), "dir": sender, "hex": data.hex(), "conn": number})
     if diagnosis.end is not None:
-        end_s = round(diagnosis.ended_at_s - link.opened_at_s, 6)
-        yield {"t": end_s, "dir": "device", "hex": "", "conn": number, "event": "close"}
+        reads.append({"t": round(diagnosis.seconds, 6), "dir": "device", "hex": "", "conn": number, "event": "close"})
+    return {
+        "reads": reads,
+        "position": "{}-{}".format(*found.position),
+        "lost_bytes": found.lost_bytes,
+        "is_open": diagnosis.end is None,
+    }
 
 
 def _is_number(text: str) -> bool:

@@ -61,7 +61,7 @@ class Events:
             for number in itertools.count():
                 await send("robots", {"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
                 if number % LINKS_EVERY == 0:
-                    await send("links", links_view(self._hub))
+                    await send("links", await links_view(self._hub))
                 await asyncio.sleep(ROBOTS_INTERVAL_S)
         return response
 

@@ -3,7 +3,6 @@
 import asyncio
 from collections.abc import Iterator
 from importlib.metadata import version
-from typing import cast
 
 from aiohttp import web
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Histogram, ProcessCollector, generate_latest
@@ -36,7 +35,6 @@ _LINK_COUNTERS = {
     "excess_topics": "Topics over the bound of one device",
     "negotiations": "Times that the device told its topics",
     "asks": "Times that it was asked for them",
-    "replaced": "Messages that a newer one took the place of",
 }
 
 _LINK_CLOCK = {
@@ -134,8 +132,8 @@ class _Graph(Collector):
             connected.add_metric([robot.name], robot.link is not None)
             odometry = robot.odometry.snapshot(now_s)
             if odometry is not None:
-                age.add_metric([robot.name], odometry["age_s"])
-                poses.add_metric([robot.name], odometry["count"])
+                age.add_metric([robot.name], odometry.age_s)
+                poses.add_metric([robot.name], odometry.count)
         unreadable = CounterMetricFamily(
             "hostlink_robot_unreadable", "Messages of its odometry that are none", labels=["robot"]
         )
@@ -149,13 +147,15 @@ class _Graph(Collector):
         yield from (connected, age, poses, refused, unreadable, forgotten)
 
     def _links(self) -> Iterator[Metric]:
-        now_s = asyncio.get_running_loop().time()
         robots = {robot.link: robot.name for robot in self._hub.robots.all() if robot.link is not None}
         names = ["peer", "robot"]
         counters = {
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
             for name, help_ in _LINK_COUNTERS.items()
         }
+        replaced = CounterMetricFamily(
+            "hostlink_link_replaced", "Messages that a newer one took the place of", labels=names
+        )
         rejected = CounterMetricFamily(
             "hostlink_link_rejected", "False starts of frames, by cause", labels=[*names, "cause"]
         )
@@ -174,16 +174,18 @@ class _Graph(Collector):
             labels = [link.address, robots.get(link, "")]
             facts = link.facts()
             for name, counter in counters.items():
-                counter.add_metric(labels, cast(int, facts[name]))
-            for cause, count in link.session.rejected.items():
+                counter.add_metric(labels, getattr(facts.counts, name))
+            replaced.add_metric(labels, facts.replaced)
+            for cause, count in facts.rejected.items():
                 rejected.add_metric([*labels, cause], count)
-            silent.add_metric(labels, now_s - link.heard_at_s)
-            oldest.add_metric(labels, link.session.oldest_waiting_s(now_s))
-            for name, value in cast("dict[str, float | None]", facts["clock"] or {}).items():
+            silent.add_metric(labels, link.silent_s)
+            oldest.add_metric(labels, facts.oldest_waiting_s)
+            for name, gauge in clocks.items():
+                value = getattr(facts.clock, name, None)
                 if value is not None:
-                    clocks[name].add_metric(labels, value)
+                    gauge.add_metric(labels, value)
             latency.add_metric(labels, link.command_latency.buckets(), link.command_latency.sum_s)
-        yield from (*counters.values(), *clocks.values(), rejected, silent, oldest, latency)
+        yield from (*counters.values(), replaced, *clocks.values(), rejected, silent, oldest, latency)
 
     def _to_clients(self) -> Iterator[Metric]:
         clients = self._clients.views()

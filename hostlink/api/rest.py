@@ -240,7 +240,7 @@ class Rest:
         return reply({"reset": robot.shown.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
-        return reply(links_view(self._hub))
+        return reply(await links_view(self._hub))
 
     async def _topics(self, _: web.Request) -> web.Response:
         return reply({"topics": topic_views(self._hub)})

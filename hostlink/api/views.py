@@ -1,9 +1,12 @@
 """What the API shows of the hub: typed dicts, from which the OpenAPI document is made. Numbers carry their unit."""
 
 import asyncio
-from typing import TypedDict, cast
+import functools
+from collections.abc import Iterable
+from typing import TypedDict
 
 from hostlink.diagnosis.finding import Finding
+from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
@@ -199,38 +202,90 @@ def velocity_answer(robot: Robot, asked: Velocity, limited: Velocity) -> Velocit
 
 
 def odometry_view(robot: Robot) -> OdometryView | None:
-    """Pose, twist, time and age; None before the first pose."""
-    return cast("OdometryView | None", robot.odometry.snapshot(asyncio.get_running_loop().time()))
-
-
-def link_views(hub: Hub) -> list[LinkView]:
-    """Every live connection as it is now."""
-    now_s = asyncio.get_running_loop().time()
-    views = []
-    for link in hub.links():
-        topics: list[TopicInfoView] = [
-            {
-                "kind": info.kind.name.lower(),
-                "id": info.topic_id,
-                "name": hub.shown_name(link, info.name),
-                "own_name": info.name,
-                "type": info.type,
-                "md5": info.md5,
-                "buffer_bytes": info.buffer_bytes,
-            }
-            for info in hub.device_topics(link)
-        ]
-        silent_s = round(now_s - link.heard_at_s, 3)
-        diagnosis = finding_views(hub.diagnoses.of(link))
-        known = {"number": link.number, "peer": link.peer, "silent_s": silent_s, "diagnosis": diagnosis}
-        views.append(cast("LinkView", known | {"topics": topics} | link.facts()))
-    return views
-
-
-def links_view(hub: Hub) -> LinksView:
-    """All of them, and what became of others."""
+    """The newest pose with its age; None before the first."""
+    known = robot.odometry.snapshot(asyncio.get_running_loop().time())
+    if known is None:
+        return None
     return {
-        "links": link_views(hub),
+        "pose": {"x_m": known.pose.x_m, "y_m": known.pose.y_m, "theta_rad": known.pose.theta_rad},
+        "twist": {"linear_m_s": known.twist.linear_m_s, "angular_rad_s": known.twist.angular_rad_s},
+        "stamp_ns": known.stamp_ns,
+        "age_s": round(known.age_s, 6),
+        "rate_hz": round(known.rate_hz, 2),
+        "count": known.count,
+        "restarts": known.restarts,
+        "ignored": known.ignored,
+    }
+
+
+def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
+    """One live connection as it is now."""
+    link = diagnosis.link
+    facts = link.facts()
+    counts, clock = facts.counts, facts.clock
+    return {
+        "number": link.number,
+        "peer": link.peer,
+        "silent_s": round(link.silent_s, 3),
+        "diagnosis": finding_views(diagnosis.findings),
+        "topics": topic_info_views(hub, diagnosis),
+        "seconds": round(facts.seconds, 3),
+        "frames_from_device": counts.frames_from_device,
+        "frames_to_device": counts.frames_to_device,
+        "bytes_from_device": counts.bytes_from_device,
+        "bytes_to_device": counts.bytes_to_device,
+        "skipped_bytes": counts.skipped_bytes,
+        "unknown_ids": counts.unknown_ids,
+        "refused_frames": counts.refused_frames,
+        "malformed": counts.malformed,
+        "excess_topics": counts.excess_topics,
+        "negotiations": counts.negotiations,
+        "asks": counts.asks,
+        "replaced": facts.replaced,
+        "rejected": facts.rejected,
+        "slowest_wait_s": round(facts.slowest_wait_s, 6),
+        "oldest_waiting_s": round(facts.oldest_waiting_s, 6),
+        "clock": None
+        if clock is None
+        else {
+            "offset_s": _rounded(clock.offset_s, 6),
+            "drift_ppm": _rounded(clock.drift_ppm, 1),
+            "round_trip_s": _rounded(clock.round_trip_s, 6),
+            "answer_s": _rounded(clock.answer_s, 6),
+        },
+    }
+
+
+def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
+    """The topics of one device, under the graph's names and its own."""
+    shown_name = functools.partial(hub.shown_name, diagnosis.link)
+    return [
+        {
+            "kind": info.kind.name.lower(),
+            "id": info.topic_id,
+            "name": shown_name(info.name),
+            "own_name": info.name,
+            "type": info.type,
+            "md5": info.md5,
+            "buffer_bytes": info.buffer_bytes,
+        }
+        for info in diagnosis.link.topics
+    ]
+
+
+async def links_view(hub: Hub) -> LinksView:
+    """Every connection. Each live one waits for its turn: the topics of many devices are a megabyte of JSON."""
+    turns = hub.turns()
+    links: list[LinkView] = []
+
+    def add(diagnosis: Diagnosis) -> None:
+        links.append(link_view(hub, diagnosis))
+
+    for diagnosis in [hub.diagnoses.find(link.number) for link in hub.links()]:
+        if diagnosis is not None:
+            await turns.take(functools.partial(add, diagnosis), is_flooding=True)
+    return {
+        "links": links,
         "ended": ended_views(hub),
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
         "crashes": hub.isolation.crashes.total(),
@@ -246,7 +301,7 @@ def ended_views(hub: Hub) -> list[EndedLinkView]:
             "number": diagnosis.link.number,
             "peer": diagnosis.link.peer,
             "end": "" if diagnosis.end is None else diagnosis.end.value,
-            "seconds": round(diagnosis.ended_at_s - diagnosis.link.opened_at_s, 3),
+            "seconds": round(diagnosis.seconds, 3),
             "ended_ago_s": round(now_s - diagnosis.ended_at_s, 3),
             "diagnosis": finding_views(diagnosis.findings),
         }
@@ -254,9 +309,12 @@ def ended_views(hub: Hub) -> list[EndedLinkView]:
     ]
 
 
-def finding_views(findings: list[Finding]) -> list[FindingView]:
-    """In the words that log and documents have too."""
-    return [cast("FindingView", each.view()) for each in findings]
+def finding_views(findings: Iterable[Finding]) -> list[FindingView]:
+    """In the words of the log and of the documents."""
+    return [
+        {"code": each.code, "cause": each.cause, "next_step": each.next_step, "detail": each.detail}
+        for each in findings
+    ]
 
 
 def topic_views(hub: Hub) -> list[TopicView]:
@@ -271,3 +329,7 @@ def topic_views(hub: Hub) -> list[TopicView]:
         }
         for topic in hub.topics.all()
     ]
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink import logs
+from hostlink.api.views import finding_views
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.output import complain, say, show_progress
@@ -74,7 +75,7 @@ async def _ask_or_listen(url: str, token: str | None, seconds: float, folders: t
     report = report_of(view, url)
     if not report["links"] and not report["findings"]:
         refused = ", ".join(f"{cause} {count}" for cause, count in view["refused"].items())
-        report["findings"].append((finding("not_let_in", refused) if refused else finding("no_device")).view())
+        report["findings"] += finding_views([finding("not_let_in", refused) if refused else finding("no_device")])
     return report
 
 

@@ -43,7 +43,7 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
         for left_s in range(round(seconds), 0, -1):
             say(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
             await asyncio.sleep(_LOOK_S)
-        report = report_of(dict(links_view(hub)), source)
+        report = report_of(dict(await links_view(hub)), source)
     if not report["links"]:
         report["findings"] += finding_views([finding("no_device", f"this computer is {_own_address()}, port {port}")])
     return report
@@ -64,9 +64,9 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) ->
             seen |= {each.code: each for link in hub.links() for each in hub.diagnoses.of(link)}
             baud = _present_baud(hub)
             say(f"{port.name} at {baud or bauds[0]} baud")
-            if any(link.session.topics for link in hub.links()):
+            if any(link.topics for link in hub.links()):
                 found_for_s += _LOOK_S
-        report = report_of(dict(links_view(hub)), port.name)
+        report = report_of(dict(await links_view(hub)), port.name)
         baud = _present_baud(hub)
     for link in report["links"]:
         if found_for_s:
@@ -133,7 +133,7 @@ def _report(source: str, only: Finding) -> Report:
 
 def _present_baud(hub: Hub) -> int | None:
     diagnoses = (hub.diagnoses.find(link.number) for link in hub.links())
-    return next((diagnosis.monitor.baud for diagnosis in diagnoses if diagnosis is not None), None)
+    return next((diagnosis.baud for diagnosis in diagnoses if diagnosis is not None), None)
 
 
 def _is_taken(host: str, port: int) -> bool:

@@ -2,7 +2,7 @@
 
 import functools
 import tomllib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 
 
@@ -14,10 +14,6 @@ class Finding:
     cause: str
     next_step: str
     detail: str = ""
-
-    def view(self) -> dict[str, str]:
-        """As the API shows it."""
-        return asdict(self)
 
 
 @functools.cache

@@ -2,6 +2,7 @@
 
 import asyncio
 import concurrent.futures.thread  # noqa: F401 - asyncio imports it for its first thread; then no descriptor may be free
+import dataclasses
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from hostlink.diagnosis.link_monitor import LOOK_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
 from hostlink.hub.isolation import Isolation
+from hostlink.link.capture_buffer import Captured
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol import events
@@ -39,6 +41,22 @@ class Diagnosis:
     last_evidence: Evidence | None = None  # of a link that has ended, until it is judged
     robot: str = ""  # what its robot is called here
     own_name: str = ""  # what that calls itself, if it had to be given a number
+
+    @property
+    def baud(self) -> int | None:
+        """The speed at which its serial port is read; None behind TCP."""
+        return self.monitor.baud
+
+    @property
+    def seconds(self) -> float:
+        """How long a link that has ended was open."""
+        return self.ended_at_s - self.link.opened_at_s
+
+    def captured(self, since: tuple[int, int] = (0, 0)) -> Captured:
+        """The link's bytes; their times count from its beginning."""
+        found = self.link.captured(since)
+        pieces = tuple(each._replace(time_s=each.time_s - self.link.opened_at_s) for each in found.pieces)
+        return dataclasses.replace(found, pieces=pieces)
 
     def renaming(self) -> str:
         """What to say of a device whose name was another's; empty: it has its own."""
@@ -140,7 +158,7 @@ class Diagnoses:
         earlier = tuple(
             EarlierLink(
                 end="" if other.end is None else other.end.value,
-                seconds=other.ended_at_s - other.link.opened_at_s,
+                seconds=other.seconds,
                 ended_ago_s=now_s - other.ended_at_s,
                 was_negotiated=other.monitor.was_negotiated,
             )
@@ -167,8 +185,15 @@ class Diagnoses:
         self._told_at_s[key] = now_s
         if len(self._told_at_s) > MAX_TOLD:
             del self._told_at_s[next(iter(self._told_at_s))]
-        about = {key: printable(text) if key == "detail" else text for key, text in found.view().items()}
-        log.warning("link.diagnosed", link=diagnosis.link.number, peer=printable(diagnosis.link.peer), **about)
+        log.warning(
+            "link.diagnosed",
+            link=diagnosis.link.number,
+            peer=printable(diagnosis.link.peer),
+            code=found.code,
+            cause=found.cause,
+            next_step=found.next_step,
+            detail=printable(found.detail),
+        )
 
 
 def _now_s() -> float:

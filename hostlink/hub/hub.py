@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import itertools
 from collections import Counter
 from collections.abc import Callable, Coroutine
@@ -34,7 +35,6 @@ from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import log_what_is_missing, of_peer, printable
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.session import Session
 from hostlink.robot.directory import Directory
 from hostlink.transport.base import Transport
@@ -179,16 +179,13 @@ class Hub:
                     self._identities.forget(link)
                     self.device_calls.leave(link)
                     self.diagnoses.finish(link, end)
-                log.info("link.closed", reason=end.value, **link.facts())
+                facts = dataclasses.asdict(link.facts())
+                log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
         return end
 
     def links(self) -> list[Link]:
         """The live links, oldest first."""
         return [device.link for device in self._identities.devices.values()]
-
-    def device_topics(self, link: Link) -> tuple[TopicInfo, ...]:
-        """What a device has announced that can be used."""
-        return link.session.topics
 
     def shown_name(self, link: Link, name: str) -> str:
         """By which name the graph knows what a device names so."""

@@ -18,8 +18,6 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.topic_graph import DeviceSubscription, Topic, TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
-from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import Twist
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
 
@@ -97,9 +95,8 @@ class RobotTopicPublisher:
         seen = offer.robot.odometry.snapshot(message.at_s) if topics else None
         if seen is None:
             return
-        stamp = dict(zip(("secs", "nsecs"), divmod(seen["stamp_ns"], _NS_PER_S), strict=True))
-        pose, twist = Pose(**seen["pose"]), Twist(**seen["twist"])
-        odometry = odometry_of(pose, twist, offer.frames, stamp, variances_of(message.decoded))
+        stamp = dict(zip(("secs", "nsecs"), divmod(seen.stamp_ns, _NS_PER_S), strict=True))
+        odometry = odometry_of(seen.pose, seen.twist, offer.frames, stamp, variances_of(message.decoded))
         for topic in topics:
             fields = odometry if topic is offer.odom else transform_of(odometry)
             type_name = ODOMETRY_TYPE if topic is offer.odom else TF_TYPE

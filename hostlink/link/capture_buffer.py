@@ -1,8 +1,10 @@
 """CaptureBuffer: the last bytes of one direction of a link with the times at which they passed. Pure: time comes in."""
 
+import heapq
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 TAPE_BYTES = 65536  # 17 s of a full 38400 baud line, minutes of a robot's usual traffic
@@ -72,3 +74,31 @@ class CaptureBuffer:
         gone = bisect_right(self._ends, self.total_bytes - TAPE_BYTES)
         del self._times[:gone]
         del self._ends[:gone]
+
+
+class CapturedPiece(NamedTuple):
+    """Bytes that passed together, in one direction."""
+
+    time_s: float
+    is_from_device: bool
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Captured:
+    """What passed on a link after a position, in order of time."""
+
+    pieces: tuple[CapturedPiece, ...]
+    position: tuple[int, int]  # bytes from the device and to it, up to here
+    lost_bytes: int  # after the position, and not kept
+
+
+def captured(from_device: CaptureBuffer, to_device: CaptureBuffer, since: tuple[int, int]) -> Captured:
+    """Both directions after the first `since` bytes of each."""
+    pieces = heapq.merge(
+        (CapturedPiece(piece.time_s, True, piece.data) for piece in from_device.pieces(since[0])),
+        (CapturedPiece(piece.time_s, False, piece.data) for piece in to_device.pieces(since[1])),
+        key=lambda piece: piece.time_s,
+    )
+    position = (from_device.total_bytes, to_device.total_bytes)
+    return Captured(tuple(pieces), position, from_device.lost_bytes(since[0]) + to_device.lost_bytes(since[1]))

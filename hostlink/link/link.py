@@ -7,6 +7,7 @@ import functools
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 
 import structlog
@@ -14,10 +15,12 @@ import structlog
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
-from hostlink.link.capture_buffer import CaptureBuffer
+from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
 from hostlink.link.fair_share import FairShare, Turns
+from hostlink.protocol.clock import ClockReading
+from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
-from hostlink.protocol.session import Session
+from hostlink.protocol.session import Session, SessionCounts
 from hostlink.transport.base import READ_BYTES, Transport
 
 log = structlog.get_logger()
@@ -43,6 +46,19 @@ class LinkEnd(Enum):
     UNANSWERABLE = "unanswerable"  # the device waits for an answer that it could not take
 
 
+@dataclass(frozen=True, slots=True)
+class LinkFacts:
+    """What a link has seen so far."""
+
+    seconds: float
+    counts: SessionCounts
+    replaced: int
+    rejected: dict[str, int]
+    slowest_wait_s: float
+    oldest_waiting_s: float
+    clock: ClockReading | None
+
+
 class Link:
     """The owner of one connection's transport and session."""
 
@@ -63,7 +79,7 @@ class Link:
         self.session = session
         self.last_frame = b""  # of a robot: its zero
         self.command_latency = Latency()  # from a velocity's command to the transport
-        self.captured_from_device, self.captured_to_device = CaptureBuffer(), CaptureBuffer()
+        self._from_device, self._to_device = CaptureBuffer(), CaptureBuffer()
         self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
         self._transport = transport
         self._config = config
@@ -132,19 +148,32 @@ class Link:
         """The connection's, as long as it is open; None where it has none."""
         return self._transport.descriptor()
 
-    def facts(self) -> dict[str, object]:
-        """What the link has seen so far: for its last log line and for the API."""
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """What the device has announced."""
+        return self.session.topics
+
+    @property
+    def silent_s(self) -> float:
+        """Since the last byte of the device."""
+        return asyncio.get_running_loop().time() - self.heard_at_s
+
+    def facts(self) -> LinkFacts:
+        """What the link has seen so far."""
         now_s = asyncio.get_running_loop().time()
-        counts = dataclasses.asdict(self.session.counts)
-        return {
-            "seconds": round(now_s - self.opened_at_s, 3),
-            **counts,
-            "replaced": self.session.replaced,
-            "rejected": self.session.rejected,
-            "slowest_wait_s": round(self.session.slowest_wait_s, 6),
-            "oldest_waiting_s": round(self.session.oldest_waiting_s(now_s), 6),
-            "clock": self.session.device_clock.view(self._transport.round_trip_s()),
-        }
+        return LinkFacts(
+            seconds=now_s - self.opened_at_s,
+            counts=dataclasses.replace(self.session.counts),
+            replaced=self.session.replaced,
+            rejected=dict(self.session.rejected),
+            slowest_wait_s=self.session.slowest_wait_s,
+            oldest_waiting_s=self.session.oldest_waiting_s(now_s),
+            clock=self.session.device_clock.reading(self._transport.round_trip_s()),
+        )
+
+    def captured(self, since: tuple[int, int] = (0, 0)) -> Captured:
+        """What passed after the first `since` bytes from the device and to it, as far as it is kept."""
+        return captured(self._from_device, self._to_device, since)
 
     async def _read(self) -> LinkEnd:
         loop = asyncio.get_running_loop()
@@ -155,7 +184,7 @@ class Link:
                 self._tell(self.session.open(now_s=loop.time()))
                 while data := await self._transport.receive():
                     now_s = self.heard_at_s = loop.time()
-                    self.captured_from_device.add(data, now_s)
+                    self._from_device.add(data, now_s)
                     for at in range(0, len(data), PIECE_BYTES):
                         read = functools.partial(self._read_piece, data[at : at + PIECE_BYTES])
                         await self._turns.take(read, is_flooding=len(data) >= READ_BYTES)
@@ -194,7 +223,7 @@ class Link:
                     await self._transport.send(frame)
                 if commanded_at_s is not None:
                     self.command_latency.add(loop.time() - commanded_at_s)
-                self.captured_to_device.add(frame, loop.time())
+                self._to_device.add(frame, loop.time())
             now_s = loop.time()
             if self._silent_at_s() <= now_s + SOON_S:
                 self.end(LinkEnd.IDLE)

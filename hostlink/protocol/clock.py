@@ -26,6 +26,16 @@ class _Bucket:
     least_ns: int
 
 
+@dataclass(frozen=True, slots=True)
+class ClockReading:
+    """What is known of a device's clock and of the way to it; None where it is not measured."""
+
+    offset_s: float | None
+    drift_ppm: float | None
+    round_trip_s: float | None
+    answer_s: float | None
+
+
 class DeviceClock:
     """Wall times are in nanoseconds, `now_s` is monotonic."""
 
@@ -92,17 +102,13 @@ class DeviceClock:
         pairs = zip(times_s, behinds_s, strict=True)
         return -1e6 * sum((time_s - mean_time_s) * (behind_s - mean_s) for time_s, behind_s in pairs) / spread
 
-    def view(self, round_trip_s: float | None) -> dict[str, float | None] | None:
-        """For the API; None when nothing is known. `round_trip_s` is what the network's own measurement says."""
-        offset_ns, drift_ppm = self.offset_ns, self.drift_ppm
+    def reading(self, round_trip_s: float | None) -> ClockReading | None:
+        """All that is known; None when nothing is. `round_trip_s` is what the network's own measurement says."""
+        offset_ns = self.offset_ns
         if (offset_ns, round_trip_s, self.answer_s) == (None, None, None):
             return None
-        return {
-            "offset_s": None if offset_ns is None else round(offset_ns / _NS_PER_S, 6),
-            "drift_ppm": None if drift_ppm is None else round(drift_ppm, 1),
-            "round_trip_s": None if round_trip_s is None else round(round_trip_s, 6),
-            "answer_s": None if self.answer_s is None else round(self.answer_s, 6),
-        }
+        offset_s = None if offset_ns is None else offset_ns / _NS_PER_S
+        return ClockReading(offset_s, self.drift_ppm, round_trip_s, self.answer_s)
 
     def _behind_ns(self, stamp_ns: int, at_ns: int) -> int:
         """How far a stamp is behind; one whose device has just wrapped is taken as if it had not."""

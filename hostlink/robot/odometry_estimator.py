@@ -4,6 +4,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, NamedTuple
 
@@ -31,6 +32,20 @@ class Twist(NamedTuple):
 
 LEAP = Twist(10.0, 20.0)  # faster than any small robot: the odometry was set, or the bytes are damaged
 FASTEST = Twist(1.0, 4.0)  # the limits of a robot that nobody configured
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySnapshot:
+    """The newest pose and the motion over the last few, at one moment."""
+
+    pose: Pose
+    twist: Twist
+    stamp_ns: int
+    age_s: float
+    rate_hz: float
+    count: int
+    restarts: int
+    ignored: int
 
 
 class _Sample(NamedTuple):
@@ -108,23 +123,22 @@ class OdometryEstimator:
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
 
-    def snapshot(self, now_s: float) -> dict[str, Any] | None:
-        """Pose, twist, wall time and age for the API; None before the first pose."""
+    def snapshot(self, now_s: float) -> OdometrySnapshot | None:
+        """What is known at this moment; None before the first pose."""
         if not self._window:
             return None
         first, last = self._window[0], self._window[-1]
         span_s = last.at_s - first.at_s
-        twist = self._twist or self._estimate()
-        return {
-            "pose": last.pose._asdict(),
-            "twist": twist._asdict(),
-            "stamp_ns": self._stamp_ns,
-            "age_s": round(now_s - last.at_s, 6),
-            "rate_hz": round((last.number - first.number) / span_s, 2) if span_s >= SHORTEST_S else 0.0,
-            "count": self.count,
-            "restarts": self.restarts,
-            "ignored": self.ignored,
-        }
+        return OdometrySnapshot(
+            pose=last.pose,
+            twist=self._twist or self._estimate(),
+            stamp_ns=self._stamp_ns,
+            age_s=now_s - last.at_s,
+            rate_hz=(last.number - first.number) / span_s if span_s >= SHORTEST_S else 0.0,
+            count=self.count,
+            restarts=self.restarts,
+            ignored=self.ignored,
+        )
 
     def _place(self, told: _Sample) -> bool:
         """Find the frame of a new pose; False: it is not to be believed yet."""

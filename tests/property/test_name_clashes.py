@@ -251,9 +251,9 @@ class Clashes(RuleBasedStateMachine):
             for number, name in enumerate(self.names):
                 seen = self.hub.robots.find(name).odometry.snapshot(asyncio.get_running_loop().time())
                 assert seen is not None
-                assert seen["pose"]["x_m"] == number + 1
-                assert (seen["restarts"], seen["ignored"]) == (0, 0)
-                assert seen["age_s"] < 0.2
+                assert seen.pose.x_m == number + 1
+                assert (seen.restarts, seen.ignored) == (0, 0)
+                assert seen.age_s < 0.2
 
         self.now(look())
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from hostlink.diagnosis.evidence import Complaint, EarlierLink, Evidence, Tally
-from hostlink.diagnosis.finding import finding, words
+from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.rules import diagnose
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.resampling import resample
@@ -128,6 +128,4 @@ def test_several_are_told_in_the_order_of_the_words() -> None:
 def test_every_finding_has_all_its_words_in_one_line_each(code: str) -> None:
     assert set(words()[code]) == {"symptom", "cause", "next_step"}
     assert all(text and "\n" not in text and "|" not in text for text in words()[code].values())
-    assert finding(code, "x").view() == {
-        "code": code, "cause": words()[code]["cause"], "next_step": words()[code]["next_step"], "detail": "x"
-    }  # fmt: skip
+    assert finding(code, "x") == Finding(code, words()[code]["cause"], words()[code]["next_step"], "x")

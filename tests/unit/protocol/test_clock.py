@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.clock import STEP_AFTER_S, WRAP_NS, DeviceClock
+from hostlink.protocol.clock import STEP_AFTER_S, WRAP_NS, ClockReading, DeviceClock
 
 WALL_NS = 1_800_000_000_000_000_000
 S = 1_000_000_000
@@ -43,10 +43,10 @@ class Run:
 
 def test_nothing_is_known_at_first() -> None:
     clock = DeviceClock()
-    assert clock.view(None) is None
+    assert clock.reading(None) is None
     assert clock.to_host_ns(5, 7) == 7
     clock.see(0, at_ns=WALL_NS, now_s=0.0)  # no stamp
-    assert clock.view(None) is None
+    assert clock.reading(None) is None
 
 
 def test_the_offset_is_that_of_the_fastest_way() -> None:
@@ -131,7 +131,7 @@ def test_the_answer_of_a_device_is_timed_once_a_request() -> None:
     clock.told(2.06)
     clock.told(2.1)
     assert clock.answer_s == pytest.approx(0.06)
-    assert clock.view(0.004) == {"offset_s": None, "drift_ppm": None, "round_trip_s": 0.004, "answer_s": 0.06}
+    assert clock.reading(0.004) == ClockReading(None, None, round_trip_s=0.004, answer_s=clock.answer_s)
 
 
 @given(
@@ -163,4 +163,4 @@ def test_any_stamps_are_survived(messages: list[tuple[int, float]]) -> None:
         clock.see(stamp_ns, at_ns=host_ns(now_s), now_s=now_s)
         given_ns = clock.to_host_ns(stamp_ns, host_ns(now_s))
         assert host_ns(now_s) - 5 * S <= given_ns <= host_ns(now_s)
-        assert clock.view(None) is None or clock.offset_ns is not None
+        assert clock.reading(None) is None or clock.offset_ns is not None

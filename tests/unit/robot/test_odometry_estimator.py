@@ -1,5 +1,6 @@
 """OdometryEstimator: poses that come early, late, merged, after a reset, or broken."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
-from hostlink.robot.odometry_estimator import SHAKE_M, SHAKE_RAD, OdometryEstimator, Twist
+from hostlink.robot.odometry_estimator import SHAKE_M, SHAKE_RAD, OdometryEstimator, OdometrySnapshot, Twist
 
 DRIVE = DifferentialDrive()
 PERIOD_S = 0.1
@@ -31,18 +32,18 @@ def view_of(poses: list[Pose], times_s: list[float] | None = None) -> OdometryEs
     return view
 
 
-def seen(view: OdometryEstimator, now_s: float = 1.0) -> dict[str, Any]:
+def seen(view: OdometryEstimator, now_s: float = 1.0) -> OdometrySnapshot:
     snapshot = view.snapshot(now_s)
     assert snapshot is not None
     return snapshot
 
 
 def shown(view: OdometryEstimator) -> Pose:
-    return Pose(**seen(view)["pose"])
+    return seen(view).pose
 
 
 def twist_of(view: OdometryEstimator) -> Twist:
-    return Twist(**seen(view)["twist"])
+    return seen(view).twist
 
 
 def test_nothing_is_known_before_the_first_pose() -> None:
@@ -52,16 +53,16 @@ def test_nothing_is_known_before_the_first_pose() -> None:
 def test_one_pose_is_no_motion() -> None:
     view = OdometryEstimator()
     view.update(Pose(1.0, 2.0, 0.5), now_s=4.0, wall_ns=17)
-    assert view.snapshot(4.25) == {
-        "pose": {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5},
-        "twist": {"linear_m_s": 0.0, "angular_rad_s": 0.0},
-        "stamp_ns": 17,
-        "age_s": 0.25,
-        "rate_hz": 0.0,
-        "count": 1,
-        "restarts": 0,
-        "ignored": 0,
-    }
+    assert view.snapshot(4.25) == OdometrySnapshot(
+        pose=Pose(1.0, 2.0, 0.5),
+        twist=Twist(0.0, 0.0),
+        stamp_ns=17,
+        age_s=0.25,
+        rate_hz=0.0,
+        count=1,
+        restarts=0,
+        ignored=0,
+    )
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-12, 12))
@@ -72,7 +73,7 @@ def test_the_twist_of_an_arc_is_exact_however_tight(linear_m_s: float, angular_r
 
 def test_theta_may_cross_pi() -> None:
     view = view_of(arc(0.2, 1.0, 5, Pose(0.5, 0.5, math.pi - 0.2)))
-    assert seen(view)["pose"]["theta_rad"] < 0
+    assert seen(view).pose.theta_rad < 0
     assert twist_of(view) == pytest.approx(Twist(0.2, 1.0))
 
 
@@ -87,8 +88,8 @@ def test_poses_of_one_read_count_once_for_the_motion_and_all_for_the_rate() -> N
     times_s = [0.1, 0.1, 0.3, 0.3, 0.5, 0.5]
     view = view_of(arc(0.2, 0.5, 6), times_s)
     assert twist_of(view) == pytest.approx(Twist(0.2, 0.5))
-    assert seen(view)["rate_hz"] == pytest.approx(10.0)
-    assert seen(view)["count"] == 6
+    assert seen(view).rate_hz == pytest.approx(10.0)
+    assert seen(view).count == 6
 
 
 def test_a_late_read_cut_in_two_is_no_leap() -> None:
@@ -100,7 +101,7 @@ def test_a_late_read_cut_in_two_is_no_leap() -> None:
 def test_two_poses_that_come_together_say_nothing() -> None:
     view = view_of(arc(0.3, 0.0, 2), [0.0, 0.001])
     assert twist_of(view) == Twist()
-    assert seen(view)["rate_hz"] == 0
+    assert seen(view).rate_hz == 0
 
 
 @pytest.mark.parametrize(
@@ -115,7 +116,7 @@ def test_a_restart_begins_anew_where_the_robot_was(after: Pose) -> None:
     view = view_of([*before, after])
     assert twist_of(view) == Twist()
     assert shown(view) == pytest.approx(before[-1])
-    assert seen(view)["restarts"] == 1
+    assert seen(view).restarts == 1
 
 
 def test_a_reset_close_to_the_origin_begins_anew() -> None:
@@ -131,7 +132,7 @@ def test_a_turn_that_no_robot_makes_begins_anew() -> None:
     """Told twice it is believed: somebody has set the device's odometry."""
     view = view_of([Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 3.0), Pose(3.0, 0.0, 3.0)])
     assert twist_of(view) == Twist()
-    assert (seen(view)["restarts"], seen(view)["ignored"]) == (1, 1)
+    assert (seen(view).restarts, seen(view).ignored) == (1, 1)
 
 
 def test_driving_through_the_origin_is_no_reset() -> None:
@@ -149,30 +150,30 @@ def test_a_slow_robot_has_a_twist_too() -> None:
     poses = arc(0.3, 0.0, 3)
     view = view_of(poses, [0.0, 1.0, 2.0])
     assert twist_of(view) == pytest.approx(Twist(0.03, 0.0))
-    assert seen(view, 2.5)["age_s"] == 0.5
-    assert seen(view)["rate_hz"] == 1.0
+    assert seen(view, 2.5).age_s == 0.5
+    assert seen(view).rate_hz == 1.0
 
 
 @pytest.mark.parametrize("broken", [Pose(math.nan, 0, 0), Pose(0, math.inf, 0), Pose(0, 0, math.nan)])
 def test_a_pose_of_no_numbers_is_not_counted(broken: Pose) -> None:
     view = view_of(arc(0.3, 0.0, 3))
-    before = view.snapshot(1.0)
+    before = seen(view)
     view.update(broken, now_s=0.5, wall_ns=99)
-    assert view.snapshot(1.0) == {**seen(view), "ignored": 1} == {**(before or {}), "ignored": 1}
+    assert seen(view) == dataclasses.replace(before, ignored=1)
 
 
 def test_a_pose2d_is_wrapped() -> None:
     view = OdometryEstimator()
     view.see({"x": 1.0, "y": 2.0, "theta": 7.0}, now_s=0.0, wall_ns=5)
-    assert seen(view)["pose"]["theta_rad"] == pytest.approx(7.0 - math.tau)
-    assert seen(view)["stamp_ns"] == 5
+    assert seen(view).pose.theta_rad == pytest.approx(7.0 - math.tau)
+    assert seen(view).stamp_ns == 5
 
 
 @given(st.floats(), st.floats(), st.floats())
 def test_any_pose2d_is_survived(x: float, y: float, theta: float) -> None:
     view = view_of(arc(0.3, 0.0, 3))
     view.see({"x": x, "y": y, "theta": theta}, now_s=0.4, wall_ns=0)
-    assert all(map(math.isfinite, seen(view)["pose"].values()))
+    assert all(map(math.isfinite, seen(view).pose))
 
 
 def odometry(yaw_rad: float, twist: Twist, length: float = 1.0) -> dict[str, Any]:
@@ -192,7 +193,7 @@ def odometry(yaw_rad: float, twist: Twist, length: float = 1.0) -> dict[str, Any
 def test_an_odometry_tells_pose_and_twist(yaw_rad: float, length: float) -> None:
     view = OdometryEstimator()
     view.see(odometry(yaw_rad, Twist(0.2, -0.4), length), now_s=0.0, wall_ns=0)
-    assert Pose(**seen(view)["pose"]) == pytest.approx(Pose(1.0, 2.0, yaw_rad))
+    assert seen(view).pose == pytest.approx(Pose(1.0, 2.0, yaw_rad))
     assert twist_of(view) == Twist(0.2, -0.4)
 
 
@@ -228,13 +229,13 @@ def test_an_odometry_goes_on_over_a_restart_of_the_device() -> None:
     view = after_a_restart(goes_on=True)
     assert shown(view) == pytest.approx(arc(0.3, 0.7, 20, RUN[-1])[-1])
     assert twist_of(view) == pytest.approx(Twist(0.3, 0.7))
-    assert seen(view)["restarts"] == 1
+    assert seen(view).restarts == 1
 
 
 def test_it_restarts_with_the_device_if_it_is_to() -> None:
     view = after_a_restart(goes_on=False)
     assert shown(view) == AGAIN[-1]
-    assert seen(view)["restarts"] == 1
+    assert seen(view).restarts == 1
 
 
 @pytest.mark.parametrize("goes_on", [True, False])
@@ -244,7 +245,7 @@ def test_a_reset_that_was_asked_for_begins_at_the_origin(goes_on: bool) -> None:
     view.update(AGAIN[-1], now_s=4.0, wall_ns=40)  # on its way before the reset was
     view.update(Pose(0.01, 0.0, 0.0), now_s=4.1, wall_ns=41)
     assert shown(view) == Pose(0.01, 0.0, 0.0)
-    assert seen(view)["restarts"] == 1
+    assert seen(view).restarts == 1
     view.update(Pose(0.04, 0.0, 0.0), now_s=4.2, wall_ns=42)
     assert shown(view) == Pose(0.04, 0.0, 0.0)
 
@@ -255,7 +256,7 @@ def test_a_reset_that_never_came_is_not_waited_for_without_end() -> None:
     view.update(RUN[-1], now_s=7.0, wall_ns=70)
     view.update(Pose(), now_s=7.1, wall_ns=71)
     assert shown(view) == pytest.approx(RUN[-1])
-    assert seen(view)["restarts"] == 1
+    assert seen(view).restarts == 1
 
 
 def test_a_restart_during_a_long_silence_is_seen() -> None:
@@ -263,7 +264,7 @@ def test_a_restart_during_a_long_silence_is_seen() -> None:
     view = view_of(RUN)
     view.update(Pose(0.001, 0.0, 0.0), now_s=12.0, wall_ns=120)
     assert shown(view) == pytest.approx(RUN[-1])
-    assert seen(view)["restarts"] == 1
+    assert seen(view).restarts == 1
 
 
 def test_a_connection_that_was_lost_is_no_restart() -> None:
@@ -272,13 +273,13 @@ def test_a_connection_that_was_lost_is_no_restart() -> None:
     here = Pose(1.4, 2.1, -2.5)
     view.update(here, now_s=20.0, wall_ns=200)
     assert shown(view) == here
-    assert seen(view)["restarts"] == 0
+    assert seen(view).restarts == 0
 
 
 def test_a_wheel_that_shakes_at_the_origin_is_no_restart() -> None:
     view = view_of([Pose(), Pose(0.0012), Pose(), Pose(-0.0012), Pose()])
     assert shown(view) == Pose()
-    assert seen(view)["restarts"] == 0
+    assert seen(view).restarts == 0
 
 
 def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
@@ -287,7 +288,7 @@ def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
     for number, pose in enumerate(poses):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
     assert shown(view) == poses[-1]
-    assert seen(view)["restarts"] == 0
+    assert seen(view).restarts == 0
 
 
 @pytest.mark.parametrize("damaged", [Pose(1e3, 0.0, 0.0), Pose(1e300, -1e300, 1.0), Pose(9.0, 9.0, 9.0)])
@@ -300,13 +301,13 @@ def test_one_damaged_pose_is_not_believed(damaged: Pose) -> None:
         if number == 10:
             view.update(damaged, now_s=number * PERIOD_S, wall_ns=number)
     assert (shown(view), twist_of(view)) == (shown(whole), twist_of(whole))
-    assert (seen(view)["restarts"], seen(view)["ignored"]) == (0, 1)
+    assert (seen(view).restarts, seen(view).ignored) == (0, 1)
 
 
 def test_a_place_that_is_told_twice_is_believed_and_shown_without_a_jump() -> None:
     view = view_of([*RUN, Pose(9.0, 9.0, 0.0), Pose(9.03, 9.0, 0.0)])
     assert shown(view) == pytest.approx(RUN[-1])
-    assert (seen(view)["restarts"], seen(view)["ignored"]) == (1, 1)
+    assert (seen(view).restarts, seen(view).ignored) == (1, 1)
 
 
 @given(
@@ -344,12 +345,12 @@ def test_stamps_never_go_backwards(steps_ns: list[int]) -> None:
     view, stamp_ns, shown_ns = OdometryEstimator(), 10**18, 0
     for number, step_ns in enumerate(steps_ns):
         view.update(Pose(), now_s=number * PERIOD_S, wall_ns=max(stamp_ns, stamp_ns + step_ns))
-        assert seen(view)["stamp_ns"] >= shown_ns
-        shown_ns = seen(view)["stamp_ns"]
+        assert seen(view).stamp_ns >= shown_ns
+        shown_ns = seen(view).stamp_ns
 
 
 def test_a_host_whose_clock_was_set_back_is_followed() -> None:
     view = OdometryEstimator()
     view.update(Pose(), now_s=0.0, wall_ns=10**18)
     view.update(Pose(), now_s=0.1, wall_ns=10**18 - 3600 * 10**9)
-    assert seen(view)["stamp_ns"] == 10**18 - 3600 * 10**9
+    assert seen(view).stamp_ns == 10**18 - 3600 * 10**9
