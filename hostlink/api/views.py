@@ -5,6 +5,8 @@ import functools
 from collections.abc import Iterable
 from typing import TypedDict
 
+import msgspec
+
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
@@ -273,24 +275,28 @@ def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
     ]
 
 
-async def links_view(hub: Hub) -> LinksView:
-    """Every connection. Each live one waits for its turn: the topics of many devices are a megabyte of JSON."""
+async def links_view(hub: Hub) -> dict[str, object]:
+    """A LinksView, ready to be encoded.
+
+    The topics of many devices are megabytes of JSON: each link is encoded when its turn of the loop has come.
+    """
     turns = hub.turns()
-    links: list[LinkView] = []
+    links: list[msgspec.Raw] = []
 
     def add(diagnosis: Diagnosis) -> None:
-        links.append(link_view(hub, diagnosis))
+        links.append(msgspec.Raw(msgspec.json.encode(link_view(hub, diagnosis))))
 
     for diagnosis in [hub.diagnoses.find(link.number) for link in hub.links()]:
         if diagnosis is not None:
             await turns.take(functools.partial(add, diagnosis), is_flooding=True)
-    return {
-        "links": links,
+    others: LinksView = {
+        "links": [],
         "ended": ended_views(hub),
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
         "crashes": hub.isolation.crashes.total(),
         "refused": dict(hub.refused),
     }
+    return {**others, "links": links}
 
 
 def ended_views(hub: Hub) -> list[EndedLinkView]:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from hostlink.api.views import finding_views, links_view
 from hostlink.cli.port_users import holder_of_file, holder_of_port
 from hostlink.cli.serve import running
@@ -43,7 +45,7 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
         for left_s in range(round(seconds), 0, -1):
             say(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
             await asyncio.sleep(_LOOK_S)
-        report = report_of(dict(await links_view(hub)), source)
+        report = report_of(await _links(hub), source)
     if not report["links"]:
         report["findings"] += finding_views([finding("no_device", f"this computer is {_own_address()}, port {port}")])
     return report
@@ -66,7 +68,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) ->
             say(f"{port.name} at {baud or bauds[0]} baud")
             if any(link.topics for link in hub.links()):
                 found_for_s += _LOOK_S
-        report = report_of(dict(await links_view(hub)), port.name)
+        report = report_of(await _links(hub), port.name)
         baud = _present_baud(hub)
     for link in report["links"]:
         if found_for_s:
@@ -129,6 +131,12 @@ def _live(link: dict[str, Any]) -> Report:
 
 def _report(source: str, only: Finding) -> Report:
     return {"source": source, "links": [], "findings": finding_views([only])}
+
+
+async def _links(hub: Hub) -> dict[str, Any]:
+    """As a daemon's API would answer."""
+    found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub)))
+    return found
 
 
 def _present_baud(hub: Hub) -> int | None:

@@ -1,0 +1,48 @@
+"""What the API shows of the hub: complete, and without keeping the loop from others."""
+
+import asyncio
+
+import msgspec
+
+from hostlink.api.views import LinksView, links_view
+from hostlink.config import Config
+from hostlink.hub.hub import Hub
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import encode_topic_info
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import topic
+from tests.support.memory_transport import memory_pair
+
+LINKS, TOPICS = 20, 255
+
+
+def crowd(hub: Hub) -> None:
+    """Links of devices that have announced as many topics as a device may have."""
+    infos = [
+        topic(Id.PUBLISHER, 125 + number, f"/a/name/of/topic/{number}", "std_msgs/String") for number in range(TOPICS)
+    ]
+    announced = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
+    for _ in range(LINKS):
+        session = hub.open(memory_pair()[0]).session
+        session.open(now_s=0.0)
+        session.receive(announced, now_s=0.0)
+        session.tick(now_s=1.0)
+
+
+async def test_a_view_of_many_topics_leaves_the_loop_to_others_after_each_link() -> None:
+    hub = Hub(Config(), Catalog(), reraises=True)
+    crowd(hub)
+    turns = 0
+
+    async def neighbour() -> None:
+        nonlocal turns
+        while True:
+            await asyncio.sleep(0)
+            turns += 1
+
+    other = asyncio.get_running_loop().create_task(neighbour())
+    view = await links_view(hub)
+    other.cancel()
+    found = msgspec.json.decode(msgspec.json.encode(view), type=LinksView)
+    assert [len(link["topics"]) for link in found["links"]] == [TOPICS] * LINKS
+    assert turns >= LINKS / 2  # a turn each, or two where a processor is fast
