@@ -1,10 +1,12 @@
-"""Inspection: what a recording of a link's bytes says, both directions, however its reads cut them.
+"""Inspection: the content of a recording of a link's bytes, both directions, however its reads cut them.
 
 A recording is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, "conn": n, "event": "open" | "close"}.
 `dir` is who sent; `conn` counts connections; only a line without bytes has an `event`. Reads stand in order of time.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +16,7 @@ from hostlink.errors import BadPayload, BadRequest, WrongType
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import (
+    Log,
     Parameter,
     TopicInfo,
     decode_log,
@@ -23,15 +26,6 @@ from hostlink.protocol.control import (
 )
 from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
-
-KINDS = {
-    Id.PUBLISHER: "publisher",
-    Id.SUBSCRIBER: "subscriber",
-    Id.SERVICE_SERVER_PUBLISHER: "service_server",
-    Id.SERVICE_SERVER_SUBSCRIBER: "service_server",
-    Id.SERVICE_CLIENT_PUBLISHER: "service_client",
-    Id.SERVICE_CLIENT_SUBSCRIBER: "service_client",
-}
 
 
 class Read(msgspec.Struct):
@@ -44,8 +38,61 @@ class Read(msgspec.Struct):
     event: Literal["open", "close"] | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """The bytes of a message, and its fields if its type is known and they fit it."""
+
+    data: bytes
+    fields: dict[str, Any] | None = None
+    error: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """How many messages of a topic, and the first and the last of them."""
+
+    count: int
+    first: Payload
+    last: Payload
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceCounts:
+    """What passed of one service."""
+
+    requests: int
+    responses: int
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRequest:
+    """A parameter that the device requested; the reply is None when none came."""
+
+    name: str
+    reply: Parameter | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """A whole recording."""
+
+    topics: tuple[TopicInfo, ...]
+    messages: dict[str, Series]  # from the device
+    to_device: dict[str, Series]
+    logs: tuple[Log, ...]
+    parameters: tuple[ParameterRequest, ...]
+    services: dict[str, ServiceCounts]
+    time_requests: int
+    skipped_bytes: int
+    connections: int
+
+
 def load_reads(path: Path) -> Iterator[Read]:
-    """The lines of a recording; BadRequest names the line that is none."""
+    """The lines of a recording.
+
+    Raises:
+        BadRequest: the file cannot be read, or a line is none of a recording; it names the line.
+    """
     decoder = msgspec.json.Decoder(Read)
     try:
         with path.open("rb") as lines:
@@ -66,7 +113,7 @@ def _read_line(decoder: "msgspec.json.Decoder[Read]", line: bytes, where: str) -
 
 
 class Inspection:
-    """Adds up what the reads of a recording say; `report` is the sum."""
+    """Adds up the reads of a recording; `report` is the sum."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
@@ -74,57 +121,59 @@ class Inspection:
         self._topics: dict[tuple[Id, int, str], TopicInfo] = {}
         self._messages: dict[str, _Series] = {}
         self._to_device: dict[str, _Series] = {}
-        self._services: dict[str, dict[str, int]] = {}
-        self._parameters: list[dict[str, Any]] = []
-        self._logs: list[dict[str, Any]] = []
+        self._requests: Counter[str] = Counter()  # by service
+        self._responses: Counter[str] = Counter()
+        self._services: dict[str, None] = {}  # in the order in which they were first used
+        self._parameters: list[_ParameterRequest] = []
+        self._logs: list[Log] = []
         self._time_requests = 0
         self._skipped_bytes = 0
 
-    def take_all(self, reads: Iterable[Read]) -> None:
-        """Take every read, in order, then what is left over at the end."""
+    def add_all(self, reads: Iterable[Read]) -> None:
+        """Add every read, in order, then what is left over at the end."""
         for read in reads:
             connection = self._connections.get(read.conn)
             if connection is None:
                 connection = self._connections[read.conn] = _Connection(self._fixed_bytes)
             connection.reads += 1
             if read.dir == "device":
-                self._take_items(connection, connection.from_device.feed(bytes.fromhex(read.hex)), self._from_device)
+                self._add_items(connection, connection.from_device.feed(bytes.fromhex(read.hex)), self._from_device)
             else:
-                self._take_items(connection, connection.to_device.feed(bytes.fromhex(read.hex)), self._from_host)
+                self._add_items(connection, connection.to_device.feed(bytes.fromhex(read.hex)), self._from_host)
         for connection in self._connections.values():
             self._finish(connection)
 
-    def report(self) -> dict[str, Any]:
-        """The whole recording in one object for JSON; NaN is the string "NaN"."""
-        return {
-            "topics": [_topic_view(info) for info in self._topics.values()],
-            "messages": {name: series.view() for name, series in self._messages.items()},
-            "to_device": {name: series.view() for name, series in self._to_device.items()},
-            "logs": self._logs,
-            "parameters": self._parameters,
-            "services": self._services,
-            "time_requests": self._time_requests,
-            "skipped_bytes": self._skipped_bytes,
-            "connections": len(self._connections),
-        }
+    def report(self) -> Report:
+        """The whole recording."""
+        return Report(
+            topics=tuple(self._topics.values()),
+            messages={name: series.sum() for name, series in self._messages.items()},
+            to_device={name: series.sum() for name, series in self._to_device.items()},
+            logs=tuple(self._logs),
+            parameters=tuple(ParameterRequest(each.name, each.reply) for each in self._parameters),
+            services={name: ServiceCounts(self._requests[name], self._responses[name]) for name in self._services},
+            time_requests=self._time_requests,
+            skipped_bytes=self._skipped_bytes,
+            connections=len(self._connections),
+        )
 
-    def _take_items(
+    def _add_items(
         self,
         connection: "_Connection",
         items: Iterator[Frame | Skipped],
-        take: Callable[["_Connection", Frame], None],
+        add: Callable[["_Connection", Frame], None],
     ) -> None:
         for item in items:
             if isinstance(item, Skipped):
                 self._skipped_bytes += len(item.data)
             else:
-                take(connection, item)
+                add(connection, item)
 
     def _finish(self, connection: "_Connection") -> None:
         while connection.from_device.pending_bytes:
-            self._take_items(connection, connection.from_device.give_up(), self._from_device)
+            self._add_items(connection, connection.from_device.give_up(), self._from_device)
         while connection.to_device.pending_bytes:
-            self._take_items(connection, connection.to_device.give_up(), self._from_host)
+            self._add_items(connection, connection.to_device.give_up(), self._from_host)
         for frame in connection.early:  # went to the device before the recording shows what its id means
             self._message_to_device(connection, frame)
 
@@ -133,19 +182,19 @@ class Inspection:
             case Id.TIME:
                 self._time_requests += 1
             case Id.LOG if (log := decode_log(frame.payload)) is not None:
-                self._logs.append({"level": log.level, "msg": log.text})
+                self._logs.append(log)
             case Id.PARAMETER if (name := decode_parameter_request(frame.payload)) is not None:
-                self._parameters.append({"name": name, "reply": None})
-                connection.ask(self._parameters[-1])
+                self._parameters.append(_ParameterRequest(name))
+                connection.request_parameter(self._parameters[-1])
             case kind if kind <= Id.SERVICE_CLIENT_SUBSCRIBER:
-                self._take_topic_info(connection, decode_topic_info(Id(kind), frame.payload))
+                self._add_topic_info(connection, decode_topic_info(Id(kind), frame.payload))
             case topic_id if topic_id >= FIRST_TOPIC_ID:
                 self._message_from_device(connection, frame)
 
-    def _take_topic_info(self, connection: "_Connection", info: TopicInfo | None) -> None:
+    def _add_topic_info(self, connection: "_Connection", info: TopicInfo | None) -> None:
         if info is not None:
             self._topics.setdefault((info.kind, info.topic_id, info.name), info)
-            connection.learn(info)
+            connection.add_topic(info)
 
     def _message_from_device(self, connection: "_Connection", frame: Frame) -> None:
         info = connection.topics.get(frame.topic_id)
@@ -154,15 +203,15 @@ class Inspection:
         if info.kind is Id.PUBLISHER:
             self._messages.setdefault(info.name, _Series(self._type_of(info))).add(frame.payload)
         elif info.kind is Id.SERVICE_SERVER_PUBLISHER:
-            self._count(info.name, "responses")
+            self._count(info.name, self._responses)
         else:
-            self._count(info.name, "requests")
+            self._count(info.name, self._requests)
 
     def _from_host(self, connection: "_Connection", frame: Frame) -> None:
         if frame.topic_id == Id.PARAMETER:
             parameter = decode_parameter(frame.payload)
-            if parameter is not None and connection.parameter_questions:
-                connection.parameter_questions.pop(0)["reply"] = _parameter_view(parameter)
+            if parameter is not None and connection.open_requests:
+                connection.open_requests.pop(0).reply = parameter
         elif frame.topic_id in connection.topics:
             self._message_to_device(connection, frame)
         elif frame.topic_id >= FIRST_TOPIC_ID:
@@ -175,12 +224,13 @@ class Inspection:
         if info.kind is Id.SUBSCRIBER:
             self._to_device.setdefault(info.name, _Series(self._type_of(info))).add(frame.payload)
         elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
-            self._count(info.name, "requests")
+            self._count(info.name, self._requests)
         else:
-            self._count(info.name, "responses")
+            self._count(info.name, self._responses)
 
-    def _count(self, service: str, what: str) -> None:
-        self._services.setdefault(service, {"requests": 0, "responses": 0})[what] += 1
+    def _count(self, service: str, counter: Counter[str]) -> None:
+        self._services.setdefault(service)
+        counter[service] += 1
 
     def _type_of(self, info: TopicInfo) -> MessageType | None:
         try:
@@ -193,28 +243,34 @@ class Inspection:
         return None if type_ is None else type_.fixed_bytes
 
 
+@dataclass(slots=True)
+class _ParameterRequest:
+    name: str
+    reply: Parameter | None = None
+
+
 class _Connection:
     """The streams and topics of one connection."""
 
     def __init__(self, fixed_bytes_of: Callable[[TopicInfo], int | None]) -> None:
         self.topics: dict[int, TopicInfo] = {}
         self.reads = 0
-        self.parameter_questions: list[dict[str, Any]] = []  # without an answer yet
-        self._asked_in_read = 0
+        self.open_requests: list[_ParameterRequest] = []  # of parameters, without a reply yet
+        self._requested_in_read = 0
         self.early: list[Frame] = []
         self._fixed_bytes_of = fixed_bytes_of
         self._fixed_bytes: dict[int, int] = {}
         self.from_device = FrameStream(fixed_bytes=self._fixed_bytes)
         self.to_device = FrameStream(fixed_bytes=self._fixed_bytes, limit_bytes=MAX_PAYLOAD_BYTES)
 
-    def ask(self, question: dict[str, Any]) -> None:
-        """The device asks for one parameter at a time: a question of an earlier read was given up."""
-        if self._asked_in_read != self.reads:
-            self.parameter_questions.clear()
-        self._asked_in_read = self.reads
-        self.parameter_questions.append(question)
+    def request_parameter(self, request: _ParameterRequest) -> None:
+        """A device requests one parameter at a time: it has given up a request of an earlier read."""
+        if self._requested_in_read != self.reads:
+            self.open_requests.clear()
+        self._requested_in_read = self.reads
+        self.open_requests.append(request)
 
-    def learn(self, info: TopicInfo) -> None:
+    def add_topic(self, info: TopicInfo) -> None:
         self.topics[info.topic_id] = info
         fixed_bytes = self._fixed_bytes_of(info)
         if fixed_bytes is None:
@@ -226,7 +282,7 @@ class _Connection:
 
 
 class _Series:
-    """How many messages of a topic, and the first and the last of them."""
+    """Counts the messages of a topic, and keeps the first and the last of them."""
 
     def __init__(self, type_: MessageType | None) -> None:
         self._type = type_
@@ -239,39 +295,13 @@ class _Series:
         self._last = payload
         self._count += 1
 
-    def view(self) -> dict[str, Any]:
-        return {"count": self._count, "first": self._show(self._first), "last": self._show(self._last)}
+    def sum(self) -> Series:
+        return Series(self._count, self._decode(self._first), self._decode(self._last))
 
-    def _show(self, payload: bytes) -> Any:
+    def _decode(self, payload: bytes) -> Payload:
         if self._type is None:
-            return {"hex": payload.hex()}
+            return Payload(payload)
         try:
-            return speakable(self._type.decode(payload))
+            return Payload(payload, self._type.decode(payload))
         except BadPayload as error:
-            return {"hex": payload.hex(), "error": str(error)}
-
-
-def speakable(value: Any) -> Any:
-    """A decoded value for JSON: NaN and the infinities as strings, everything else as it is."""
-    if isinstance(value, dict):
-        return {key: speakable(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [speakable(item) for item in value]
-    if isinstance(value, float) and value - value != 0:
-        return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}[str(value)]
-    return value
-
-
-def _topic_view(info: TopicInfo) -> dict[str, Any]:
-    return {
-        "kind": KINDS[info.kind],
-        "id": info.topic_id,
-        "name": info.name,
-        "type": info.type,
-        "md5": info.md5,
-        "buffer_size": info.buffer_bytes,
-    }
-
-
-def _parameter_view(parameter: Parameter) -> dict[str, Any]:
-    return {key: list(getattr(parameter, key)) for key in ("ints", "floats", "strings")}
+            return Payload(payload, error=str(error))

@@ -1,16 +1,28 @@
-"""`hostlink inspect`: what a recording of a link's bytes says."""
+"""`hostlink inspect`: the content of a recording of a link's bytes."""
 
+import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
 
-from hostlink.cli.output import plain, say
-from hostlink.inspection import Inspection, load_reads
+from hostlink.cli.output import say, table
+from hostlink.inspection import Inspection, Payload, Report, Series, load_reads
 from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import Parameter, TopicInfo
+from hostlink.protocol.frame import Id
 
 LAST_LOGS = 8
+_KINDS = {
+    Id.PUBLISHER: "publisher",
+    Id.SUBSCRIBER: "subscriber",
+    Id.SERVICE_SERVER_PUBLISHER: "service_server",
+    Id.SERVICE_SERVER_SUBSCRIBER: "service_server",
+    Id.SERVICE_CLIENT_PUBLISHER: "service_client",
+    Id.SERVICE_CLIENT_SUBSCRIBER: "service_client",
+}
 
 
 def command(
@@ -23,45 +35,94 @@ def command(
 ) -> None:
     """Decode a recording of a link, both directions, however its reads cut the frames."""
     inspection = Inspection(Catalog(messages or ()))
-    inspection.take_all(load_reads(file))
-    report = inspection.report()
+    inspection.add_all(load_reads(file))
+    view = report_view(inspection.report())
     if json:
-        say(msgspec.json.encode(report).decode())
+        say(msgspec.json.encode(view).decode())
     else:
-        say(*_lines(report))
+        say(*_lines(view))
 
 
-def _lines(report: dict[str, Any]) -> list[str]:
+# -- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def report_view(report: Report) -> dict[str, Any]:
+    """The whole recording in one object for JSON."""
+    return {
+        "topics": [_topic_view(info) for info in report.topics],
+        "messages": {name: _series_view(series) for name, series in report.messages.items()},
+        "to_device": {name: _series_view(series) for name, series in report.to_device.items()},
+        "logs": [{"level": log.level, "msg": log.text} for log in report.logs],
+        "parameters": [
+            {"name": each.name, "reply": None if each.reply is None else _parameter_view(each.reply)}
+            for each in report.parameters
+        ],
+        "services": {name: dataclasses.asdict(counts) for name, counts in report.services.items()},
+        "time_requests": report.time_requests,
+        "skipped_bytes": report.skipped_bytes,
+        "connections": report.connections,
+    }
+
+
+def _topic_view(info: TopicInfo) -> dict[str, Any]:
+    return {
+        "kind": _KINDS[info.kind],
+        "id": info.topic_id,
+        "name": info.name,
+        "type": info.type,
+        "md5": info.md5,
+        "buffer_size": info.buffer_bytes,
+    }
+
+
+def _series_view(series: Series) -> dict[str, Any]:
+    return {"count": series.count, "first": _payload_view(series.first), "last": _payload_view(series.last)}
+
+
+def _payload_view(payload: Payload) -> Any:
+    if payload.fields is not None:
+        return json_value(payload.fields)
+    error = {"error": payload.error} if payload.error else {}
+    return {"hex": payload.data.hex(), **error}
+
+
+def _parameter_view(parameter: Parameter) -> dict[str, list[Any]]:
+    return {"ints": list(parameter.ints), "floats": list(parameter.floats), "strings": list(parameter.strings)}
+
+
+def json_value(value: Any) -> Any:
+    """A decoded value for JSON: NaN and the infinities as strings, everything else as it is."""
+    if isinstance(value, dict):
+        return {key: json_value(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [json_value(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}[str(value)]
+    return value
+
+
+# -- text -------------------------------------------------------------------------------------------------------------
+
+
+def _lines(view: dict[str, Any]) -> list[str]:
     lines = [
-        f"connections {report['connections']}   time requests {report['time_requests']}   "
-        f"skipped bytes {report['skipped_bytes']}"
+        f"connections {view['connections']}   time requests {view['time_requests']}   "
+        f"skipped bytes {view['skipped_bytes']}"
     ]
-    topics = [[topic["id"], topic["kind"], topic["name"], topic["type"]] for topic in report["topics"]]
+    topics = [[topic["id"], topic["kind"], topic["name"], topic["type"]] for topic in view["topics"]]
     lines += table(["id", "kind", "topic", "type"], topics)
     for title, key in (("from device", "messages"), ("to device", "to_device")):
-        series = report[key].items()
+        series = view[key].items()
         lines += table([title, "count", "last"], [[name, item["count"], _short(item["last"])] for name, item in series])
-    services = report["services"].items()
+    services = view["services"].items()
     lines += table(
         ["service", "requests", "responses"], [[name, item["requests"], item["responses"]] for name, item in services]
     )
-    lines += table(["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in report["parameters"]])
-    logs = report["logs"][-LAST_LOGS:]
+    lines += table(["parameter", "reply"], [[item["name"], _short(item["reply"])] for item in view["parameters"]])
+    logs = view["logs"][-LAST_LOGS:]
     return lines + table(
-        ["level", f"log, the last of {len(report['logs'])} lines"], [[x["level"], x["msg"]] for x in logs]
+        ["level", f"log, the last of {len(view['logs'])} lines"], [[each["level"], each["msg"]] for each in logs]
     )
-
-
-def table(head: list[str], rows: list[list[Any]]) -> list[str]:
-    """Columns under a head; nothing where there are no rows."""
-    if not rows:
-        return []
-    cells = [head, *([plain(str(cell)) for cell in row] for row in rows)]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
-    return [
-        "",
-        *("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells),
-    ]
 
 
 def _short(value: Any) -> str:

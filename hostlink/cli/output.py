@@ -2,7 +2,7 @@
 
 import json
 import sys
-from typing import TextIO
+from typing import Any, TextIO
 
 _CLEAR_LINE = "\r\x1b[2K"
 
@@ -43,3 +43,15 @@ def _escaped(char: str) -> str:
 def _write(stream: TextIO, text: str) -> None:
     stream.write(text)
     stream.flush()
+
+
+def table(head: list[str], rows: list[list[Any]]) -> list[str]:
+    """Columns under a head; nothing where there are no rows."""
+    if not rows:
+        return []
+    cells = [head, *([plain(str(cell)) for cell in row] for row in rows)]
+    widths = [max(len(row[column]) for row in cells) for column in range(len(head))]
+    return [
+        "",
+        *("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells),
+    ]

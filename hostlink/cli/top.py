@@ -10,8 +10,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Look, advice, figures, link_rows, robot_rows
-from hostlink.cli.inspect import table
-from hostlink.cli.output import say
+from hostlink.cli.output import say, table
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError
 

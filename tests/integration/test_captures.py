@@ -7,6 +7,7 @@ import msgspec
 import pytest
 from structlog.testing import capture_logs
 
+from hostlink.cli.inspect import report_view
 from hostlink.inspection import Inspection, Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
@@ -25,8 +26,8 @@ def inspected(lines: bytes, folder: Path) -> dict[str, Any]:
     path = folder / "capture.jsonl"
     path.write_bytes(lines)
     inspection = Inspection(Catalog())
-    inspection.take_all(load_reads(path))
-    return inspection.report()
+    inspection.add_all(load_reads(path))
+    return report_view(inspection.report())
 
 
 async def test_the_bytes_of_a_live_link_are_what_inspect_reads(tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from hostlink.cli.inspect import json_value, report_view
 from hostlink.errors import BadRequest
-from hostlink.inspection import Inspection, Read, load_reads, speakable
+from hostlink.inspection import Inspection, Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import encode
 
@@ -39,8 +40,8 @@ def all_at_once(reads: list[Read]) -> Iterator[Read]:
 def test_agrees_with_the_original_host(name: str, cut: Any) -> None:
     expected = json.loads((CAPTURES / f"{name}.expected.json").read_text())
     inspection = Inspection(Catalog())
-    inspection.take_all(cut(list(load_reads(CAPTURES / f"{name}.jsonl"))))
-    report = inspection.report()
+    inspection.add_all(cut(list(load_reads(CAPTURES / f"{name}.jsonl"))))
+    report = report_view(inspection.report())
     sessions = expected["sessions"]
 
     assert report["connections"] == expected["connections"]
@@ -91,11 +92,13 @@ def services(sent: dict[str, Any], sessions: list[dict[str, Any]]) -> dict[str, 
 
 
 def test_an_unknown_type_is_shown_as_bytes() -> None:
-    strings = b"".join(len(text).to_bytes(4, "little") + text for text in (b"/x", b"my_msgs/Odd", b"0" * 32))
+    strings = b"".join(len(text).to_bytes(4, "little") + text for text in (b"/x", b"my_msgs/New", b"0" * 32))
     info = (125).to_bytes(2, "little") + strings + (512).to_bytes(4, "little")
     inspection = Inspection(Catalog())
-    inspection.take_all([Read("device", (encode(0, info) + encode(125, b"\x01\x02")).hex())])
-    assert inspection.report()["messages"] == {"/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}}
+    inspection.add_all([Read("device", (encode(0, info) + encode(125, b"\x01\x02")).hex())])
+    assert report_view(inspection.report())["messages"] == {
+        "/x": {"count": 1, "first": {"hex": "0102"}, "last": {"hex": "0102"}}
+    }
 
 
 @pytest.mark.parametrize(
@@ -121,4 +124,4 @@ def test_a_recording_that_is_not_there(tmp_path: Path) -> None:
 
 def test_numbers_that_json_lacks_are_strings() -> None:
     values = {"list": [float("nan"), 1.0], "up": float("inf"), "down": float("-inf"), "text": "nan"}
-    assert speakable(values) == {"list": ["NaN", 1.0], "up": "Infinity", "down": "-Infinity", "text": "nan"}
+    assert json_value(values) == {"list": ["NaN", 1.0], "up": "Infinity", "down": "-Infinity", "text": "nan"}
