@@ -1,6 +1,7 @@
 """Metrics for Prometheus: what is counted anyway, read when somebody asks, and how long messages took."""
 
 import asyncio
+import dataclasses
 from collections.abc import Iterator
 from importlib.metadata import version
 
@@ -134,17 +135,24 @@ class _Graph(Collector):
             if odometry is not None:
                 age.add_metric([robot.name], odometry.age_s)
                 poses.add_metric([robot.name], odometry.count)
+        gates = CounterMetricFamily(
+            "hostlink_robot_gate",
+            "Commands at the velocity gate, by outcome",
+            labels=["robot", "outcome"],
+        )
         unreadable = CounterMetricFamily(
             "hostlink_robot_unreadable", "Messages of its odometry that are none", labels=["robot"]
         )
         for robot in self._hub.robots.all():
             unreadable.add_metric([robot.name], robot.unreadable)
+            for outcome, count in dataclasses.asdict(robot.gate.counts).items():
+                gates.add_metric([robot.name, outcome], count)
         forgotten = CounterMetricFamily(
             "hostlink_robots_forgotten",
             "Robots that were away for long, or before many others",
             value=self._hub.robots.forgotten,
         )
-        yield from (connected, age, poses, refused, unreadable, forgotten)
+        yield from (connected, age, poses, refused, unreadable, gates, forgotten)
 
     def _links(self) -> Iterator[Metric]:
         robots = {robot.link: robot.name for robot in self._hub.robots.all() if robot.link is not None}

@@ -11,7 +11,6 @@ class EarlierLink(NamedTuple):
 
     end: str
     seconds: float
-    ended_ago_s: float
     was_negotiated: bool
 
 

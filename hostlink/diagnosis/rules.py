@@ -193,6 +193,10 @@ def _host_fault(evidence: Evidence) -> str | None:
     return "" if evidence.end == "crashed" else None
 
 
+def _unanswerable(evidence: Evidence) -> str | None:
+    return "" if evidence.end == "unanswerable" else None
+
+
 _RULES: dict[str, Rule] = {
     "too_many_robots": _too_many_robots,
     "host_fault": _host_fault,
@@ -200,6 +204,7 @@ _RULES: dict[str, Rule] = {
     "no_topics": _no_topics,
     "wrong_md5": _wrong_md5,
     "wrong_size": _wrong_size,
+    "unanswerable": _unanswerable,
     "buffer_too_small": _buffer_too_small,
     "unknown_ids": _unknown_ids,
     "reboots": _reboots,

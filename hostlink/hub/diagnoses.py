@@ -159,7 +159,6 @@ class Diagnoses:
             EarlierLink(
                 end="" if other.end is None else other.end.value,
                 seconds=other.seconds,
-                ended_ago_s=now_s - other.ended_at_s,
                 was_negotiated=other.monitor.was_negotiated,
             )
             for other in self.ended

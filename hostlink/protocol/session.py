@@ -234,11 +234,6 @@ class Session:
         info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
         self._outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
 
-    def answer(self, service: str, payload: bytes) -> None:
-        """Queue the response to a request of the device's."""
-        info = self._endpoint("service", service, Id.SERVICE_CLIENT_SUBSCRIBER)
-        self._outbox.put_reply(service, self._encode(info, payload))
-
     def response_endpoint(self, request: TopicInfo) -> TopicInfo:
         """Where the device takes the response to a request of this endpoint; UnknownTopic."""
         found = self._topics.response_to(request)

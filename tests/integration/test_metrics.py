@@ -47,6 +47,8 @@ async def test_links_robots_and_clients() -> None:
         seen = await metrics(host)
         assert seen["hostlink_command_to_device_seconds_count" + device_labels] >= 2  # the first is a zero
         assert 0 < seen["hostlink_command_to_device_seconds_sum" + device_labels] < 5
+        assert seen["hostlink_robot_gate_total[('outcome', 'commands'), ('robot', 'robot_0')]"] == 1
+        assert seen["hostlink_robot_gate_total[('outcome', 'forgotten_claims'), ('robot', 'robot_0')]"] == 0
         assert seen["process_open_fds[]"] > 3
 
 

@@ -35,7 +35,7 @@ def non_rosserial(sample: bytes, *, frames: int = 0, of: int | None = None) -> E
 
 
 def lives(count: int, *, seconds: float = 3.0, was_negotiated: bool = True) -> tuple[EarlierLink, ...]:
-    return (EarlierLink("peer_closed", seconds, 5.0, was_negotiated),) * count
+    return (EarlierLink("peer_closed", seconds, was_negotiated),) * count
 
 
 CASES = [
@@ -73,6 +73,7 @@ CASES = [
     ("too_many_robots", replace(HEALTHY, end="refused"), ""),
     ("flashed_alike", replace(HEALTHY, numbered="robot_0 is another device's name"), "another device's name"),
     ("host_fault", replace(HEALTHY, end="crashed"), ""),
+    ("unanswerable", replace(HEALTHY, end="unanswerable"), ""),
 ]
 
 

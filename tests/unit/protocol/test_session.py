@@ -189,7 +189,7 @@ def test_services_in_both_directions() -> None:
     ]
     host = Host(*server, *client)
     host.session.call("/set", b"request")
-    host.session.answer("/ask", b"response")
+    host.session.respond(client[1], b"response")
     assert host.sent() == [Frame(100, b"request"), Frame(101, b"response")]
     assert host.hear(encode(125, b"yes") + encode(126, b"?")) == [
         events.ServiceResponded(server[0], b"yes"),
