@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable
+from typing import Self
 
 
 class HostlinkError(Exception):
@@ -66,20 +67,17 @@ class DeviceBusy(HostlinkError):
         self.name, self.waiting = name, waiting
 
 
-class ServiceTimeout(HostlinkError):
-    """A service did not answer within its deadline."""
-
-    def __init__(self, service: str, timeout_s: float) -> None:
-        super().__init__(f"{service}: no answer within {timeout_s:g} s")
-        self.service, self.timeout_s = service, timeout_s
-
-
 class ServiceFailed(HostlinkError):
-    """A service says that it could not do what it was asked for."""
+    """A service reports that it could not do it, or does not answer in time."""
 
     def __init__(self, service: str, reason: str) -> None:
         super().__init__(f"{service}: {reason}")
         self.service, self.reason = service, reason
+
+    @classmethod
+    def timeout(cls, service: str, timeout_s: float) -> Self:
+        """No answer came within the deadline."""
+        return cls(service, f"no answer within {timeout_s:g} s")
 
 
 class BadRequest(HostlinkError):

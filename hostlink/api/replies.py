@@ -17,7 +17,6 @@ from hostlink.errors import (
     HostlinkError,
     RobotHeld,
     ServiceFailed,
-    ServiceTimeout,
     UnknownTopic,
     WrongType,
 )
@@ -32,7 +31,6 @@ STATUS = {
     ServiceFailed: HTTPStatus.BAD_GATEWAY,
     DeviceGone: HTTPStatus.SERVICE_UNAVAILABLE,
     DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
-    ServiceTimeout: HTTPStatus.GATEWAY_TIMEOUT,
     ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
 }
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")

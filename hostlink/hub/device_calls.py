@@ -19,7 +19,7 @@ from hostlink.errors import (
     DeviceGone,
     FrameTooLarge,
     HostlinkError,
-    ServiceTimeout,
+    ServiceFailed,
     UnknownTopic,
     WrongType,
 )
@@ -146,7 +146,7 @@ class DeviceCalls:
             del of_link[topic_id]
 
     async def _finish(self, call: _Call) -> None:
-        outcome: _Outcome = ServiceTimeout(call.endpoint.name, DEVICE_TIMEOUT_S)
+        outcome: _Outcome = ServiceFailed.timeout(call.endpoint.name, DEVICE_TIMEOUT_S)
         with contextlib.suppress(TimeoutError):
             async with call.until(call.deadline_s):
                 outcome = await self._outcome(call)

@@ -216,7 +216,7 @@ class Participant(Node):
         Raises:
             UnknownTopic: nobody provides it.
             WrongType, BadRequest, BadPayload: request or answer is not of its type, or it may not call it.
-            ServiceFailed, ServiceTimeout, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
+            ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
         """
         self.check(Role.READ, "call_service")
         if self.role < Role.DRIVE and not self._parts.services.is_reading(service):

@@ -18,7 +18,6 @@ from hostlink.errors import (
     DeviceGone,
     HostlinkError,
     ServiceFailed,
-    ServiceTimeout,
     UnknownTopic,
     WrongType,
 )
@@ -54,7 +53,7 @@ class DeviceService:
         self._late: asyncio.Future[None] | None = None  # an answer to a call that was given up may still come
 
     async def call(self, payload: bytes, *, timeout_s: float) -> bytes:
-        """The payload of the answer; DeviceBusy, DeviceGone, ServiceTimeout or FrameTooLarge."""
+        """The payload of the answer; DeviceBusy, DeviceGone, ServiceFailed or FrameTooLarge."""
         if self._calls > MAX_WAITING:
             raise DeviceBusy(self.name, self._calls)
         self._calls += 1
@@ -62,7 +61,7 @@ class DeviceService:
             async with asyncio.timeout(timeout_s), self._turn:
                 return await self._take_turn(payload, min(timeout_s, LONGEST_TURN_S))
         except TimeoutError:
-            raise ServiceTimeout(self.name, timeout_s) from None
+            raise ServiceFailed.timeout(self.name, timeout_s) from None
         finally:
             self._calls -= 1
 
@@ -90,7 +89,7 @@ class DeviceService:
                 await self._settle(turn_s / 2)  # the other half is for the call itself
                 return await self._exchange(payload)
         except TimeoutError:
-            raise ServiceTimeout(self.name, turn_s) from None
+            raise ServiceFailed.timeout(self.name, turn_s) from None
 
     async def _exchange(self, payload: bytes) -> bytes:
         self._answer = asyncio.get_running_loop().create_future()
@@ -142,7 +141,7 @@ class Provider:
 
         Raises:
             UnknownTopic: it was withdrawn before it answered.
-            ServiceTimeout: it did not answer in time.
+            ServiceFailed: it did not answer in time.
             ServiceFailed: it has a bug, which ends who provides it.
             HostlinkError: what else it answers.
         """
@@ -156,7 +155,7 @@ class Provider:
         except TimeoutError:
             if self._is_withdrawn:
                 raise UnknownTopic("service", name) from None
-            raise ServiceTimeout(self.name, timeout_s) from None
+            raise ServiceFailed.timeout(self.name, timeout_s) from None
         except HostlinkError:
             raise
         except Exception as error:
@@ -294,7 +293,7 @@ class Services:
         Raises:
             UnknownTopic: nobody offers it.
             WrongType, BadRequest, BadPayload: the request or the answer is not of its type.
-            ServiceFailed, ServiceTimeout, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
+            ServiceFailed, DeviceBusy, DeviceGone, FrameTooLarge: it was not done.
         """
         service = self.find(name)
         if isinstance(service, Provider):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceTimeout, UnknownTopic
+from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic
 from hostlink.hub.services import MAX_WAITING, DeviceService, Provider
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
@@ -48,7 +48,7 @@ async def test_calls_wait_for_their_turn_and_get_their_own_answers() -> None:
 
 async def test_a_service_that_does_not_answer_has_a_deadline_and_its_late_answer_is_nobodys() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
-        with pytest.raises(ServiceTimeout, match=r"/set_led: no answer within 0\.05 s"):
+        with pytest.raises(ServiceFailed, match=r"/set_led: no answer within 0\.05 s"):
             await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
         async with asyncio.TaskGroup() as tasks:
             call = tasks.create_task(host.hub.services.call("/set_led", {"data": False}))
@@ -61,7 +61,7 @@ async def test_a_service_that_does_not_answer_has_a_deadline_and_its_late_answer
 
 async def test_an_answer_that_never_comes_does_not_block_the_next_call() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
-        with pytest.raises(ServiceTimeout):
+        with pytest.raises(ServiceFailed, match="no answer within"):
             await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.05)
         assert await device.frame(100) == b"\x01"
         async with asyncio.TaskGroup() as tasks:
@@ -90,14 +90,14 @@ async def test_too_many_calls_are_refused() -> None:
     async def outcome() -> str:
         try:
             await host.hub.services.call("/set_led", {"data": True}, timeout_s=0.2)
-        except (DeviceBusy, ServiceTimeout) as error:
+        except (DeviceBusy, ServiceFailed) as error:
             return type(error).__name__
         return "answered"
 
     async with daemon() as host, fake_device(host.tcp, SET_LED), asyncio.TaskGroup() as tasks:
         calls = [tasks.create_task(outcome()) for _ in range(MAX_WAITING + 2)]
         outcomes = [await call for call in calls]
-    assert outcomes == ["ServiceTimeout"] * (MAX_WAITING + 1) + ["DeviceBusy"]
+    assert outcomes == ["ServiceFailed"] * (MAX_WAITING + 1) + ["DeviceBusy"]
 
 
 async def test_many_calls_wait_for_their_turn() -> None:
@@ -147,7 +147,7 @@ def test_a_call_holds_a_device_for_a_minute_at_the_most() -> None:
         async def outcome(timeout_s: float) -> str:
             try:
                 await service.call(b"", timeout_s=timeout_s)
-            except ServiceTimeout as error:
+            except ServiceFailed as error:
                 return str(error)
             return "answered"
 
