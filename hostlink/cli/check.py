@@ -7,6 +7,8 @@ that another program has, is a warning here.
 import errno
 import importlib.util
 import math
+import operator
+import re
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
@@ -19,10 +21,23 @@ from hostlink.config import Config, SerialConfig
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
+from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.transport.ports import find_port
+
+_ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
+_SENSIBLE = (  # setting, the least that works, and why
+    ("api.max_message_bytes", 1024, "the message of a program is a few hundred bytes of JSON"),
+    ("api.max_requests_s", 10, "a program that drives sends ten commands a second"),
+    ("api.request_timeout_s", 0.1, "a radio alone takes longer"),
+    ("link.max_topics", 2, "a robot has a velocity and an odometry"),
+    ("link.uart_bytes_s", 120, "no UART is slower than 1200 baud"),
+    ("link.silence_timeout_s", 2.5, "a device requests the time every 2.5 s"),
+    ("link.idle_timeout_s", 2.5, "a device requests the time every 2.5 s"),
+    ("link.write_timeout_s", 0.1, "a radio alone takes longer"),
+)
 
 
 async def check(config: Config, *, descriptors: int) -> list[str]:
@@ -101,7 +116,9 @@ async def _try_port(part: str, host: str, port: int) -> list[str]:
 
 
 def _suspicious(config: Config) -> Iterator[str]:
+    yield from _too_small(config)
     yield from _suspicious_robots(config)
+    yield from _shared_topics(config)
     yield from _suspicious_api(config)
     if config.tcp.keyless and config.tcp.key_file is None:
         yield "tcp.keyless means nothing without tcp.key_file: nobody needs a key"
@@ -118,11 +135,36 @@ def _suspicious(config: Config) -> Iterator[str]:
             yield f"parameters.{name} cannot be sent: {error}"
 
 
+def _too_small(config: Config) -> Iterator[str]:
+    """What is allowed, but leaves no room for work."""
+    robots = ((f"robots.{name}.uart_bytes_s", robot.uart_bytes_s) for name, robot in config.robots.items())
+    least_of = {setting: (least, reason) for setting, least, reason in _SENSIBLE}
+    values = ((setting, operator.attrgetter(setting)(config)) for setting in least_of)
+    for setting, value in (*values, *robots):
+        least, reason = least_of.get(setting, least_of["link.uart_bytes_s"])
+        if value is not None and value < least:
+            yield f"{setting} {value:g} is very small: {reason}"
+
+
+def _shared_topics(config: Config) -> Iterator[str]:
+    """Two robots with one topic: a command drives both, and nobody knows whose odometry it is."""
+    owners: dict[str, str] = {}
+    for name, robot in config.robots.items():
+        for setting in ("odom_topic", "cmd_vel_topic", "cmd_vel_stamped_topic"):
+            chosen = getattr(robot, setting)
+            topic = resolve(f"{name}/{setting.removesuffix('_topic')}" if chosen is None else chosen)
+            where = f"robots.{name}.{setting}"
+            if chosen != "" and owners.setdefault(topic, where) != where:
+                yield f"{where} and {owners[topic]} are one topic, {topic}: give each its own name"
+
+
 def _suspicious_robots(config: Config) -> Iterator[str]:
     ports = {port.name for port in config.serial}
     by_address: dict[str, str] = {}
     for name, robot in config.robots.items():
         where = f"robots.{name}"
+        if not _ROS_NAME.fullmatch(name):
+            yield f"{where}: ROS programs cannot use this name; one has letters, digits, _ and /, a letter first"
         if robot.max_wheel_m_s is not None and robot.wheel_separation_m is None:
             yield f"{where}.max_wheel_m_s needs wheel_separation_m: without it turning costs the wheels nothing"
         if robot.address is None:

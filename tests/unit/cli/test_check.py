@@ -102,12 +102,40 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         (Config(robots={"a": RobotConfig(max_wheel_m_s=0.3)}), "robots.a.max_wheel_m_s needs wheel_separation_m"),
         (Config(api=ApiConfig(max_clients=1000)), "api.max_clients 1000: no more than 496 of the 512 connections"),
         (Config(api=ApiConfig(origins=("panel.example",))), "api.origins panel.example is none"),
+        (Config(api=ApiConfig(max_message_bytes=1)), "api.max_message_bytes 1 is very small: the message of a program"),
+        (Config(api=ApiConfig(max_requests_s=2.5)), "api.max_requests_s 2.5 is very small: a program that drives"),
+        (Config(link=LinkConfig(max_topics=1)), "link.max_topics 1 is very small: a robot has a velocity and an"),
+        (Config(link=LinkConfig(silence_timeout_s=1.0)), "link.silence_timeout_s 1 is very small: a device requests"),
+        (Config(robots={"a": RobotConfig(uart_bytes_s=1)}), "robots.a.uart_bytes_s 1 is very small: no UART is slower"),
+        (Config(robots={"my robot": RobotConfig()}), "robots.my robot: ROS programs cannot use this name"),
+        (Config(robots={"0": RobotConfig()}), "robots.0: ROS programs cannot use this name"),
+        (Config(robots={"größe": RobotConfig()}), "robots.größe: ROS programs cannot use this name"),
+        (
+            Config(robots={"a": RobotConfig(cmd_vel_topic="cmd_vel"), "b": RobotConfig(cmd_vel_topic="/cmd_vel")}),
+            "robots.b.cmd_vel_topic and robots.a.cmd_vel_topic are one topic, /cmd_vel: give each its own name",
+        ),
+        (
+            Config(robots={"a": RobotConfig(odom_topic="b/odom"), "b": RobotConfig()}),
+            "robots.b.odom_topic and robots.a.odom_topic are one topic, /b/odom",
+        ),
+        (
+            Config(robots={"a": RobotConfig(cmd_vel_topic="drive", cmd_vel_stamped_topic="drive")}),
+            "robots.a.cmd_vel_stamped_topic and robots.a.cmd_vel_topic are one topic, /drive",
+        ),
     ],
 )
-def test_what_looks_wrong_is_told(config: Config, warning: str) -> None:
+def test_what_looks_wrong_is_a_warning(config: Config, warning: str) -> None:
     warnings = checked(config)
     assert len(warnings) == 1
     assert warnings[0].startswith(warning)
+
+
+def test_sensible_settings_have_no_warning() -> None:
+    robots = {
+        "fleet/robot_0": RobotConfig(odom_topic="", cmd_vel_topic="", uart_bytes_s=120),
+        "robot_1": RobotConfig(odom_topic="", cmd_vel_topic=""),
+    }
+    assert checked(Config(robots=robots)) == []
 
 
 def test_the_address_of_a_port_is_none_of_a_network() -> None:
