@@ -1,6 +1,6 @@
-"""Acceptor: takes connections from listening sockets, a few a turn of the loop, and says once that nothing is left.
+"""Acceptor: accepts connections of listening sockets, a few a turn of the loop, and reports when descriptors run out.
 
-asyncio's own does neither: without descriptors it logs a traceback at each of its tries.
+asyncio's own does neither: without descriptors it logs a traceback at each try.
 """
 
 import asyncio
@@ -14,11 +14,17 @@ ACCEPTED_AT_ONCE = 4  # before others have their turn
 RETRY_S = 0.25  # a descriptor may be free again by then
 EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
-Take = Callable[[socket.socket, str], None]
+OnAccepted = Callable[[socket.socket, str], None]
 
 
 async def bind(host: str, port: int) -> list[socket.socket]:
-    """A listening socket for each address that the name has here. OSError, or OverflowError for no port."""
+    """Listen on each address that the name has here.
+
+    Raises:
+        OSError: nobody can listen there; a name that has no address is one, too.
+        OverflowError: the port is no port.
+        UnicodeError: the host is no name.
+    """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     listening: list[socket.socket] = []
@@ -52,7 +58,7 @@ def _listen(family: int, protocol: int, address: tuple[object, ...]) -> socket.s
 
 
 def why(error: OSError | OverflowError | UnicodeError) -> str:
-    """What kept `bind` from it, for people."""
+    """Why `bind` failed, for people."""
     if isinstance(error, OverflowError):
         return "no such port; they go from 0 (any free one) to 65535"
     if isinstance(error, UnicodeError):
@@ -71,16 +77,18 @@ def close_all(listening: list[socket.socket]) -> None:
 class Acceptor:
     """Owns the listening sockets."""
 
-    def __init__(self, listening: list[socket.socket], take: Take, *, on_exhausted: Callable[[], None]) -> None:
-        """`take` owns the connection that it is given, with its peer's address; `on_exhausted`: a try found nothing."""
+    def __init__(
+        self, listening: list[socket.socket], on_accepted: OnAccepted, *, on_exhausted: Callable[[], None]
+    ) -> None:
+        """`on_accepted` owns the connection that it receives, with the address of its peer."""
         self._listening = listening
-        self._take, self._on_exhausted = take, on_exhausted
+        self._on_accepted, self._on_exhausted = on_accepted, on_exhausted
         self._retries: dict[int, asyncio.TimerHandle] = {}
         for each in listening:
             self._watch(each)
 
     def close(self) -> None:
-        """Nobody can connect any more; what was taken stays."""
+        """Nobody can connect any more; connections that were accepted stay."""
         for retry in self._retries.values():
             retry.cancel()
         for each in self._listening:
@@ -103,10 +111,10 @@ class Acceptor:
                     return
                 continue  # of the connection itself, which was reset before it was accepted: accept(2)
             connection.setblocking(False)
-            self._take(connection, str(address[0]))
+            self._on_accepted(connection, str(address[0]))
 
     def _pause(self, listening: socket.socket) -> None:
-        """The system goes on to say that somebody waits: do not ask it in each turn of the loop."""
+        """The socket stays readable: without a pause each turn of the loop would try again."""
         loop = asyncio.get_running_loop()
         loop.remove_reader(listening.fileno())
         self._retries[listening.fileno()] = loop.call_later(RETRY_S, self._watch, listening)

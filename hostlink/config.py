@@ -29,7 +29,7 @@ class TcpConfig:
     max_connections_per_address: int = 64  # a fleet behind one address, as the simulated one
     key_file: Path | None = None  # a key that devices must prove, as the project's ESP8266 firmware can
     keyless: tuple[str, ...] = ()  # with key_file: networks of devices that need no key
-    mdns: bool = False  # tell the local network of this port, as _rosserial._tcp
+    mdns: bool = False  # announce this port in the local network, as _rosserial._tcp
 
     def __post_init__(self) -> None:
         for network in (*self.allow, *self.keyless):
@@ -45,7 +45,7 @@ class SerialConfig:
     path: str | None = None  # "/dev/ttyACM0", or a pattern that fits one port: "/dev/serial/by-id/usb-Arduino*"
     usb_serial: str | None = None  # instead: the serial number of the USB device, whatever its port is called today
     baud: int | tuple[int, ...] = 57600  # rosserial's default; several are tried in turn until frames come
-    baud_try_s: float = 4.5  # for each of several; the host asks every 2 s, so twice at each
+    baud_try_s: float = 4.5  # for each of several; the host requests topics every 2 s, so twice at each
     on_open: Literal["leave", "reset"] = "leave"  # the board's DTR line: leave it as it is, or reset the board
 
     def __post_init__(self) -> None:
@@ -56,7 +56,7 @@ class SerialConfig:
 
     @property
     def name(self) -> str:
-        """What stays when the port is plugged in again; `address` of a robot means this."""
+        """What stays when the port is plugged in again; `address` of a robot refers to it."""
         return self.usb_serial or self.path or ""
 
     @property
@@ -69,9 +69,9 @@ class SerialConfig:
 class LinkConfig:
     """How one live connection is watched and paced."""
 
-    silence_timeout_s: float | None = 5.0  # of one that asks for the time, each 2.5 s as all do: two were missed
-    idle_timeout_s: float | None = 11.0  # of one that never asks; without answers a device falls silent after 11 s
-    write_timeout_s: float = 5.0  # a socket that takes nothing for two of the device's time requests is dead
+    silence_timeout_s: float | None = 5.0  # of a device that requests the time, every 2.5 s: two were missed
+    idle_timeout_s: float | None = 11.0  # of one that never does; without answers a device falls silent after 11 s
+    write_timeout_s: float = 5.0  # a socket that accepts nothing for two time requests of its device is dead
     uart_bytes_s: int | None = None  # None: as fast as the socket; 3840 for the paper's robot (38400 baud)
     max_topics: int = 256  # of one device, with its services; rosserial's own library has 25 of each by default
     forget_robot_after_s: float = 600.0  # a robot that nobody configured and nobody locked, once it has left
@@ -111,13 +111,13 @@ class ApiConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotConfig:
-    """One robot: how its device is known, what it may do. Limits hold for every command source."""
+    """One robot: how its device is known, what it may do. The limits apply to every source of commands."""
 
     address: str | None = None  # the peer address or serial port of its device
     uart_bytes_s: int | None = None
     wheel_separation_m: float | None = None
     max_wheel_m_s: float | None = None
-    max_linear_m_s: float = 1.0  # a small robot's; higher ones are asked for by name
+    max_linear_m_s: float = 1.0  # a small robot's; a faster one has its own setting
     max_angular_rad_s: float = 4.0
     max_linear_acceleration_m_s2: float | None = None
     max_angular_acceleration_rad_s2: float | None = None
@@ -148,7 +148,11 @@ class Config:
 
 
 def load(path: Path) -> Config:
-    """Read and validate a TOML file; a ConfigError names the file, the key and the nearest known one."""
+    """Read and validate a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
+    """
     try:
         raw = msgspec.toml.decode(path.read_bytes())
     except OSError as error:

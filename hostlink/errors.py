@@ -1,4 +1,4 @@
-"""Every error that hostlink raises on purpose: what is wrong, with its numbers as attributes."""
+"""Every error that hostlink raises on purpose, with its numbers as attributes."""
 
 import itertools
 from collections.abc import Iterable
@@ -6,7 +6,7 @@ from typing import Self
 
 
 class HostlinkError(Exception):
-    """Base of all: a caller asked for something that cannot be done, and the text says what to do next."""
+    """Base of all: a caller requested what cannot be done. The text names the next step."""
 
 
 class ConfigError(HostlinkError):
@@ -21,7 +21,7 @@ class UnknownTopic(HostlinkError):
     """No topic, service or robot of that name."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str] = ()) -> None:
-        """Of those that are known some are named: devices may tell any number, and somebody may ask often."""
+        """The text names some of those that are known: devices may announce any number of them."""
         self.kind, self.name, self.known = kind, name, tuple(itertools.islice(known, 64))
         hint = f"; known: {', '.join(sorted(self.known)[:8])}" if self.known else ""
         super().__init__(f"no {kind} named {name}{hint}")
@@ -44,7 +44,7 @@ class BadPayload(HostlinkError):
 
 
 class FrameTooLarge(HostlinkError):
-    """A frame over what the device can take: its buffer, or its line while a stop may be needed."""
+    """A frame that is larger than the device's buffer, or than its line allows while a stop may be needed."""
 
     def __init__(self, topic: str, frame_bytes: int, limit_bytes: int, *, when: str = "") -> None:
         super().__init__(f"{topic}: frame of {frame_bytes} bytes, the device takes {limit_bytes}{when and f' {when}'}")

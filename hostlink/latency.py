@@ -1,4 +1,4 @@
-"""Latency: how long something took, counted in buckets; cheap enough for each velocity command."""
+"""Latency: durations, counted in buckets; cheap enough for each velocity command."""
 
 from bisect import bisect_left
 from itertools import accumulate
@@ -19,6 +19,6 @@ class Latency:
         self.sum_s += seconds
 
     def buckets(self) -> list[tuple[str, int]]:
-        """How many took at most so long, as Prometheus wants it: (bound, count), the last for all."""
+        """How many durations are within each bound, as Prometheus expects it: (bound, count), the last for all."""
         bounds = [*map(str, BOUNDS_S), "+Inf"]
         return list(zip(bounds, accumulate(self.counts), strict=True))

@@ -2,9 +2,9 @@
 
 from collections import OrderedDict
 
-BURST_LINES = 500  # fifty robots behind one address connect and are told of
+BURST_LINES = 500  # fifty robots connect from behind one address
 RATE_HZ = 10.0
-MAX_PEERS = 1024  # that are told apart; a new one takes the place of the one that was quiet for longest
+MAX_PEERS = 1024  # with a bucket each; a new one replaces the one that was quiet for longest
 
 
 class _Bucket:
@@ -36,7 +36,7 @@ class LogBudget:
         self.left_out += 1
         return False
 
-    def take_left_out(self) -> dict[str, int]:
+    def pop_left_out(self) -> dict[str, int]:
         """Peer -> lines that were left out since the last call; "" is the sum of those that were forgotten."""
         found = {peer: bucket.left_out for peer, bucket in self._buckets.items() if bucket.left_out}
         if self._left_out_of_forgotten:

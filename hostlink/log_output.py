@@ -1,10 +1,10 @@
-"""LogOutput: where the log is written. A reader that is gone or asleep, or a full disk, neither ends nor stops us."""
+"""LogOutput: writes the log. Neither a reader that is gone or asleep nor a full disk stops the daemon."""
 
 import os
 import select
 from typing import TextIO
 
-CHUNK_BYTES = 4096  # PIPE_BUF: a pipe that is ready takes so much without blocking
+CHUNK_BYTES = 4096  # PIPE_BUF: a pipe that is ready accepts that many bytes without blocking
 
 
 class LogOutput:
@@ -13,7 +13,7 @@ class LogOutput:
     def __init__(self, stream: TextIO | None) -> None:
         """`stream` may be None, as `sys.stderr` is when nobody gave the process one."""
         self.lost_lines = 0  # since the start
-        self._told_lost_lines = 0
+        self._reported_lost_lines = 0
         self._stream = stream
         self._is_cut = False  # the last line was written in part
         self._descriptor = _descriptor(stream)
@@ -38,10 +38,10 @@ class LogOutput:
         except (OSError, ValueError):  # also a stream that is closed
             self.lost_lines += 1
 
-    def take_lost(self) -> int:
+    def pop_lost(self) -> int:
         """Lines that were lost since the last call."""
-        lost = self.lost_lines - self._told_lost_lines
-        self._told_lost_lines = self.lost_lines
+        lost = self.lost_lines - self._reported_lost_lines
+        self._reported_lost_lines = self.lost_lines
         return lost
 
     def flush(self) -> None:

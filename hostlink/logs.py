@@ -2,7 +2,7 @@
 
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
                  connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
-What it said     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
+Its messages     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
@@ -70,9 +70,9 @@ def of_peer(address: str) -> dict[str, str]:
 def log_what_is_missing() -> None:
     """One line for each peer whose lines were left out, and one for lines that could not be written."""
     log = structlog.get_logger()
-    for peer, lines in budget.take_left_out().items():
+    for peer, lines in budget.pop_left_out().items():
         log.warning("log.lines_left_out", about=printable(peer) or "others", lines=lines)
-    lost = output.take_lost()
+    lost = output.pop_lost()
     if lost:
         log.warning("log.lines_lost", lines=lost)
 
@@ -83,7 +83,7 @@ def _make_printable(_: object, __: str, event: structlog.typing.EventDict) -> st
 
 
 def printable(text: str, max_chars: int = _MAX_PRINTED) -> str:
-    """What a peer said, safe for a terminal: printable characters only, and not too many of them."""
+    """A text of a peer, safe for a terminal: printable characters only, and at most `max_chars`."""
     return _replace(text[:max_chars])
 
 

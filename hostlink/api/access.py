@@ -1,7 +1,7 @@
-"""Access: who may talk to the API, and what a token allows. No request gets past it unseen.
+"""Access: who may use the API, and what a token allows. Every request passes it.
 
 Without tokens the API is for this computer alone: it listens on loopback, and a web page from elsewhere cannot use it
-through the browser of whoever sits there (Origin and Host are looked at). With tokens it may listen anywhere.
+through the browser of whoever sits there (Origin and Host are checked). With tokens it may listen anywhere.
 """
 
 import hmac
@@ -29,18 +29,20 @@ class Grant(NamedTuple):
     role: Role
 
 
-GRANT = web.RequestKey("grant", Grant)  # what the request that is being answered may do
+GRANT = web.RequestKey("grant", Grant)  # of the request that is being answered
 
 
 class Access:
-    """The rules of one API server. Refusals are HTTP errors that say what to do."""
+    """The rules of one API server. A refusal is an HTTP error that names the next step."""
 
     def __init__(self, config: ApiConfig) -> None:
-        """ConfigError for settings that would leave a robot open to the network."""
+        """Raises:
+        ConfigError: a setting is wrong, or would leave a robot open to the network.
+        """
         self._tokens = [(_secret(token), Grant(token.name, Role[token.role.upper()])) for token in config.tokens]
         self._origins = frozenset(origin.rstrip("/") for origin in config.origins)
         if len({secret for secret, _ in self._tokens}) < len(self._tokens):
-            raise ConfigError("api.tokens", "two names have the same token: nobody could tell who drives")
+            raise ConfigError("api.tokens", "two names have the same token: the driver would be unknown")
         for limit in ("max_clients", "max_message_bytes", "max_requests_s"):
             if not getattr(config, limit) >= 1:
                 raise ConfigError(f"api.{limit}", "must be 1 or more")
@@ -58,25 +60,33 @@ class Access:
             raise ConfigError("api.origins", '"*" would let every web page drive the robots: set [[api.tokens]] too')
 
     def check_place(self, *, origin: str | None, host: str) -> None:
-        """Refuse a request that a web page from elsewhere made in the browser of somebody who may."""
+        """Refuse a request that a page of another origin made in the browser of somebody who is allowed.
+
+        Raises:
+            web.HTTPForbidden: the host or the origin is none of those that may.
+        """
         if not self._tokens and not _is_plain_address(host):  # a name that an attacker points here (DNS rebinding)
             raise web.HTTPForbidden(reason=f"not as {host}: without tokens use http://localhost or an IP address")
         if origin is not None and not self.allows_origin(origin, host):
             raise web.HTTPForbidden(reason=f'a page of {origin} may not: add "{origin}" to api.origins if it should')
 
     def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether a page from there may talk to this server, which its browser calls `host`."""
+        """Whether a page of this origin may use this server, which its browser calls `host`."""
         is_own = _parts(origin).netloc == host
         return is_own or origin.rstrip("/") in self._origins or "*" in self._origins
 
     def grant(self, token: str | None) -> Grant:
-        """What the token allows; without tokens everything is allowed."""
+        """What the token allows; without tokens everything is allowed.
+
+        Raises:
+            web.HTTPUnauthorized: the token is missing or unknown.
+        """
         if not self._tokens:
             return Grant("", Role.DRIVE)
         if not token:
             raise _unauthorized('a token is needed: "Authorization: Bearer ..." or ?token=...')
         given, found = token.encode(errors="surrogateescape"), None
-        for secret, grant in self._tokens:  # all of them: how long it takes tells nothing
+        for secret, grant in self._tokens:  # all of them: the duration gives nothing away
             if hmac.compare_digest(secret, given):
                 found = grant
         if found is None:
@@ -85,7 +95,11 @@ class Access:
 
 
 def check_role(grant: Grant, needed: Role) -> None:
-    """Refuse what the role does not allow."""
+    """Refuse what the role does not allow.
+
+    Raises:
+        web.HTTPForbidden: it does not.
+    """
     if grant.role < needed:
         raise web.HTTPForbidden(reason=f"the token {grant.who} may only {grant.role.name.lower()}, not drive")
 
@@ -97,7 +111,11 @@ def token_of(request: web.Request) -> str | None:
 
 
 def tls_context(config: ApiConfig) -> ssl.SSLContext | None:
-    """The server's certificate; None: no TLS. ConfigError for a file that is missing or wrong."""
+    """The server's certificate; None: no TLS.
+
+    Raises:
+        ConfigError: a file is missing or wrong.
+    """
     if config.certificate is None and config.key is None:
         return None
     if config.certificate is None or config.key is None:
@@ -140,7 +158,7 @@ def is_loopback(host: str) -> bool:
 
 
 def _is_plain_address(host: str) -> bool:
-    """Whether a Host header names this computer without asking the DNS."""
+    """Whether a Host header names this computer without the DNS."""
     name = _parts(f"//{host}").hostname or ""
     if name == "localhost" or name.endswith(".localhost"):
         return True

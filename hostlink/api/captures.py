@@ -1,7 +1,6 @@
 """Captures: the raw bytes that passed on a link, as `hostlink inspect` reads them; live links and the last that ended.
 
-Whole, they are JSON lines. For those who follow a link, they come in pieces: what passed after a position, and the next
-position.
+The whole is JSON lines. Who follows a link gets pieces: what passed after a position, and the next position.
 """
 
 from http import HTTPStatus
@@ -31,7 +30,7 @@ class ReadView(TypedDict):
 
 
 class CaptureView(TypedDict):
-    """What passed after a position, the position to ask for next, and how many bytes in between are lost."""
+    """What passed after a position, the next position, and how many bytes in between are lost."""
 
     reads: list[ReadView]
     position: str
@@ -53,7 +52,7 @@ class Captures:
                 path,
                 self._whole,
                 "The last 64 KiB of each direction of a link, as JSON lines for `hostlink inspect`",
-                says=None,
+                response=None,
                 media_type="application/x-ndjson",
                 fails=(HTTPStatus.NOT_FOUND,),
             ),

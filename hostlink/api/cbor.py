@@ -25,7 +25,11 @@ _TAGS = {
 
 
 def encode_cbor(topic: str, message: Message) -> bytes:
-    """The publish operation with its fields; BadPayload as `Message.decoded`."""
+    """The publish operation with its fields.
+
+    Raises:
+        BadPayload: the bytes are no message of the type.
+    """
     fields: Any = message.decoded
     if message.type is not None:
         fields = _with_typed_arrays(message.type, message.decoded)

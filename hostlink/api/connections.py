@@ -1,10 +1,10 @@
-"""Connections: who is connected to the API's port, for how long nothing may come, and who gives way. Pure."""
+"""Connections: who is connected to the API's port, how long each may wait, and which one is evicted. Pure."""
 
 from collections import Counter
 from dataclasses import dataclass
 
 IDLE_TIMEOUT_S = 75.0  # after an answer, as nginx: browsers and proxies keep connections for their next request
-KEPT_FOR_REQUESTS = 16  # connections that no WebSocket or event stream may hold: a stop needs one of them
+KEPT_FOR_REQUESTS = 16  # connections that no WebSocket or event stream may use: a stop needs one of them
 
 
 @dataclass(slots=True)
@@ -21,12 +21,12 @@ class Connections:
 
     | a connection comes          | what happens                                                                       |
     |-----------------------------|------------------------------------------------------------------------------------|
-    | over the bound of its       | of those of its address that wait, the one that waits longest gives way;           |
+    | over the bound of its       | of those of its address that wait, the one that waits longest is evicted;          |
     | address                     | if none waits it is refused: too_many_of_address                                   |
     | over the bound of all       | of those that wait, the one that waits longest, of the address that has most of    |
-    |                             | them, gives way; if none waits it is refused: too_many                             |
+    |                             | them, is evicted; if none waits it is refused: too_many                            |
 
-    So half a request holds nothing for long, and a whole one always gets through.
+    So half a request occupies nothing for long, and a whole one is always served.
     """
 
     def __init__(self, max_connections: int, max_per_address: int, *, request_timeout_s: float) -> None:
@@ -42,7 +42,7 @@ class Connections:
         return len(self._all)
 
     def enter(self, address: str, now_s: float) -> tuple[Connection | None, Connection | None]:
-        """(the new connection, or None: it is refused; who gives way for it, or None)."""
+        """(the new connection, or None: it is refused; the evicted one, or None)."""
         mine = sum(each.address == address for each in self._all.values())
         leaving = None
         if mine >= self._max_per_address:

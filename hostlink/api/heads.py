@@ -1,4 +1,4 @@
-"""Heads: what a request says of itself must be text where hostlink reads it as text, before anything else is done."""
+"""Heads: the headers that hostlink reads as text must be text, before anything else is done."""
 
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
@@ -13,12 +13,12 @@ Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
 
 def readable(value: str) -> str:
-    """A header's value with what is no UTF-8 replaced: aiohttp makes half characters of it, which nobody can send."""
+    """A header's value with what is no UTF-8 replaced: aiohttp makes surrogates of it, which cannot be sent."""
     return value.encode(errors="replace").decode()
 
 
 def refuse_unreadable(answer: Answer) -> Answer:
-    """Answer 400 to a head that is no text; all else is `answer`'s. Before it aiohttp looks at Expect by itself."""
+    """Answer 400 to a head that is no text; `answer` does the rest. aiohttp itself would read Expect before it."""
 
     async def answer_readable(request: web.BaseRequest) -> web.StreamResponse:
         for name in _READ_AS_TEXT:
@@ -30,7 +30,11 @@ def refuse_unreadable(answer: Answer) -> Answer:
 
 
 def refuse_subprotocol(request: web.Request) -> None:
-    """400 for a WebSocket that is meant for another protocol; it would be understood as little as it understands."""
+    """Refuse a WebSocket of another protocol.
+
+    Raises:
+        web.HTTPBadRequest: it requests a subprotocol.
+    """
     names = request.headers.get("Sec-WebSocket-Protocol")
     if names is not None:
         raise web.HTTPBadRequest(

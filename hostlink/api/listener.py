@@ -1,4 +1,4 @@
-"""ApiListener: the API's port. It lets connections in as Connections says, and cuts those that wait too long."""
+"""ApiListener: the API's port. It admits connections by the rules of Connections, and cuts those that wait too long."""
 
 import asyncio
 import contextlib
@@ -25,7 +25,7 @@ MakeProtocol = Callable[[], asyncio.Protocol]
 
 
 class ApiListener:
-    """Owns what was accepted until its protocol has it, and knows the state of each connection from then on."""
+    """Owns accepted sockets until their protocols have them, and knows the state of each connection from then on."""
 
     def __init__(self, connections: Connections, spawn: Spawn) -> None:
         self._connections = connections
@@ -40,9 +40,9 @@ class ApiListener:
     async def serving(
         self, listening: list[socket.socket], make_protocol: MakeProtocol, tls: ssl.SSLContext | None
     ) -> AsyncIterator[None]:
-        """Take connections for the length of the block; those that are open at its end are the protocols' matter."""
+        """Accept connections for the length of the block; those that are open at its end belong to their protocols."""
 
-        def take(sock: socket.socket, address: str) -> None:
+        def accepted(sock: socket.socket, address: str) -> None:
             new, leaving = self._connections.enter(address, _now_s())
             if leaving is not None:
                 self._cut(leaving)
@@ -54,7 +54,7 @@ class ApiListener:
             if new is None or leaving is not None:
                 self._log_crowd(address)
 
-        acceptor = Acceptor(listening, take, on_exhausted=self._note_exhausted)
+        acceptor = Acceptor(listening, accepted, on_exhausted=self._note_exhausted)
         sweeper = _Every(SWEEP_INTERVAL_S, self._sweep)
         try:
             yield
@@ -176,7 +176,7 @@ class _Watched(asyncio.Protocol):
 
 
 class _Every:
-    """Calls something again and again, until it is cancelled."""
+    """Calls something at an interval, until it is cancelled."""
 
     def __init__(self, interval_s: float, call: Callable[[], None]) -> None:
         self._interval_s, self._call = interval_s, call
@@ -197,7 +197,7 @@ def _refuse(sock: socket.socket, answer: bytes) -> None:
 
 
 def _shut(sock: socket.socket) -> None:
-    """Let whoever waits for it see its end; the socket is his to close."""
+    """End both directions; the owner of the socket closes it."""
     with contextlib.suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)
 

@@ -1,4 +1,4 @@
-"""Metrics for Prometheus: what is counted anyway, read when somebody asks, and how long messages took."""
+"""Metrics for Prometheus: the counters of the hub and of the clients, read at each request, and latencies."""
 
 import asyncio
 import dataclasses
@@ -30,16 +30,16 @@ _LINK_COUNTERS = {
     "bytes_from_device": "Bytes that came",
     "bytes_to_device": "Bytes that left",
     "skipped_bytes": "Bytes that were no frame",
-    "unknown_ids": "Frames of a topic that the device never told",
+    "unknown_ids": "Frames of a topic that the device never announced",
     "refused_frames": "Frames that were refused",
     "malformed": "Control frames whose payload makes no sense",
     "excess_topics": "Topics over the bound of one device",
-    "negotiations": "Times that the device told its topics",
-    "asks": "Times that it was asked for them",
+    "negotiations": "Times that the device announced its topics",
+    "asks": "Requests for its topics",
 }
 
 _LINK_CLOCK = {
-    "offset_s": ("clock_offset_seconds", "What the device's stamps lack to their arrival, on the fastest way"),
+    "offset_s": ("clock_offset_seconds", "From a header stamp to its arrival, on the fastest way"),
     "drift_ppm": ("clock_drift_ppm", "How much faster the device's clock runs than the host's"),
     "round_trip_s": ("round_trip_seconds", "Of the network, as TCP measures it"),
     "answer_s": ("answer_seconds", "From a request for the device's topics to the first of them"),
@@ -66,7 +66,7 @@ class Metrics:
             "/metrics",
             self._show,
             "Metrics for Prometheus",
-            says=None,
+            response=None,
             media_type="text/plain",
         )
 
@@ -76,13 +76,13 @@ class Metrics:
 
 
 class _Graph(Collector):
-    """Reads the hub and the clients at the moment of the question: nothing is counted twice."""
+    """Reads the hub and the clients at each request: nothing is counted twice."""
 
     def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections) -> None:
         self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
 
     def describe(self) -> list[Metric]:
-        """Nothing at registration: there is no event loop to ask yet."""
+        """Nothing at registration: there is no event loop yet."""
         return []
 
     def collect(self) -> Iterator[Metric]:
@@ -126,7 +126,7 @@ class _Graph(Collector):
         age = GaugeMetricFamily("hostlink_robot_odometry_age_seconds", "Since the newest pose", labels=["robot"])
         poses = CounterMetricFamily("hostlink_robot_poses", "Poses that came", labels=["robot"])
         refused = CounterMetricFamily(
-            "hostlink_robot_velocity_refused", "Velocities that the device could not take", labels=["robot"]
+            "hostlink_robot_velocity_refused", "Velocities that the device could not receive", labels=["robot"]
         )
         for robot in self._hub.robots.all():
             refused.add_metric([robot.name], robot.refusals.count)
@@ -161,9 +161,7 @@ class _Graph(Collector):
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
             for name, help_ in _LINK_COUNTERS.items()
         }
-        replaced = CounterMetricFamily(
-            "hostlink_link_replaced", "Messages that a newer one took the place of", labels=names
-        )
+        replaced = CounterMetricFamily("hostlink_link_replaced", "Messages that a newer one replaced", labels=names)
         rejected = CounterMetricFamily(
             "hostlink_link_rejected", "False starts of frames, by cause", labels=[*names, "cause"]
         )

@@ -1,10 +1,10 @@
-"""RateLimit: how often somebody may ask, as a token bucket for each of them."""
+"""RateLimit: how often a client may send requests, as a token bucket for each of them."""
 
 from collections import OrderedDict
 from collections.abc import Hashable
 from typing import NamedTuple
 
-MAX_KEYS = 1024  # the one that asked longest ago is forgotten first: by then its bucket is full again
+MAX_KEYS = 1024  # the one that was used longest ago is forgotten first: by then its bucket is full again
 
 
 class _Bucket(NamedTuple):
@@ -21,7 +21,7 @@ class RateLimit:
         self._buckets: OrderedDict[Hashable, _Bucket] = OrderedDict()
 
     def allows(self, key: Hashable, now_s: float) -> bool:
-        """Whether `key` may ask once more now; what is refused is not counted against it."""
+        """Whether `key` may send one more now; what is refused is not counted against it."""
         left = self._left(key, now_s)
         is_right = left >= 1
         self._keep(key, _Bucket(left - is_right, now_s))
@@ -29,7 +29,7 @@ class RateLimit:
         return is_right
 
     def debt_s(self, key: Hashable, now_s: float) -> float:
-        """Count what `key` has said already; returns how long it would have to be silent to be within the rate."""
+        """Count a message that `key` has sent; returns how long it must be silent to be within the rate."""
         left = self._left(key, now_s) - 1
         self._keep(key, _Bucket(left, now_s))
         return max(0.0, -left / self._per_s)

@@ -1,4 +1,4 @@
-"""What a request is answered with: JSON that is a robot's present state, or an error with a kind and a reason."""
+"""Replies: JSON of the present state, or an error with a kind and a reason."""
 
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -37,7 +37,7 @@ _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
 
 
 def reply(body: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> web.Response:
-    """JSON that nobody may keep: the next moment it is another."""
+    """JSON that no cache may keep."""
     return web.Response(
         body=msgspec.json.encode(body),
         status=status,

@@ -12,7 +12,7 @@ MAX_TEXT = 1024  # characters of a name or an id; the longest that roslib makes 
 
 
 class Request:
-    """A JSON object with an `op`; what a field must not be is a BadRequest that names it."""
+    """A JSON object with an `op`. Its methods raise a BadRequest that names a wrong field."""
 
     def __init__(self, fields: dict[str, Any]) -> None:
         self.fields = fields
@@ -20,27 +20,39 @@ class Request:
 
     @classmethod
     def read(cls, text: str | bytes) -> "Request":
-        """BadRequest for what is no JSON, or no object with an `op`."""
+        """Decode one message of a client.
+
+        Raises:
+            BadRequest: it is no JSON, or no object with an `op`.
+        """
         try:
             fields = msgspec.json.decode(text)
         except (msgspec.DecodeError, UnicodeError) as error:
             raise BadRequest(f"no JSON: {error}") from None
         except RecursionError:
-            raise BadRequest("no JSON that anybody means: nested too deeply") from None
+            raise BadRequest("no JSON: nested too deeply") from None
         if not isinstance(fields, dict) or "op" not in fields:
             raise BadRequest('a message is a JSON object with an "op"')
         return cls(fields)
 
     @property
     def id(self) -> object:
-        """As the client wrote it; None: it has none."""
+        """As the client wrote it; None: it has none.
+
+        Raises:
+            BadRequest: it is neither a number nor a short text.
+        """
         found = self.fields.get("id")
         if isinstance(found, list | dict) or (isinstance(found, str) and len(found) > MAX_TEXT):
             raise BadRequest(f"{self.op}: id must be a number, or a text of at most {MAX_TEXT} characters")
         return found
 
     def text(self, key: str) -> str:
-        """A text that must be there."""
+        """A text that must be there.
+
+        Raises:
+            BadRequest: it is missing, no text, or too long.
+        """
         value = self.fields.get(key)
         if not isinstance(value, str) or not value:
             raise BadRequest(f"{self.op}: {key} must be a text")
@@ -49,11 +61,19 @@ class Request:
         return value
 
     def text_or(self, key: str, default: str) -> str:
-        """A text that clients leave out, or empty, or null."""
+        """A text; `default` where it is missing, empty or null.
+
+        Raises:
+            BadRequest: it is no text, or too long.
+        """
         return self.text(key) if self.fields.get(key) else default
 
     def number_or(self, key: str, default: float) -> float:
-        """A number, not negative; one that is left out or null is `default`."""
+        """A number, not negative; `default` where it is missing or null.
+
+        Raises:
+            BadRequest: it is no such number.
+        """
         value = self.fields.get(key)
         if value is None:
             return default
@@ -62,14 +82,22 @@ class Request:
         return min(float(value), float(2**53))
 
     def whole(self, key: str, default: int, largest: int) -> int:
-        """A whole number from 0 to `largest`."""
+        """A whole number from 0 to `largest`.
+
+        Raises:
+            BadRequest: it is none.
+        """
         value = self.fields.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
             raise BadRequest(f"{self.op}: {key} must be a number from 0 to {largest}")
         return value
 
     def table(self, key: str) -> dict[str, Any]:
-        """An object; one that is left out is empty."""
+        """An object; an empty one where it is missing.
+
+        Raises:
+            BadRequest: it is no object.
+        """
         value = self.fields.get(key, {})
         if not isinstance(value, dict):
             raise BadRequest(f"{self.op}: {key} must be an object")

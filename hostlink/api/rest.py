@@ -33,7 +33,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 
-Wanted = TypeVar("Wanted")
+Body = TypeVar("Body")
 
 NOT_FOUND, CONFLICT, UNAVAILABLE = HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT, HTTPStatus.SERVICE_UNAVAILABLE
 TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQUEST
@@ -48,19 +48,19 @@ class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The body of POST lock, which may be empty: why, for the next who wants to drive."""
+    """The body of POST lock, which may be empty: the reason, for the next driver."""
 
     reason: str = LOCK_REASON
 
 
 class RobotsView(TypedDict):
-    """Every robot that was seen since the daemon started."""
+    """Every robot that has connected since the daemon started."""
 
     robots: list[RobotView]
 
 
 class ResetAnswer(TypedDict):
-    """The topic on which the device was told."""
+    """The topic on which the device received the reset."""
 
     reset: str
 
@@ -72,27 +72,27 @@ class TopicsView(TypedDict):
 
 
 class ClientsView(TypedDict):
-    """Every client; and how many were turned away because there were too many."""
+    """Every client; and how many were refused because there were too many."""
 
     clients: list[ClientView]
     refused: int
 
 
 class HealthView(TypedDict):
-    """The daemon's event loop turns."""
+    """The daemon's event loop runs."""
 
     status: str
     loop_time_s: float
 
 
 class ReadinessView(TypedDict):
-    """Every robot that was seen is connected."""
+    """Every robot that has connected is still connected."""
 
     status: str
 
 
 class Rest:
-    """The handlers; each asks the hub and shows what it says."""
+    """The handlers: each calls the hub and shows its result."""
 
     def __init__(self, hub: Hub, clients: Clients) -> None:
         self._hub = hub
@@ -100,7 +100,7 @@ class Rest:
         self._owners = Owners(hub)
 
     def routes(self) -> list[Route]:
-        """Every path of the door."""
+        """Every path of this file."""
         robot = "/api/robots/{name}"
         return [
             Route("/api/robots", self._robots, "Every robot", RobotsView),
@@ -112,14 +112,14 @@ class Rest:
                 "Drive for the length of a lease; repeat it to drive on",
                 VelocityAnswer,
                 method="PUT",
-                takes=VelocityRequest,
+                request=VelocityRequest,
                 role=Role.DRIVE,
                 fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/stop",
                 self._stop,
-                "Stop, whoever drives; whoever may look may stop",
+                "Stop, whoever drives; a token that may read may stop",
                 RobotView,
                 method="POST",
                 is_limited=False,
@@ -140,7 +140,7 @@ class Rest:
                 "Emergency stop: zero at once, and no command until it is unlocked",
                 RobotView,
                 method="POST",
-                takes=LockRequest,
+                request=LockRequest,
                 is_body_optional=True,
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
@@ -178,7 +178,11 @@ class Rest:
         ]
 
     def _find(self, request: web.Request) -> Robot:
-        """The robot that the path names; UnknownTopic."""
+        """The robot that the path names.
+
+        Raises:
+            UnknownTopic: there is none of that name.
+        """
         return self._hub.robots.find(request.match_info["name"])
 
     async def _robots(self, _: web.Request) -> web.Response:
@@ -196,9 +200,9 @@ class Rest:
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        wanted = _read(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
-        velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
-        limited = self._owner(request).drive(robot, velocity, priority=wanted.priority)
+        body = _decode(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
+        velocity = Velocity(linear_x_m_s=body.linear, angular_z_rad_s=body.angular)
+        limited = self._owner(request).drive(robot, velocity, priority=body.priority)
         return reply(velocity_answer(robot, velocity, limited))
 
     def _owner(self, request: web.Request) -> Participant:
@@ -215,14 +219,14 @@ class Rest:
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
-        """An emergency stop does not fail for a word that comes with it: it is told, but the robot is locked."""
+        """A wrong body is refused, but the robot is locked first: an emergency stop does not fail for its reason."""
         robot = self._find(request)
         try:
-            wanted = _read(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
+            body = _decode(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
         except BadRequest:
             self._hub.emergency_stop.stop(robot)
             raise
-        self._hub.emergency_stop.stop(robot, wanted.reason)
+        self._hub.emergency_stop.stop(robot, body.reason)
         return reply(robot_view(robot))
 
     async def _unlock(self, request: web.Request) -> web.Response:
@@ -252,7 +256,7 @@ class Rest:
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
 
     async def _readiness(self, _: web.Request) -> web.Response:
-        """Ready: at least one robot is connected, and every one that was seen still is."""
+        """Ready: at least one robot is connected, and none that was connected is missing."""
         robots = self._hub.robots.all()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing
@@ -261,8 +265,8 @@ class Rest:
         return reply({"status": "ready"})
 
 
-def _read(body: bytes, wanted: type[Wanted], shape: str) -> Wanted:
+def _decode(data: bytes, type_: type[Body], shape: str) -> Body:
     try:
-        return msgspec.json.decode(body, type=wanted)
+        return msgspec.json.decode(data, type=type_)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadRequest(f"the body must be {shape}: {error}") from error

@@ -1,4 +1,4 @@
-"""Route: one path of the API, who may use it and what it says; and the OpenAPI document that is made of them all."""
+"""Route: one path of the API, its role, its body and its response; and the OpenAPI document of all routes."""
 
 import re
 from collections.abc import Awaitable, Callable, Iterable
@@ -38,21 +38,21 @@ class Route:
     path: str
     handler: Handler
     summary: str
-    says: type | None  # the type of its JSON; None: it is no JSON
+    response: type | None  # the type of its JSON; None: it is no JSON
     _: KW_ONLY
     method: str = "GET"
     media_type: str = "application/json"
-    takes: type | None = None  # the type of its body
+    request: type | None = None  # the type of its body
     is_body_optional: bool = False
     role: Role | None = Role.READ  # None: everybody, without a token
-    is_limited: bool = True  # False: answered however often it is asked, because it makes a robot stop
+    is_limited: bool = True  # False: answered however often it comes, because it stops a robot
     fails: tuple[HTTPStatus, ...] = ()
 
 
 def openapi(routes: Iterable[Route]) -> dict[str, Any]:
     """The OpenAPI 3.1 document of the routes."""
     listed = list(routes)
-    types = [each for route in listed for each in (route.says, route.takes) if each is not None]
+    types = [each for route in listed for each in (route.response, route.request) if each is not None]
     _, schemas = msgspec.json.schema_components([*types, ErrorView], ref_template=_REFERENCE)
     paths: dict[str, Any] = {}
     for route in listed:
@@ -77,7 +77,7 @@ def openapi(routes: Iterable[Route]) -> dict[str, Any]:
 
 
 def _operation(route: Route) -> dict[str, Any]:
-    schema = {"type": "string"} if route.says is None else _schema(route.says)
+    schema = {"type": "string"} if route.response is None else _schema(route.response)
     fails = route.fails if route.role is None else (*route.fails, *_EVERYWHERE)
     operation: dict[str, Any] = {
         "summary": route.summary,
@@ -92,10 +92,10 @@ def _operation(route: Route) -> dict[str, Any]:
         operation["parameters"] = [
             {"name": name, "in": "path", "required": True, "schema": {"type": "string"}} for name in names
         ]
-    if route.takes is not None:
+    if route.request is not None:
         operation["requestBody"] = {
             "required": not route.is_body_optional,
-            "content": {"application/json": {"schema": _schema(route.takes)}},
+            "content": {"application/json": {"schema": _schema(route.request)}},
         }
     return operation
 

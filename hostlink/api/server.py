@@ -42,13 +42,13 @@ from hostlink.logs import printable
 
 log = structlog.get_logger()
 
-PING_INTERVAL_S = 10.0  # a client that is gone without a word is noticed within one and a half of it
+PING_INTERVAL_S = 10.0  # a client that is gone without closing is noticed within one and a half of it
 SHUTDOWN_TIMEOUT_S = 0.3
-LINGER_S = 1.0  # for a body that nobody asked for, before its connection is closed
-REQUEST_S = 0.0005  # what a small request costs
+LINGER_S = 1.0  # for a body that no route expects, before its connection is closed
+REQUEST_S = 0.0005  # the cost of a small request
 FLOOD_GAP_S = 0.003  # from one message of a client to the next: whoever drives does so 200 times a second at the most
 DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
-SEND_TIMEOUT_S = 5.0  # a client whose socket takes nothing for so long is gone
+SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
 SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
 PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
@@ -122,14 +122,14 @@ class ApiServer:
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Who may not is refused here, before anything else looks at the request."""
+        """Refuse what is not allowed, before anything else reads the request."""
         with self.listener.answering(request.transport):
             return await self._answer(request, handler)
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         origin = request.headers.get("Origin")
         self._access.check_place(origin=origin, host=request.host)
-        if request.method == "OPTIONS" and origin is not None:  # a browser asks whether a page of elsewhere may
+        if request.method == "OPTIONS" and origin is not None:  # a browser's preflight for a page of another origin
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
             self._check(request)
@@ -157,9 +157,9 @@ class ApiServer:
             request[GRANT] = grant
 
     async def _receive_body(self, request: web.Request) -> None:
-        """Of a request that has one; its handler finds it read. Nothing else waits for a body: a stop has none."""
+        """Read the body of a request, before its handler runs, where the route has one: a stop waits for none."""
         route = self._by_handler.get(request.match_info.handler)
-        if route is None or route.takes is None:
+        if route is None or route.request is None:
             return
         timeout_s = self._config.request_timeout_s
         try:
@@ -169,7 +169,7 @@ class ApiServer:
         except TimeoutError:
             raise web.HTTPRequestTimeout(reason=f"the body did not come within {timeout_s:g} s") from None
         except (OSError, web.RequestPayloadError, HttpProcessingError) as error:
-            raise web.HTTPBadRequest(reason="the body broke off, or is not what its head says") from error
+            raise web.HTTPBadRequest(reason="the body broke off, or is not what its head announces") from error
 
     async def _root(self, request: web.Request) -> web.StreamResponse:
         return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
@@ -191,7 +191,7 @@ class ApiServer:
                 _bound_buffers(request)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
-                await self._talk(socket, client, queue)
+                await self._serve_socket(socket, client, queue)
             except* OSError as broken:
                 log.debug("client.broken", reason=str(broken.exceptions[0]))
             finally:
@@ -199,12 +199,12 @@ class ApiServer:
                 self._clients.leave(client)
                 self._limit.forget(client.name)
                 if request.transport is not None and request.transport.get_write_buffer_size():
-                    request.transport.abort()  # it takes nothing: closing would wait for it without end
+                    request.transport.abort()  # it accepts nothing: closing would wait for it without end
                 log.info("client.closed", code=socket.close_code, dropped=queue.dropped)
         raise_if_cancelled()
         return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # it broke off before
 
-    async def _talk(self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue) -> None:
+    async def _serve_socket(self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue) -> None:
         loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as tasks:
             rosbridge = RosbridgeClient(
@@ -233,7 +233,7 @@ class ApiServer:
                 sender.cancel()
 
     async def _refuse_flood(self, socket: web.WebSocketResponse) -> None:
-        """To listen more slowly would be worse: commands would be obeyed late, the stop behind them too."""
+        """To read more slowly would be worse: commands would come late, the stop behind them too."""
         log.warning("client.too_fast", limit_s=self._config.max_requests_s)
         reason = f"more than {self._config.max_requests_s:g} messages a second"
         await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
@@ -241,7 +241,7 @@ class ApiServer:
     async def _send(
         self, socket: web.WebSocketResponse, client: Client, rosbridge: RosbridgeClient, queue: ClientQueue
     ) -> None:
-        """Send what is queued; a client that cannot keep up with its answers is told, and closed."""
+        """Send what is queued; a client that cannot keep up with its answers is logged, and closed."""
         loop = asyncio.get_running_loop()
         async with asyncio.timeout(None) as patience:
             while not queue.is_too_slow and not queue.is_closed:
@@ -262,12 +262,12 @@ class ApiServer:
         raise ConnectionAbortedError("answers pile up")  # ends the reader too, which may wait for room
 
     async def _close_sockets(self, _: web.Application) -> None:
-        async with asyncio.TaskGroup() as tasks:  # all at once: a hundred that are stuck take no longer than one
+        async with asyncio.TaskGroup() as tasks:  # all at once: a hundred that are stuck last no longer than one
             for socket in self._sockets:
-                tasks.create_task(_say_goodbye(socket))
+                tasks.create_task(_close_going_away(socket))
 
 
-async def _say_goodbye(socket: web.WebSocketResponse) -> None:
+async def _close_going_away(socket: web.WebSocketResponse) -> None:
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
             await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops", drain=False)
@@ -284,7 +284,7 @@ async def _wait(queue: ClientQueue, until_s: float | None) -> None:
 
 
 def _bound_buffers(request: web.Request) -> None:
-    """Little waits behind the client's queue, in the process and in the kernel: there nothing is dropped or counted."""
+    """Keep the buffers behind the client's queue small, in the process and the kernel: they drop and count nothing."""
     if request.transport is not None:
         request.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
         request.transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
@@ -295,7 +295,7 @@ def _is_websocket(request: web.Request) -> bool:
 
 
 async def _page_file(request: web.Request) -> web.StreamResponse:
-    """A file of the page: it needs no token, because it says nothing about any robot."""
+    """A file of the page: it needs no token, because no robot is named in it."""
     name = request.match_info.get("file")
     folder = PAGE if name is None else PAGE / "web"
     found = next((each for each in folder.iterdir() if each.name == (name or "index.html")), None)
@@ -307,7 +307,11 @@ async def _page_file(request: web.Request) -> web.StreamResponse:
 
 @contextlib.asynccontextmanager
 async def serve_api(config: ApiConfig, hub: Hub) -> AsyncIterator[str]:
-    """Serve until the block is left; yields the address as a URL. ConfigError when the port is taken."""
+    """Serve until the block is left; yields the address as a URL.
+
+    Raises:
+        ConfigError: the port is in use, or the address cannot be listened on.
+    """
     server = ApiServer(hub, config)
     runner = web.AppRunner(
         server.application(),

@@ -1,4 +1,4 @@
-"""What the API shows of the hub: typed dicts, from which the OpenAPI document is made. Numbers carry their unit."""
+"""Views: what the API shows of the hub. The OpenAPI document is made of these types. Numbers carry their unit."""
 
 import asyncio
 import functools
@@ -22,7 +22,7 @@ class VelocityView(TypedDict):
 
 
 class VelocityAnswer(TypedDict):
-    """What the limits made of a command, and how long it holds."""
+    """The velocity after the limits, and how long it lasts."""
 
     velocity: VelocityView
     is_limited: bool
@@ -30,7 +30,7 @@ class VelocityAnswer(TypedDict):
 
 
 class PoseView(TypedDict):
-    """Where a robot says that it is: metres, radians, counter-clockwise from its x axis."""
+    """A pose by a robot's odometry: metres, radians, counter-clockwise from its x axis."""
 
     x_m: float
     y_m: float
@@ -51,9 +51,9 @@ class OdometryView(TypedDict):
 
 
 class RobotView(TypedDict):
-    """One robot: what it is, who drives it how fast, where it says that it is.
+    """One robot: its topics, its driver, its velocity, its odometry.
 
-    unreachable: why its device could not take the last velocity; null: it could.
+    unreachable: why its device could not receive the last velocity; null: it could.
     """
 
     name: str
@@ -83,7 +83,7 @@ class TopicInfoView(TypedDict):
 
 
 class FindingView(TypedDict):
-    """One thing that is wrong: a name for programs, what it means, what to do, and the numbers found."""
+    """One thing that is wrong: a name for programs, the cause, the next step, and the numbers found."""
 
     code: str
     cause: str
@@ -94,7 +94,7 @@ class FindingView(TypedDict):
 class ClockView(TypedDict):
     """A device's clock and the way to it, in parts that are null until they are measured.
 
-    offset_s: what its header stamps lack to their arrival, on the fastest way. drift_ppm: how much faster it runs.
+    offset_s: from a header stamp to its arrival, on the fastest way. drift_ppm: how much faster it runs.
     round_trip_s: of the network, as TCP measures it. answer_s: from a request for its topics to the first of them.
     """
 
@@ -105,7 +105,7 @@ class ClockView(TypedDict):
 
 
 class LinkView(TypedDict):
-    """One live connection, its topics, what was counted on it and what is wrong with it, most telling first."""
+    """One live connection, its topics, its counters, and what is wrong with it, the likeliest cause first."""
 
     number: int
     peer: str
@@ -132,7 +132,7 @@ class LinkView(TypedDict):
 
 
 class EndedLinkView(TypedDict):
-    """One of the last connections that ended: why, how long it lasted, what was wrong with it."""
+    """One of the last connections that ended: why, after how long, and what was wrong with it."""
 
     number: int
     peer: str
@@ -151,7 +151,7 @@ class ClosedPortView(TypedDict):
 
 class LinksView(TypedDict):
     """Every live connection; the last that ended, latest first; serial ports that cannot be opened; how many links a
-    fault of hostlink itself ended; how many were refused, by cause.
+    fault of hostlink ended; how many were refused, by cause.
     """
 
     links: list[LinkView]
@@ -194,11 +194,11 @@ def velocity_view(velocity: Velocity) -> VelocityView:
     return {"linear_m_s": velocity.linear_x_m_s, "angular_rad_s": velocity.angular_z_rad_s}
 
 
-def velocity_answer(robot: Robot, asked: Velocity, limited: Velocity) -> VelocityAnswer:
-    """What became of a command."""
+def velocity_answer(robot: Robot, requested: Velocity, limited: Velocity) -> VelocityAnswer:
+    """The velocity after the limits, beside the requested one."""
     return {
         "velocity": velocity_view(limited),
-        "is_limited": limited != asked,
+        "is_limited": limited != requested,
         "lease_s": robot.gate.lease_s,
     }
 

@@ -11,7 +11,7 @@ Url = Annotated[str, typer.Option(help="Where hostlink's API is.", envvar="HOSTL
 Token = Annotated[
     str | None,
     typer.Option(
-        help="For an API that asks for one; in the environment nobody else sees it.",
+        help="For an API that needs one; in the environment no other user can read it.",
         envvar="HOSTLINK_TOKEN",
         show_default=False,
     ),

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url, json_object
-from hostlink.cli.output import say
+from hostlink.cli.output import write
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -21,7 +21,7 @@ def command(
 ) -> None:
     """Call a service and print its answer as JSON."""
     answer = asyncio.run(_call(url, token, service, json_object("REQUEST", request), timeout))
-    say(json_text.dumps(answer, ensure_ascii=False))
+    write(json_text.dumps(answer, ensure_ascii=False))
 
 
 async def _call(url: str, token: str | None, service: str, request: dict[str, object], timeout_s: float) -> object:

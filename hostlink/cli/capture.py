@@ -10,7 +10,7 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.output import complain
+from hostlink.cli.output import write_error
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import BadRequest, ConfigError
 
@@ -23,7 +23,7 @@ def command(
     *,
     last: Annotated[bool, typer.Option("--last", help="The link that ended last, or the newest.")] = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="A file; standard output without it.")] = None,
-    seconds: Annotated[float, typer.Option(min=0.0, help="Follow a live link for so long.")] = 0.0,
+    seconds: Annotated[float, typer.Option(min=0.0, help="Follow a live link for this time.")] = 0.0,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
@@ -49,7 +49,7 @@ async def _capture(url: str, token: str | None, number: int | None, output: Path
         finally:
             if output is not None:
                 out.close()
-    complain(f"link {wanted}: {count} bytes{f' in {output}' if output else ''}")
+    write_error(f"link {wanted}: {count} bytes{f' in {output}' if output else ''}")
 
 
 async def _last(host: Host) -> int:
@@ -69,11 +69,11 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
         piece = await host.get(f"/api/links/{number}/capture/{position}")
         for read in piece["reads"]:
             if has_begun and read.get("event") == "open":
-                continue  # nothing has passed since the first look
+                continue  # nothing has passed since the first piece
             yield read
         has_begun, position = True, piece["position"]
         if piece["lost_bytes"]:
-            complain(f"{piece['lost_bytes']} bytes before that are lost")
+            write_error(f"{piece['lost_bytes']} bytes before that are lost")
         if loop.time() >= until_s or not piece["is_open"]:
             return
         await asyncio.sleep(min(POLL_S, until_s - loop.time()))

@@ -1,6 +1,6 @@
-"""What keeps a configuration from being served, and what looks wrong in it: the same for `serve` and `--check-config`.
+"""Checks of a configuration: errors that keep it from being served, and warnings; for `serve` and `--check-config`.
 
-`serve` asks here before it begins, so that what the check accepts is served. What only the moment decides, as a port
+`serve` calls it before it begins, so that what the check accepts is served. What only the moment decides, as a port
 that another program has, is a warning here.
 """
 
@@ -41,7 +41,11 @@ _SENSIBLE = (  # setting, the least that works, and why
 
 
 async def check(config: Config, *, descriptors: int) -> list[str]:
-    """A ConfigError for what cannot be served; returns what looks wrong."""
+    """Check everything that `serve` needs; returns warnings.
+
+    Raises:
+        ConfigError: it cannot be served.
+    """
     _check_values(config)
     TcpAcceptor(Hub(config, Catalog(config.message_folders)), config.tcp)  # message folders, limits of robots, the key
     Access(config.api)
@@ -112,7 +116,7 @@ async def _try_port(part: str, host: str, port: int) -> list[str]:
     return []
 
 
-# -- what looks wrong -------------------------------------------------------------------------------------------------
+# -- warnings --------------------------------------------------------------------------------------------------------
 
 
 def _suspicious(config: Config) -> Iterator[str]:
@@ -172,7 +176,7 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
         if robot.address in by_address:
             yield (
                 f"{where} and robots.{by_address[robot.address]} have one address, {robot.address}: "
-                "which device is which is known only if each says its own name"
+                "which device is which is known only if each has its own name"
             )
         by_address.setdefault(robot.address, name)
         if robot.address not in ports and not is_address(robot.address):
@@ -182,7 +186,7 @@ def _suspicious_robots(config: Config) -> Iterator[str]:
 def _suspicious_api(config: Config) -> Iterator[str]:
     api = config.api
     if api.certificate is None and not is_loopback(api.host):
-        yield f"api.host {api.host} without a certificate: whoever sees the network can read the tokens"
+        yield f"api.host {api.host} without a certificate: everybody on the network can read the tokens"
     if api.max_clients > api.max_connections - KEPT_FOR_REQUESTS:
         yield (
             f"api.max_clients {api.max_clients}: no more than {api.max_connections - KEPT_FOR_REQUESTS} of the "

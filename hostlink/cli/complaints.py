@@ -19,7 +19,7 @@ from hostlink.logs import printable
 log = structlog.get_logger()
 
 LOG_INTERVAL_S = 10.0
-MAX_KINDS = 64  # that are told apart
+MAX_KINDS = 64  # with a count each
 NO_DESCRIPTORS = "no_descriptors"
 
 

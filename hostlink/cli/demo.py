@@ -10,7 +10,7 @@ import typer
 
 from hostlink import logs
 from hostlink.cli.ending import stop_signals
-from hostlink.cli.output import say, say_over
+from hostlink.cli.output import write, write_over
 from hostlink.cli.serve import merge, running
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
@@ -53,14 +53,14 @@ async def _demo(config: Config, robots: int) -> None:
             await ending.wait()
             line.cancel()
             driver.cancel()
-            say("", "stopping the robots ...")
+            write("", "stopping the robots ...")
             participant.leave()
             await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots hear it before they go
             fleet.cancel()
 
 
 def _print_welcome(api: str) -> None:
-    say(
+    write(
         f"hostlink runs: {api}  (open it in a browser)",
         f"  drive     hostlink teleop --url {api}",
         f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'',
@@ -90,7 +90,7 @@ async def _show(hub: Hub) -> None:
         robots = hub.robots.all()
         if robots:
             text = "   ".join(_describe(robot) for robot in robots[:2])
-            say_over(text)
+            write_over(text)
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 

@@ -18,7 +18,7 @@ def limit() -> int:
 
 
 def fitted(config: Config, descriptors: int) -> Config:
-    """The bounds on connections such that neither devices nor programs can take the others' descriptors.
+    """The bounds on connections such that neither devices nor programs can use up the others' descriptors.
 
     Where there are too few, both have their share of them by what they wanted. ConfigError below FEWEST.
     """

@@ -15,7 +15,7 @@ from hostlink import logs
 from hostlink.api.views import finding_views
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.output import complain, say, show_progress
+from hostlink.cli.output import show_progress, write, write_error
 from hostlink.cli.probe import Report, probe_capture, probe_network, probe_port, report_of
 from hostlink.client import DEFAULT_URL, connect
 from hostlink.diagnosis.finding import finding
@@ -28,7 +28,7 @@ def command(  # noqa: PLR0913 - the options of a command line
     file: Annotated[Path | None, typer.Argument(help="A recording: diagnose that.", show_default=False)] = None,
     *,
     serial: Annotated[
-        str | None, typer.Option(help="Look at this serial port: /dev/ttyACM0@57600.", show_default=False)
+        str | None, typer.Option(help="Listen on this serial port: /dev/ttyACM0@57600.", show_default=False)
     ] = None,
     listen: Annotated[
         str | None, typer.Option(help="Listen here for devices: HOST:PORT.", show_default=f"{LISTEN}, without a daemon")
@@ -41,9 +41,9 @@ def command(  # noqa: PLR0913 - the options of a command line
     token: Token = None,
     json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
-    """Say what is wrong with the devices, why, and what to do next.
+    """Find what is wrong with the devices, why, and what to do next.
 
-    Asks the running daemon. Without one it listens for devices itself, looks at a serial port, or at a recording.
+    Queries the running daemon. Without one it listens for devices itself, on a serial port, or reads a recording.
     Exit status: 0 nothing is wrong, 1 something is.
     """
     logs.configure(level="critical")
@@ -51,25 +51,25 @@ def command(  # noqa: PLR0913 - the options of a command line
     if file is not None:
         report = probe_capture(file, folders)
     elif serial is not None:
-        report = asyncio.run(probe_port(parse_serial(serial), folders, _say))
+        report = asyncio.run(probe_port(parse_serial(serial), folders, _show_progress))
     elif listen is not None:
         report = asyncio.run(_listen(listen, seconds, folders))
     else:
-        report = asyncio.run(_ask_or_listen(url, token, seconds, folders))
+        report = asyncio.run(_query_or_listen(url, token, seconds, folders))
     with contextlib.suppress(OSError):
         show_progress("")
-    say(*([json_text.dumps(report)] if json else _lines(report)))
+    write(*([json_text.dumps(report)] if json else _lines(report)))
     is_healthy = not report["findings"] and not any(link["diagnosis"] for link in report["links"])
     raise typer.Exit(0 if is_healthy else 1)
 
 
-async def _ask_or_listen(url: str, token: str | None, seconds: float, folders: tuple[Path, ...]) -> Report:
+async def _query_or_listen(url: str, token: str | None, seconds: float, folders: tuple[Path, ...]) -> Report:
     try:
         async with connect(url, token=token, reconnect=False) as host:
             view = await host.get("/api/links")
     except HostlinkError as error:
-        complain(str(error))
-        if url != DEFAULT_URL:  # asked for by name: looking elsewhere would answer another question
+        write_error(str(error))
+        if url != DEFAULT_URL:  # named by the user: another daemon is no answer
             raise
         return await _listen(LISTEN, seconds, folders)
     report = report_of(view, url)
@@ -80,25 +80,25 @@ async def _ask_or_listen(url: str, token: str | None, seconds: float, folders: t
 
 
 async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Report:
-    return await probe_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _say)  # noqa: S104
+    return await probe_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _show_progress)  # noqa: S104
 
 
 def _lines(report: Report) -> list[str]:
-    lines = [each for found in report["findings"] for each in _told(found)]
+    lines = [each for found in report["findings"] for each in _finding_lines(found)]
     for link in report["links"]:
         state = f"ended: {link['end']}" if link["end"] else f"{link['seconds']:.0f} s"
         baud = f", {link['baud']} baud" if link.get("baud") else ""
         state += f", {link['topics']} topics{baud}"
         well = "  nothing was wrong" if link["end"] else "  healthy"
         lines += [f"link {link['number']}  {link['peer']}  ({state})" + ("" if link["diagnosis"] else well)]
-        lines += [f"  {line}" for found in link["diagnosis"] for line in _told(found)]
+        lines += [f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found)]
     return lines
 
 
-def _told(found: dict[str, Any]) -> list[str]:
+def _finding_lines(found: dict[str, Any]) -> list[str]:
     detail = f" ({found['detail']})" if found["detail"] else ""
     return [f"{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
 
 
-def _say(line: str) -> None:
+def _show_progress(line: str) -> None:
     show_progress(f"{line} ...")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.output import say
+from hostlink.cli.output import write
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -25,14 +25,14 @@ def command(
 
 
 async def _echo(url: str, token: str | None, topic: str, count: int, throttle_ms: int, *, as_json: bool) -> None:
-    seen = 0
+    printed = 0
     async with (
         connect(url, token=token, reconnect=False) as host,
         host.subscribe(topic, throttle_rate_ms=throttle_ms) as messages,
     ):
         async for message in messages:
             text = json_text.dumps(message, ensure_ascii=False)
-            say(text if as_json else f"{topic}  {text}")
-            seen += 1
-            if seen == count:
+            write(text if as_json else f"{topic}  {text}")
+            printed += 1
+            if printed == count:
                 return

@@ -1,4 +1,4 @@
-"""How a daemon is asked to end: signals, and what happens when the end itself takes too long."""
+"""Ending: the signals that end a daemon, and a limit for the end itself."""
 
 import asyncio
 import contextlib
@@ -22,31 +22,31 @@ class Ending:
 
     def __init__(self) -> None:
         self.cause = ""
-        self._asked_at_s = 0.0
-        self._is_asked = asyncio.Event()
+        self._requested_at_s = 0.0
+        self._is_requested = asyncio.Event()
 
     async def wait(self) -> None:
         """Returns when the daemon is to end."""
-        await self._is_asked.wait()
+        await self._is_requested.wait()
 
-    def ask(self, number: signal.Signals) -> None:
+    def request(self, number: signal.Signals) -> None:
         """A signal came. The first begins the end; one that comes while the robots are stopped changes nothing."""
         now_s = asyncio.get_running_loop().time()
-        if not self._is_asked.is_set():
-            self.cause, self._asked_at_s = number.name, now_s
-            self._is_asked.set()
+        if not self._is_requested.is_set():
+            self.cause, self._requested_at_s = number.name, now_s
+            self._is_requested.set()
             _force_after(LONGEST_END_S)
-        elif now_s > self._asked_at_s + SHUTDOWN_S:
+        elif now_s > self._requested_at_s + SHUTDOWN_S:
             _force(f"a second signal, {number.name}")
 
 
 @contextlib.contextmanager
 def stop_signals() -> Iterator[Ending]:
-    """Signals that ask the daemon to end, instead of what they do else, for the length of the block."""
+    """Let signals end the daemon in good order, for the length of the block."""
     ending = Ending()
     loop = asyncio.get_running_loop()
     for number in STOP_SIGNALS:
-        loop.add_signal_handler(number, ending.ask, number)
+        loop.add_signal_handler(number, ending.request, number)
     try:
         yield ending
     finally:
@@ -56,7 +56,7 @@ def stop_signals() -> Iterator[Ending]:
 
 def _force_after(seconds: float) -> None:
     """In a thread: the loop may be what hangs, or a driver in another thread that the interpreter waits for."""
-    timer = threading.Timer(seconds, _force, [f"the end took longer than {seconds:g} s"])
+    timer = threading.Timer(seconds, _force, [f"the end lasted longer than {seconds:g} s"])
     timer.daemon = True
     timer.start()
 

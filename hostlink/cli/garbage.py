@@ -14,7 +14,7 @@ ENOUGH = 20  # collections of the generation before it: about a hundred connecti
 
 
 async def collect_while_idle(robots: Robots) -> None:
-    """Look now and then whether it is worth it, until cancelled."""
+    """Check at an interval whether a collection pays, until cancelled."""
     while True:
         await asyncio.sleep(CHECK_INTERVAL_S)
         if gc.get_count()[2] >= ENOUGH and not any(robot.gate.may_move for robot in robots.all()):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from hostlink.cli.output import say, table
+from hostlink.cli.output import table, write
 from hostlink.inspection import Inspection, Payload, Report, Series, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, TopicInfo
@@ -38,9 +38,9 @@ def command(
     inspection.add_all(load_reads(file))
     view = report_view(inspection.report())
     if json:
-        say(msgspec.json.encode(view).decode())
+        write(msgspec.json.encode(view).decode())
     else:
-        say(*_lines(view))
+        write(*_lines(view))
 
 
 # -- JSON -------------------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.output import complain
+from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError, HostlinkError
 
 COMMANDS = {
@@ -19,7 +19,7 @@ COMMANDS = {
     "echo": "Print the messages of a topic.",
     "pub": "Publish messages on a topic.",
     "call": "Call a service.",
-    "doctor": "Say what is wrong with the devices, and what to do next.",
+    "doctor": "Find what is wrong with the devices, and what to do next.",
     "top": "Watch links and robots, live.",
     "capture": "Save the raw bytes of a link.",
     "inspect": "Decode a recording of a link.",
@@ -52,9 +52,9 @@ def main() -> None:
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
-        complain(f"hostlink: {error}")
+        write_error(f"hostlink: {error}")
         sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
-    except BrokenPipeError:  # whoever read our output has seen enough
+    except BrokenPipeError:  # the reader of our output is gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(FAILED)
     except KeyboardInterrupt:
@@ -74,7 +74,7 @@ def _open_standard_descriptors() -> None:
 def _options(
     *, debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
 ) -> None:
-    del debug  # `main` looks for it: it must work for errors of the arguments too
+    del debug  # `main` reads it: it must work for errors of the arguments too
 
 
 def _name_only() -> None:

@@ -1,4 +1,4 @@
-"""What the commands write. Names and texts of devices and programs are in it: none of it steers a terminal."""
+"""Output of the commands. It contains names and texts of devices and programs: none of them steers a terminal."""
 
 import json
 import sys
@@ -15,17 +15,17 @@ def plain(text: str) -> str:
     return text if text.isprintable() else "".join(map(_escaped, text))
 
 
-def say(*lines: str) -> None:
+def write(*lines: str) -> None:
     """Write lines on standard output, now."""
     _write(sys.stdout, "".join(f"{plain(line)}\n" for line in lines))
 
 
-def complain(*lines: str) -> None:
+def write_error(*lines: str) -> None:
     """Write lines on standard error, now."""
     _write(sys.stderr, "".join(f"{plain(line)}\n" for line in lines))
 
 
-def say_over(line: str) -> None:
+def write_over(line: str) -> None:
     """Write a line over the one before on a terminal; elsewhere a line each."""
     _write(sys.stdout, f"{_CLEAR_LINE}{plain(line)}" if sys.stdout.isatty() else f"{plain(line)}\n")
 

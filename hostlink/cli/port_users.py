@@ -1,4 +1,4 @@
-"""Who has a port or a file open, as far as Linux tells this user; empty where it does not."""
+"""Who has a port or a file open, as far as Linux shows it to this user; empty where it does not."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Looking at devices without a daemon: a small daemon of one's own for some seconds, or a recording."""
+"""Probe: diagnose devices without a daemon, by one that runs for some seconds, or a recording."""
 
 import asyncio
 import dataclasses
@@ -22,37 +22,37 @@ from hostlink.inspection import load_reads
 from hostlink.messages.catalog import Catalog
 
 Report = dict[str, Any]  # {"source", "links", "findings"}: what `hostlink doctor --json` prints
-Say = Callable[[str], None]
+Show = Callable[[str], None]
 
 COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 19200)  # rosserial's default first
-BAUD_TRY_S = 4.5  # an answer takes 2 s, a board that the opening resets boots in 2
+BAUD_TRY_S = 4.5  # an answer comes in 2 s, a board that the opening resets boots in 2
 RECENT_END_S = 60.0
-YOUNG_S = 10.0  # a link younger than that may not have shown what is wrong with it: the one before it tells
+YOUNG_S = 10.0  # a link younger than that may not have shown what is wrong with it: the one before it has
 SETTLE_S = 9.0  # after the topics: three requests for the time
-_LOOK_S = 1.0
+_POLL_S = 1.0
 _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
 _NO_API = ApiConfig(port=0)
 
 
-async def probe_network(host: str, port: int, seconds: float, folders: tuple[Path, ...], say: Say) -> Report:
-    """Listen where devices connect, and tell what came."""
+async def probe_network(host: str, port: int, seconds: float, folders: tuple[Path, ...], show: Show) -> Report:
+    """Listen where devices connect, and report what came."""
     source = f"TCP {host}:{port}"
-    if _is_taken(host, port):
+    if _is_in_use(host, port):
         holder = holder_of_port(port)
         return _report(source, finding("address_in_use", f"port {port}" + (f", by {holder}" if holder else "")))
     config = Config(tcp=TcpConfig(host=host, port=port), api=_NO_API, message_folders=folders)
     async with running(config) as (hub, _):
         for left_s in range(round(seconds), 0, -1):
-            say(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
-            await asyncio.sleep(_LOOK_S)
+            show(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
+            await asyncio.sleep(_POLL_S)
         report = report_of(await _links(hub), source)
     if not report["links"]:
         report["findings"] += finding_views([finding("no_device", f"this computer is {_own_address()}, port {port}")])
     return report
 
 
-async def probe_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) -> Report:
-    """Open a serial port, try the usual speeds, and tell what came."""
+async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) -> Report:
+    """Open a serial port, try the usual speeds, and report what came."""
     bauds = port.bauds + tuple(baud for baud in COMMON_BAUDS if baud not in port.bauds)
     trying = dataclasses.replace(port, baud=bauds, baud_try_s=BAUD_TRY_S)
     config = Config(tcp=_LOOPBACK, api=_NO_API, serial=(trying,), message_folders=folders)
@@ -60,14 +60,14 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], say: Say) ->
     async with running(config) as (hub, _):
         found_for_s = 0.0
         for _ in range(round(len(bauds) * BAUD_TRY_S)):
-            await asyncio.sleep(_LOOK_S)
+            await asyncio.sleep(_POLL_S)
             if hub.diagnoses.ports or found_for_s >= SETTLE_S:
                 break
             seen |= {each.code: each for link in hub.links() for each in hub.diagnoses.of(link)}
             baud = _present_baud(hub)
-            say(f"{port.name} at {baud or bauds[0]} baud")
+            show(f"{port.name} at {baud or bauds[0]} baud")
             if any(link.topics for link in hub.links()):
-                found_for_s += _LOOK_S
+                found_for_s += _POLL_S
         report = report_of(await _links(hub), port.name)
         baud = _present_baud(hub)
     for link in report["links"]:
@@ -101,18 +101,18 @@ def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
 
 
 def report_of(view: dict[str, Any], source: str) -> Report:
-    """The links of a daemon: the live ones, and those that ended of late and say more."""
+    """The links of a daemon: the live ones, and those that ended recently and explain more."""
     live = [_live(link) for link in view["links"]]
     present = {_host(link): link for link in live}
     gone: dict[str, Report] = {}
     for link in view["ended"]:  # the latest first
-        if link["ended_ago_s"] < RECENT_END_S and _says_more(link, present.get(_host(link))):
+        if link["ended_ago_s"] < RECENT_END_S and _explains_more(link, present.get(_host(link))):
             gone.setdefault(_host(link), {"topics": 0, **link})
     findings = [each for port in view["ports"] for each in port["diagnosis"]]
     return {"source": source, "links": live + list(gone.values()), "findings": findings}
 
 
-def _says_more(ended: Report, live: Report | None) -> bool:
+def _explains_more(ended: Report, live: Report | None) -> bool:
     """Than the device's present link, if it has one."""
     if live is None:
         return True
@@ -144,7 +144,7 @@ def _present_baud(hub: Hub) -> int | None:
     return next((diagnosis.baud for diagnosis in diagnoses if diagnosis is not None), None)
 
 
-def _is_taken(host: str, port: int) -> bool:
+def _is_in_use(host: str, port: int) -> bool:
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

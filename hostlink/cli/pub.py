@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url, json_object
-from hostlink.cli.output import complain
+from hostlink.cli.output import write_error
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import HostlinkError
 
@@ -47,11 +47,11 @@ async def _pub(
                 await asyncio.sleep(1 / rate_hz)
             await host.publish(topic, message, type_name=type_name)
             sent += 1
-        await _hear_refusal(host, topic)
-    complain(f"{sent} sent")
+        await _await_refusal(host, topic)
+    write_error(f"{sent} sent")
 
 
-async def _hear_refusal(host: Host, topic: str) -> None:
+async def _await_refusal(host: Host, topic: str) -> None:
     await host.settle()
     refusal = host.take_refusal(topic)
     if refusal:

@@ -22,7 +22,7 @@ from hostlink.cli.descriptors import fitted, limit
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
-from hostlink.cli.output import complain, say
+from hostlink.cli.output import write, write_error
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, load
 from hostlink.errors import ConfigError
@@ -134,7 +134,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     Exit status: 0 stopped as asked, 1 failed, 2 wrong arguments or settings, or an address that is in use.
     """
     if example is not None:
-        say(*read_example(example).splitlines())
+        write(*read_example(example).splitlines())
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
         raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
@@ -143,8 +143,8 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     settings = merge(load(file) if file else Config(), listen=listen, serial=serial, api=api, messages=messages)
     warnings = asyncio.run(check(settings, descriptors=limit()))
     if check_config is not None:
-        say(*describe(settings))
-        complain(*(f"warning: {warning}" for warning in warnings))
+        write(*describe(settings))
+        write_error(*(f"warning: {warning}" for warning in warnings))
         return
     for warning in warnings:
         log.warning("config.suspicious", reason=warning)
@@ -169,9 +169,9 @@ async def _serve(config: Config, notifier: Notifier) -> None:
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             hub.spawn(collect_while_idle(hub.robots), name="garbage collector")
-            notifier.tell("READY=1")
+            notifier.notify("READY=1")
             await ending.wait()
-            notifier.tell("STOPPING=1")
+            notifier.notify("STOPPING=1")
             log.info("daemon.asked_to_stop", cause=ending.cause)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.addresses import parse_address
-from hostlink.cli.output import complain
+from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError
 from hostlink.sim.faults import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
@@ -26,4 +26,4 @@ def command(
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(run_fleet(host, port, robots=robots, first=first, fault=chosen, say=complain))
+        asyncio.run(run_fleet(host, port, robots=robots, first=first, fault=chosen, log=write_error))

@@ -1,4 +1,4 @@
-"""What systemd is told of the daemon, if it wants to know: the protocol of sd_notify(3), a datagram a message."""
+"""Notifications to systemd, if it expects them: the protocol of sd_notify(3), a datagram a message."""
 
 import asyncio
 import os
@@ -25,8 +25,8 @@ class Notifier:
         if is_for_us and microseconds.isdecimal() and int(microseconds):
             self._interval_s = int(microseconds) / _US_PER_S / 2  # as sd_watchdog_enabled(3) advises
 
-    def tell(self, *assignments: str) -> None:
-        """Send `NAME=value` lines; a systemd that takes nothing must not stop a robot's host."""
+    def notify(self, *assignments: str) -> None:
+        """Send `NAME=value` lines; a systemd that receives nothing must not stop a robot's host."""
         if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as channel:
@@ -36,7 +36,7 @@ class Notifier:
                 log.debug("systemd.deaf", reason=error.strerror)
 
     async def beat(self, status: Callable[[], str]) -> None:
-        """Tell that the event loop turns, and what it does, until cancelled."""
+        """Report that the event loop runs, and what it does, until cancelled."""
         while self._address:
-            self.tell("WATCHDOG=1", f"STATUS={status()}")
+            self.notify("WATCHDOG=1", f"STATUS={status()}")
             await asyncio.sleep(self._interval_s)

@@ -10,7 +10,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Look, advice, figures, link_rows, robot_rows
-from hostlink.cli.output import say, table
+from hostlink.cli.output import table, write
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError
 
@@ -40,7 +40,7 @@ def command(
 async def _print(url: str, token: str | None, interval_s: float, *, is_once: bool, as_json: bool) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         async for shown in watch(host, interval_s):
-            say(*([json_text.dumps(shown)] if as_json else _lines(shown)))
+            write(*([json_text.dumps(shown)] if as_json else _lines(shown)))
             if is_once:
                 return
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.output import complain, plain, say
+from hostlink.cli.output import plain, write, write_error
 from hostlink.client import DEFAULT_URL, connect
 
 
@@ -25,14 +25,14 @@ async def _topics(url: str, token: str | None, *, as_json: bool) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         topics = await host.topics()
     if as_json:
-        say(json_text.dumps(topics))
+        write(json_text.dumps(topics))
     elif not topics:
-        complain("no topics: no device has connected yet")
+        write_error("no topics: no device has connected yet")
     else:
         names = [(plain(topic["name"]), plain(topic["type"])) for topic in topics]
         width, type_width = (max(map(len, column)) for column in zip(*names, strict=True))
         for (name, type_name), topic in zip(names, topics, strict=True):
-            say(
+            write(
                 f"{name:<{width}}  {type_name:<{type_width}}  {topic['publishers']} -> "
                 f"{topic['subscribers']}  {topic['messages']} messages"
             )

@@ -15,7 +15,7 @@ class EarlierLink(NamedTuple):
 
 
 class Complaint(NamedTuple):
-    """What a device said in its log of something that is wrong with it, the last time."""
+    """The last line of a device's log about a fault of its own."""
 
     text: str
     ago_s: float
@@ -42,20 +42,20 @@ class Evidence:
     total: Tally = Tally()
     recent: Tally = Tally()
     baud: int | None = None  # of a serial port; None behind TCP
-    asks: int = 0  # requests for topics
+    requests: int = 0  # requests for topics
     negotiated_s: float | None = None  # since the first negotiation
     time_requested_s: float | None = None  # since the last request for the time that the host did not provoke
     time_intervals_s: tuple[float, ...] = ()  # between requests for the time, none of them provoked
     stamps_behind_s: float | None = None  # what the device's header stamps lack to the time of their arrival
     early_non_rosserial: bytes = b""  # what was skipped before the first negotiation, the last of it
-    non_rosserial: bytes = b""  # what was skipped of late
+    non_rosserial: bytes = b""  # what was skipped recently
     is_protocol_1: bool = False
     refused: tuple[str, ...] = ()  # why topics were refused, a text each
     too_small: tuple[str, ...] = ()  # what does not fit a buffer, a text each
     wheel_stalled: Complaint | None = None
     wheel_runaway: Complaint | None = None
-    revivals: int = 0  # of late: it fell silent, was asked, and told its topics anew
+    revivals: int = 0  # recently: it fell silent, and announced its topics when they were requested
     earlier: tuple[EarlierLink, ...] = ()
     end: str | None = None  # why the link is no more
     host_clock: str = ""  # what is wrong with this computer's clock
-    numbered: str = ""  # the robot's name has a number, because another device tells the same
+    numbered: str = ""  # the robot's name has a number, because another device has the same

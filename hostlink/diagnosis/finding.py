@@ -1,4 +1,4 @@
-"""Finding: one thing that is wrong, in the words that every part of hostlink uses for it."""
+"""Finding: one thing that is wrong, in the words of log, API, page and documents."""
 
 import functools
 import tomllib
@@ -18,11 +18,11 @@ class Finding:
 
 @functools.cache
 def words() -> dict[str, dict[str, str]]:
-    """findings.toml: code -> symptom, cause, next_step; in the order in which findings are told."""
+    """findings.toml: code -> symptom, cause, next_step; in the order of the findings."""
     return tomllib.loads((files("hostlink.diagnosis") / "findings.toml").read_text())
 
 
 def finding(code: str, detail: str = "") -> Finding:
     """The finding of that code."""
-    said = words()[code]
-    return Finding(code, said["cause"], said["next_step"], detail)
+    found = words()[code]
+    return Finding(code, found["cause"], found["next_step"], detail)

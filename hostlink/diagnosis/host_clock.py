@@ -9,14 +9,14 @@ _NS_PER_S = 1_000_000_000
 
 
 class HostClock:
-    """Compares the wall clock with the monotonic one, each time that it looks."""
+    """Compares the wall clock with the monotonic one at each check."""
 
     def __init__(self) -> None:
         self._offset_s: float | None = None
         self._step_s = 0.0
         self._stepped_at_s = float("-inf")
 
-    def look(self, now_s: float, wall_ns: int) -> str:
+    def check(self, now_s: float, wall_ns: int) -> str:
         """What is wrong with the clock; empty where nothing is."""
         offset_s = wall_ns / _NS_PER_S - now_s
         if self._offset_s is not None and abs(offset_s - self._offset_s) > STEP_S:

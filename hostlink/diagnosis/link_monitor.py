@@ -10,22 +10,24 @@ from hostlink.protocol.frame import OVERHEAD_BYTES
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import Rejection
 
-LOOK_INTERVAL_S = 1.0
+SAMPLE_INTERVAL_S = 1.0
 REVIVALS_S = 60.0  # a board that starts anew four times a minute does so for a reason
-_KEPT = 16  # intervals and revivals: more say nothing new
+_KEPT = 16  # intervals and revivals: more add nothing
 _ERROR = 3  # rosserial: the level of a log line
 _WHEEL = re.compile(r"(?:left|right) wheel (stalled|runs away)\b[ -~]{0,100}")  # firmware/due, hostlink sim
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 
 class LinkMonitor:
-    """Tell it every event but messages, and let it `look` each LOOK_INTERVAL_S."""
+    """It observes every event but messages, and samples the counts each SAMPLE_INTERVAL_S."""
 
     def __init__(self, session: Session, *, now_s: float) -> None:
         self.baud: int | None = None  # of a serial port
         self._session = session
         self._opened_at_s = now_s
-        self._looks: deque[tuple[float, Tally]] = deque([(now_s, Tally())], maxlen=int(RECENT_S / LOOK_INTERVAL_S) + 1)
+        self._samples: deque[tuple[float, Tally]] = deque(
+            [(now_s, Tally())], maxlen=int(RECENT_S / SAMPLE_INTERVAL_S) + 1
+        )
         self._negotiated_at_s: float | None = None
         self._early_non_rosserial = b""
         self._unknown_before = 0  # the last negotiation: what it has explained
@@ -38,14 +40,14 @@ class LinkMonitor:
         self._device_complaint = ""
         self._wheels: dict[str, tuple[str, float]] = {}  # what a wheel did: the last line of it, and when it came
 
-    def see_baud(self, baud: int, now_s: float) -> None:
-        """The line is read at this speed from now on: what came before says nothing of it."""
+    def set_baud(self, baud: int, now_s: float) -> None:
+        """The line is read at this speed from now on: earlier counts do not apply to it."""
         self.baud = baud
-        self._looks.clear()
-        self._looks.append((now_s, self._total()))
+        self._samples.clear()
+        self._samples.append((now_s, self._total()))
 
-    def note(self, event: events.Event, now_s: float) -> None:
-        """Take an event of the session's."""
+    def observe(self, event: events.Event, now_s: float) -> None:
+        """Note an event of the session."""
         match event:
             case events.TopicsAsked(reason):
                 self._is_provoked = True
@@ -62,10 +64,10 @@ class LinkMonitor:
             case events.DeviceLogged(level, text) if level == _ERROR and (wheel := _WHEEL.fullmatch(text)):
                 self._wheels[wheel[1]] = text, now_s
 
-    def look(self, now_s: float) -> None:
-        """Remember the counts: what is recent is told from them later."""
-        if now_s >= self._looks[-1][0] + LOOK_INTERVAL_S / 2:
-            self._looks.append((now_s, self._total()))
+    def sample(self, now_s: float) -> None:
+        """Remember the counts: the recent ones are a difference to them."""
+        if now_s >= self._samples[-1][0] + SAMPLE_INTERVAL_S / 2:
+            self._samples.append((now_s, self._total()))
 
     @property
     def was_negotiated(self) -> bool:
@@ -81,9 +83,9 @@ class LinkMonitor:
         host_clock: str = "",
         numbered: str = "",
     ) -> Evidence:
-        """All that is known now; what the link itself cannot know is given."""
+        """All that is known now; the arguments are what the link itself cannot know."""
         session, total = self._session, self._total()
-        before = next((tally for at_s, tally in self._looks if at_s >= now_s - RECENT_S), self._looks[-1][1])
+        before = next((tally for at_s, tally in self._samples if at_s >= now_s - RECENT_S), self._samples[-1][1])
         recent = _difference(total, before)
         return Evidence(
             age_s=now_s - self._opened_at_s,
@@ -91,7 +93,7 @@ class LinkMonitor:
             total=total,
             recent=recent,
             baud=self.baud,
-            asks=session.counts.asks,
+            requests=session.counts.asks,
             negotiated_s=_ago(self._negotiated_at_s, now_s),
             time_requested_s=_ago(self._time_requested_at_s, now_s),
             time_intervals_s=tuple(self._intervals_s),

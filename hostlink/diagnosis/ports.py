@@ -16,5 +16,5 @@ _CODES = {
 
 
 def port_finding(error: OSError) -> Finding:
-    """The error's number says what it is, its text is the detail."""
+    """The error's number gives the code, its text the detail."""
     return finding(_CODES.get(error.errno or 0, "serial_unusable"), error.strerror or str(error))

@@ -1,10 +1,10 @@
-"""The diagnosis of a recording: what a LinkMonitor would have seen. Pure."""
+"""The diagnosis of a recording: what a LinkMonitor finds in it. Pure."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
 
 from hostlink.diagnosis.finding import Finding, words
-from hostlink.diagnosis.link_monitor import LOOK_INTERVAL_S, LinkMonitor
+from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
 from hostlink.inspection import Read
 from hostlink.protocol.control import TopicInfo
@@ -22,40 +22,40 @@ class Replay:
         self.opened_at_s = self.ended_at_s = now_s
         self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
-        self._heard_at_s = self._looked_at_s = now_s
-        self._asks = 0
+        self._heard_at_s = self._sampled_at_s = now_s
+        self._requests = 0
         self._found: dict[str, Finding] = {}
         self.session.open(now_s=now_s)
 
-    def take(self, read: Read) -> None:
+    def add(self, read: Read) -> None:
         """One line of the recording."""
-        while read.t >= self._looked_at_s + LOOK_INTERVAL_S:
-            self._look(self._looked_at_s + LOOK_INTERVAL_S)
+        while read.t >= self._sampled_at_s + SAMPLE_INTERVAL_S:
+            self._sample(self._sampled_at_s + SAMPLE_INTERVAL_S)
         self.ended_at_s = read.t
         if read.dir == "device" and read.hex:
             self._heard_at_s = read.t
             for event in self.session.receive(bytes.fromhex(read.hex), now_s=read.t):
                 if not isinstance(event, (MessageReceived, TopicsAsked)):
-                    self._monitor.note(event, read.t)
+                    self._monitor.observe(event, read.t)
         elif read.hex:
             for item in self._to_device.feed(bytes.fromhex(read.hex)):
                 if isinstance(item, Frame) and item.topic_id == Id.PUBLISHER:
-                    self._asks += 1  # the host's of that time, not those that the session would send
-                    self._monitor.note(TopicsAsked("recorded"), read.t)
+                    self._requests += 1  # the host's at that time, not those that the session would send
+                    self._monitor.observe(TopicsAsked("recorded"), read.t)
 
     def findings(self) -> list[Finding]:
-        """All that was wrong at any time, most telling first."""
-        self._look(self.ended_at_s)
+        """All that was wrong at any time, the likeliest cause first."""
+        self._sample(self.ended_at_s)
         return [self._found[code] for code in words() if code in self._found]
 
-    def _look(self, now_s: float) -> None:
-        self._looked_at_s = now_s
+    def _sample(self, now_s: float) -> None:
+        self._sampled_at_s = now_s
         for event in self.session.tick(now_s=now_s):
             if not isinstance(event, TopicsAsked) or event.reason == "no_time_requests":
-                self._monitor.note(event, now_s)
-        self._monitor.look(now_s)
+                self._monitor.observe(event, now_s)
+        self._monitor.sample(now_s)
         evidence = self._monitor.evidence(now_s, silent_s=now_s - self._heard_at_s)
-        self._found |= {each.code: each for each in diagnose(dataclasses.replace(evidence, asks=self._asks))}
+        self._found |= {each.code: each for each in diagnose(dataclasses.replace(evidence, requests=self._requests))}
 
 
 def replay(reads: Iterable[Read], check: Callable[[TopicInfo], int | None]) -> dict[int, Replay]:
@@ -64,5 +64,5 @@ def replay(reads: Iterable[Read], check: Callable[[TopicInfo], int | None]) -> d
     for read in reads:
         if read.conn not in connections:
             connections[read.conn] = Replay(check, now_s=read.t)
-        connections[read.conn].take(read)
+        connections[read.conn].add(read)
     return connections

@@ -1,4 +1,4 @@
-"""The rules: evidence in, findings out, most telling first. Each threshold stands with where it comes from.
+"""The rules: evidence in, findings out, the likeliest cause first. Each threshold has its source beside it.
 
 The codes and their words are in findings.toml; the numbers of a case go into the finding's detail.
 """
@@ -10,12 +10,12 @@ from hostlink.diagnosis.evidence import Complaint, Evidence
 from hostlink.diagnosis.finding import Finding, finding, words
 from hostlink.diagnosis.speed import guess_speed
 
-TIME_REQUEST_S = 2.5  # docs/protocol.md#time: how often a configured device asks for the time
-NO_BYTES_S = 5.0  # the topics were asked for at 0, 2 and 4 s, and an answer takes 2 s at most
+TIME_REQUEST_S = 2.5  # docs/protocol.md#time: how often a configured device requests the time
+NO_BYTES_S = 5.0  # the topics are requested at 0, 2 and 4 s, and an answer comes within 2 s
 WENT_SILENT_S = 2 * TIME_REQUEST_S + 1.0  # two requests for the time are missing, and a second for the radio
 TIME_STOPPED_S = 3 * TIME_REQUEST_S + 0.5  # a request for topics may put one off: three are missing
-MIN_ASKS = 3  # at 0, 2 and 4 s: one answer may be lost, not three
-FOREIGN_BYTES = 32  # less is the end of a frame whose beginning nobody saw
+MIN_REQUESTS = 3  # at 0, 2 and 4 s: one answer may be lost, not three
+NON_ROSSERIAL_BYTES = 32  # less is the end of a frame that was cut
 BURST_BYTES = 64  # before the first frame: the shortest boot message has more, half a frame of a robot's less
 JUDGED_S = 3.0  # a boot message and a first negotiation are over by then
 UNREADABLE_SHARE = 0.5  # a line that only loses bytes still has most of them in frames
@@ -27,7 +27,7 @@ UNKNOWN_AFTER_S = 5.0  # three requests for topics were answered by then
 REBOOTS = 3  # in a minute
 SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
 CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
-STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it is told: some tens of milliseconds
+STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives: some tens of milliseconds
 CLOCK_INTERVALS = 3  # the median of three stands one outlier
 WHEEL_S = 600.0  # a wheel shows what is wrong with it only while it is driven, and the person may be at it
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
@@ -37,7 +37,7 @@ Rule = Callable[[Evidence], str | None]  # the detail; None where the rule does 
 
 
 def diagnose(evidence: Evidence) -> list[Finding]:
-    """What is wrong with a link, most telling first; an empty list where nothing is."""
+    """What is wrong with a link, the likeliest cause first; an empty list where nothing is."""
     found: dict[str, str] = {}
     for code, rule in _RULES.items():
         detail = rule(evidence)
@@ -53,11 +53,11 @@ def diagnose(evidence: Evidence) -> list[Finding]:
 
 
 def _non_rosserial(evidence: Evidence) -> tuple[str, str] | None:
-    """The one code for what was skipped of late, and its detail."""
+    """The one code for what was skipped recently, and its detail."""
     recent, sample = evidence.recent, evidence.non_rosserial
     if evidence.is_protocol_1:
         return "protocol_1", ""
-    if recent.skipped_bytes >= FOREIGN_BYTES:
+    if recent.skipped_bytes >= NON_ROSSERIAL_BYTES:
         if is_text(sample):
             is_boot = any(word in sample for word in BOOT_WORDS)
             return "boot_noise" if is_boot else "text_on_line", f'"{_excerpt(sample)}"'
@@ -79,7 +79,7 @@ def _burst(evidence: Evidence) -> tuple[str, str] | None:
     """Bytes before the first topics, and none since."""
     early = evidence.early_non_rosserial
     is_new = evidence.recent.skipped_bytes >= len(early) >= BURST_BYTES
-    if not is_new or evidence.total.skipped_bytes - len(early) >= FOREIGN_BYTES:
+    if not is_new or evidence.total.skipped_bytes - len(early) >= NON_ROSSERIAL_BYTES:
         return None
     speed = guess_speed(early, evidence.baud)
     is_boot = speed is not None and speed.is_of_boot
@@ -100,7 +100,7 @@ def _excerpt(sample: bytes) -> str:
 _TEXT_BYTES = frozenset(b"\t\n\r\x1b") | frozenset(range(0x20, 0x7F))
 
 
-# -- what the session saw ---------------------------------------------------------------------------------------------
+# -- what the session counted -----------------------------------------------------------------------------------------
 
 
 def _no_bytes(evidence: Evidence) -> str | None:
@@ -110,8 +110,8 @@ def _no_bytes(evidence: Evidence) -> str | None:
 
 def _no_topics(evidence: Evidence) -> str | None:
     total = evidence.total
-    is_so = total.frames > 0 and evidence.negotiated_s is None and evidence.asks >= MIN_ASKS
-    return f"asked {evidence.asks} times, {total.frames} frames" if is_so else None
+    is_so = total.frames > 0 and evidence.negotiated_s is None and evidence.requests >= MIN_REQUESTS
+    return f"asked {evidence.requests} times, {total.frames} frames" if is_so else None
 
 
 def _went_silent(evidence: Evidence) -> str | None:
@@ -157,14 +157,14 @@ def _reboots(evidence: Evidence) -> str | None:
 
 
 def _wheel_stalled(evidence: Evidence) -> str | None:
-    return _of_late(evidence.wheel_stalled)
+    return _recent(evidence.wheel_stalled)
 
 
 def _wheel_runaway(evidence: Evidence) -> str | None:
-    return _of_late(evidence.wheel_runaway)
+    return _recent(evidence.wheel_runaway)
 
 
-def _of_late(complaint: Complaint | None) -> str | None:
+def _recent(complaint: Complaint | None) -> str | None:
     return complaint.text if complaint is not None and complaint.ago_s < WHEEL_S else None
 
 

@@ -1,9 +1,9 @@
 """Which speed a device's UART has, by the bytes that a reader at another speed makes of its frames.
 
 Frames of rosserial are put on a simulated line at every usual speed and read at the reader's. The pairs of bytes that
-come out are what a speed looks like; the one under which the bytes seen are most likely is the guess. In simulation,
+come out are the model of a speed; the speed under which the sample is most likely is the guess. In simulation,
 with clocks 2 % off and any pauses between bytes, 149 of 152 speeds that it named were right. Of a device that is faster
-than its reader, where whole bytes fall between two samples, it tells no more than that, and that six times in ten.
+than its reader, where whole bytes fall between two samples, it names only that, and that six times in ten.
 """
 
 import functools
@@ -18,7 +18,7 @@ from hostlink.protocol.resampling import STANDARD_BAUDS, resample
 BOOT_BAUD = 74880  # of an ESP8266's boot loader, whatever the firmware sets later; nobody else uses it
 MIN_SAMPLE_BYTES = 64  # below it the guesses were hardly better than chance
 MIN_MARGIN = 0.3  # nats a byte between the best speed and the next: at 0.1 one named speed in ten was wrong
-BRIDGE_BAUD = 115200  # a reader behind a network does not tell its own: most sketches use this one
+BRIDGE_BAUD = 115200  # a reader behind a network does not know its own: most sketches use this one
 _CLOCK_ERRORS = (0.985, 1.0, 1.015)  # RC oscillators and integer dividers
 _GAPS_BITS = (0.0, 0.5, 1.3, 3.0)  # back to back, and with the pauses that a loop leaves
 _SMOOTHING = 0.02
@@ -44,7 +44,7 @@ _BOOT_TEXT = (
 
 
 class Speed(NamedTuple):
-    """A guess at the device's speed; `baud` 0: faster than its reader, that is all that the bytes tell."""
+    """A guess at the device's speed; `baud` 0: faster than its reader, which is all that the bytes show."""
 
     baud: int
     reader_baud: int | None
@@ -63,7 +63,7 @@ class Speed(NamedTuple):
 
 
 def guess_speed(sample: bytes, baud: int | None) -> Speed | None:
-    """The device's speed; None where the bytes do not tell. `baud` is the reader's, None if it is not known."""
+    """The device's speed; None where the bytes do not show it. `baud` is the reader's, None if it is not known."""
     if len(sample) < MIN_SAMPLE_BYTES:
         return None
     reader_baud = BRIDGE_BAUD if baud is None else baud
@@ -95,12 +95,12 @@ def _pairs(data: bytes) -> Counter[bytes]:
 
 def _most_likely(sample: bytes, models: dict[int, _Model]) -> tuple[int, float]:
     """The best model, and by how much a byte it beats the next."""
-    seen = _pairs(sample)
-    likelihoods = sorted(((_mean_likelihood(seen, model), name) for name, model in models.items()), reverse=True)
+    found = _pairs(sample)
+    likelihoods = sorted(((_mean_likelihood(found, model), name) for name, model in models.items()), reverse=True)
     return likelihoods[0][1], likelihoods[0][0] - likelihoods[1][0]
 
 
-def _mean_likelihood(seen: Counter[bytes], model: _Model) -> float:
+def _mean_likelihood(found: Counter[bytes], model: _Model) -> float:
     pairs, total = model
     whole = math.log(total + _SMOOTHING * _PAIRS)
-    return sum(count * (math.log(pairs[pair] + _SMOOTHING) - whole) for pair, count in seen.items()) / seen.total()
+    return sum(count * (math.log(pairs[pair] + _SMOOTHING) - whole) for pair, count in found.items()) / found.total()

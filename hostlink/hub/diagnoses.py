@@ -12,7 +12,7 @@ import structlog
 from hostlink.diagnosis.evidence import EarlierLink, Evidence
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.host_clock import HostClock
-from hostlink.diagnosis.link_monitor import LOOK_INTERVAL_S, LinkMonitor
+from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
 from hostlink.hub.isolation import Isolation
@@ -91,7 +91,7 @@ class Diagnoses:
         """The link's serial port is read at this speed from now on."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
-            diagnosis.monitor.see_baud(baud, _now_s())
+            diagnosis.monitor.set_baud(baud, _now_s())
 
     def identify(self, link: Link, robot: str, *, own_name: str = "") -> None:
         """It is known which robot the link's device is, if any; `own_name` if it had to be given a number."""
@@ -103,7 +103,7 @@ class Diagnoses:
         """The session of a live link saw something other than a message."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
-            diagnosis.monitor.note(event, _now_s())
+            diagnosis.monitor.observe(event, _now_s())
 
     def finish(self, link: Link, end: LinkEnd) -> None:
         """A link has ended; its diagnosis and its buffers are kept for a while."""
@@ -131,10 +131,10 @@ class Diagnoses:
         """Look at every diagnosis, again and again, until cancelled."""
         while True:
             now_s = _now_s()
-            self._host_clock = self._clock.look(now_s, time.time_ns())
+            self._host_clock = self._clock.check(now_s, time.time_ns())
             for diagnosis in list(self._live.values()):
                 with self._isolation.around("diagnosis", link=diagnosis.link.number):
-                    diagnosis.monitor.look(now_s)
+                    diagnosis.monitor.sample(now_s)
                     await self._judge(diagnosis, self._evidence(diagnosis, now_s))
                 await asyncio.sleep(0)  # a thousand links are looked at one by one, between what they say
             for diagnosis in list(self.ended):
@@ -142,7 +142,7 @@ class Diagnoses:
                     evidence, diagnosis.last_evidence = diagnosis.last_evidence, None
                     with self._isolation.around("diagnosis", link=diagnosis.link.number):
                         await self._judge(diagnosis, evidence)
-            await asyncio.sleep(LOOK_INTERVAL_S)
+            await asyncio.sleep(SAMPLE_INTERVAL_S)
 
     async def _judge(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
         """In a thread where bytes must be looked at: the first look at a speed takes a good part of a second."""

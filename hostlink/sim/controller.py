@@ -9,20 +9,20 @@ from hostlink.sim.drive_train import FULL_PWM, FULL_SPEED_TICKS_S
 DEAD_BAND_PWM = 10
 LEAST_PWM = 700
 FILTER = 0.1  # weight of the newest speed
-S_PER_TICK_S = 0.018  # of minimum jerk: how long a change of one tick/s takes
+S_PER_TICK_S = 0.018  # of minimum jerk, for a change of one tick/s
 LOOP_S = 1 / 30
 HALF_TURN_S = LOOP_S / 2
 NOTHING_TICKS_S = 0.001  # a set-point of less is zero: rounding must not decide a sign
 STANDING_S = 0.1  # without an edge: a wheel has come to rest, or all but
-REST_S = 5.0  # and does not come to rest so long after it was told to: it runs away
-HIGH_PWM = 2048  # turns any wheel: what needs more is held
+REST_S = 5.0  # from a zero to rest; a wheel that is slower runs away
+HIGH_PWM = 2048  # turns any wheel that is free
 STALLED_S = 0.5  # with a high PWM and no edge
 BLIND_S = 5.0  # with any PWM and no edge
 RECENT_TURNS = 6  # a fifth of a second: the filter is late by a third of one
-TOO_FAST_FACTOR = 1.05  # of what was asked for: from here a wheel brakes, whatever the PID says
+TOO_FAST_FACTOR = 1.05  # of the requested speed: from here a wheel brakes, whatever the PID computes
 RUNAWAY_FACTOR = 1.1  # too fast, although it has braked since 1.05: by so much,
 RUNAWAY_TICKS_S = 20.0  # and by so much,
-RUNAWAY_S = 0.5  # for so long
+RUNAWAY_S = 0.5  # the least duration
 SLOWING_FACTOR = 0.9  # without having slowed to this share of its peak
 
 
@@ -54,7 +54,7 @@ class MinimumJerk:
             self._from, self.target = self.value, target
             self._elapsed_s, self._length_s = 0.0, abs(target - self.value) * S_PER_TICK_S
 
-    def halt(self) -> None:
+    def stop(self) -> None:
         """Be at zero now."""
         self.value = self.target = self._from = 0.0
         self._length_s = 0.0
@@ -62,7 +62,7 @@ class MinimumJerk:
     def begin_at_zero(self) -> None:
         """Go to the target from a standstill."""
         target = self.target
-        self.halt()
+        self.stop()
         self.aim(target)
 
     def step(self, dt_s: float) -> float:
@@ -97,9 +97,9 @@ class RecentSpeed:
 
 
 class WheelFault(Enum):
-    """Why a wheel does not do what it is told."""
+    """Why a wheel does not follow its command."""
 
-    STALLED = auto()  # driven, and no edge: held, or its encoder is dead
+    STALLED = auto()  # driven, and no edge: blocked, or its encoder is dead
     RUNAWAY = auto()  # far faster than it should be, and not slowing down: not this program drives it
 
 
@@ -111,7 +111,7 @@ class WheelController:
     | set-point        | wheel                         | motor                                                 |
     |------------------|-------------------------------|-------------------------------------------------------|
     | zero             | any                           | brakes; the edges keep their sign                     |
-    | along the sign   | faster than asked for         | brakes, at the latest after 0.2 s                     |
+    | along the sign   | faster than requested         | brakes, at the latest after 0.2 s                     |
     | along the sign   | any                           | driven that way, or brakes: never a torque against it |
     | against the sign | had an edge in the last 0.1 s | brakes; the set-point waits at zero                   |
     | against the sign | stands: none for 0.1 s        | the sign changes, then it is driven                   |
@@ -129,9 +129,9 @@ class WheelController:
         self._output = self._integral = self._last_error = 0.0
 
     def aim(self, ticks_s: float) -> None:
-        """Ask for a speed. Zero is no ramp but a stop: a robot that is told to stop stops."""
+        """Request a speed. Zero is a stop at once, not a ramp."""
         if ticks_s == 0:
-            self.set_point.halt()
+            self.set_point.stop()
         else:
             self.set_point.aim(ticks_s)
 
@@ -141,7 +141,7 @@ class WheelController:
         return has_lasted(self._still_s, STANDING_S)
 
     @property
-    def asked_ticks_s(self) -> float:
+    def requested_ticks_s(self) -> float:
         """The fastest that the set-point allows."""
         return max(abs(self.set_point.value), abs(self.set_point.target))
 
@@ -184,11 +184,11 @@ class WheelController:
             self._integral = integral
         self._last_error = error
         self._output = output
-        return 0.0 if self.recent.is_above(TOO_FAST_FACTOR * self.asked_ticks_s) else output
+        return 0.0 if self.recent.is_above(TOO_FAST_FACTOR * self.requested_ticks_s) else output
 
 
 class WheelWatch:
-    """Finds a wheel that does not do what it is told; `fault` stays until it is forgiven."""
+    """Finds a wheel that does not follow its command; `fault` stays until it is forgiven."""
 
     def __init__(self) -> None:
         self.fault: WheelFault | None = None
@@ -200,7 +200,7 @@ class WheelWatch:
         self._peak_ticks_s = 0.0  # the fastest that it was meanwhile
 
     def step(self, wheel: WheelController, *, has_edges: bool, is_waiting: bool, dt_s: float) -> None:
-        """Look at a wheel after each of its turns."""
+        """Check a wheel after each of its turns."""
         self._has_stood = wheel.pwm == 0 and (self._has_stood or wheel.stands)
         self._waited_s = self._waited_s + dt_s if is_waiting else 0.0
         is_stalled = self._is_stalled(wheel.pwm, has_edges, dt_s)
@@ -220,7 +220,7 @@ class WheelWatch:
         return has_lasted(self._strained_s, STALLED_S) or has_lasted(self._blind_s, BLIND_S)
 
     def _runs_away(self, wheel: WheelController, dt_s: float) -> bool:
-        """A wheel that coasts or was told to go slower slows down; one that somebody else drives does not."""
+        """A wheel that coasts or has a lower set-point slows down; one that is driven from outside does not."""
         if has_lasted(self._waited_s, REST_S):
             return True
         if self._has_stood or not self._is_over(wheel):
@@ -236,8 +236,8 @@ class WheelWatch:
         return not slows_down
 
     def _is_over(self, wheel: WheelController) -> bool:
-        asked_ticks_s = wheel.asked_ticks_s
-        allowed_ticks_s = max(asked_ticks_s + RUNAWAY_TICKS_S, asked_ticks_s * RUNAWAY_FACTOR)
+        requested_ticks_s = wheel.requested_ticks_s
+        allowed_ticks_s = max(requested_ticks_s + RUNAWAY_TICKS_S, requested_ticks_s * RUNAWAY_FACTOR)
         return wheel.recent.ticks > allowed_ticks_s * wheel.recent.seconds
 
 

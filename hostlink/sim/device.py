@@ -56,7 +56,7 @@ class SimulatedDevice:
     |-------------------|-------------------------------|--------------------------------------------------|
     | FIRST_FF          | FF                            | PROTOCOL_VERSION, and 20 ms from now to finish   |
     | PROTOCOL_VERSION  | FE                            | SIZE_LOW                                         |
-    |                   | another                       | FIRST_FF; asks for the time if not configured    |
+    |                   | another                       | FIRST_FF; requests the time if not configured |
     | SIZE_CHECKSUM     | wrong                         | FIRST_FF                                         |
     | MESSAGE_CHECKSUM  | right                         | the frame is acted upon; FIRST_FF                |
     | any but FIRST_FF  | `spin` begins after the 20 ms | FIRST_FF: the rest is read as garbage            |
@@ -88,7 +88,7 @@ class SimulatedDevice:
         self._began_ms = 0
         self._is_spinning = self._is_retrying = False
         self._frame_deadline_ms = 0
-        self._time_asked_ms = self._time_heard_ms = 0
+        self._time_requested_ms = self._time_received_ms = 0
         self._time_sent_ms = 0
         self._offset_ns = 0
 
@@ -103,7 +103,7 @@ class SimulatedDevice:
     def subscribe(
         self, name: str, type_name: str, md5: str, callback: Callable[[bytes], None], *, kind: Id = Id.SUBSCRIBER
     ) -> int:
-        """Announce something that the device takes; returns its id."""
+        """Announce a topic that the device subscribes to; returns its id."""
         topic_id = FIRST_TOPIC_ID + len(self._to_device)
         self._to_device.append((TopicInfo(kind, topic_id, name, type_name, md5, self._buffer_bytes), callback))
         return topic_id
@@ -121,8 +121,8 @@ class SimulatedDevice:
         """Send a line to the host's log."""
         self.publish(Id.LOG, encode_log(Log(level, text)), now_s)
 
-    def ask_parameter(self, name: str, answer: Callable[[Parameter], None], now_s: float) -> None:
-        """Ask for a parameter; the original waits a second for it, here the program goes on."""
+    def request_parameter(self, name: str, answer: Callable[[Parameter], None], now_s: float) -> None:
+        """Request a parameter; the original waits a second for it, here the program goes on."""
         self._parameter = answer
         self.publish(Id.PARAMETER, encode_parameter_request(name), now_s)
 
@@ -145,7 +145,7 @@ class SimulatedDevice:
         if not self._is_spinning:
             self._is_spinning, self._is_retrying = True, False
             self._began_ms = self._ms(now_s)
-            if self._began_ms - self._time_heard_ms > HOST_TIMEOUT_MS:
+            if self._began_ms - self._time_received_ms > HOST_TIMEOUT_MS:
                 self.is_configured = False
             if self._mode is not Mode.FIRST_FF and self._began_ms > self._frame_deadline_ms:
                 self._drop_frame()
@@ -157,15 +157,15 @@ class SimulatedDevice:
                     return RETRY_S
                 break
             self._is_retrying = False
-            if self._take_byte(byte, now_s):
+            if self._receive_byte(byte, now_s):
                 break
         self._is_spinning = False
-        if self.is_configured and self._began_ms - self._time_asked_ms > TIME_INTERVAL_MS:
-            self._ask_time(now_s)
-            self._time_asked_ms = self._began_ms
+        if self.is_configured and self._began_ms - self._time_requested_ms > TIME_INTERVAL_MS:
+            self._request_time(now_s)
+            self._time_requested_ms = self._began_ms
         return None
 
-    def _take_byte(self, byte: int, now_s: float) -> bool:
+    def _receive_byte(self, byte: int, now_s: float) -> bool:
         """Advance the state machine; True when this turn of spinOnce ends at this byte."""
         self._checksum += byte
         match self._mode:
@@ -180,17 +180,17 @@ class SimulatedDevice:
             case Mode.MESSAGE_CHECKSUM:
                 return self._finish_frame(now_s)
             case _:
-                self._take_header_byte(byte, now_s)
+                self._receive_header_byte(byte, now_s)
         return False
 
-    def _take_header_byte(self, byte: int, now_s: float) -> None:
+    def _receive_header_byte(self, byte: int, now_s: float) -> None:
         match self._mode:
             case Mode.PROTOCOL_VERSION:
                 self._mode = Mode.SIZE_LOW
                 if byte != 0xFE:  # noqa: PLR2004 - the version
                     self._mode = Mode.FIRST_FF
                     if not self.is_configured:
-                        self._ask_time(now_s)
+                        self._request_time(now_s)
             case Mode.SIZE_LOW:
                 self._size = self._checksum = byte
                 self._message.clear()
@@ -222,14 +222,14 @@ class SimulatedDevice:
         payload = bytes(self._message)
         match self._topic_id:
             case Id.PUBLISHER:
-                self._ask_time(now_s)
-                self._tell_topics(now_s)
-                self._time_asked_ms = self._time_heard_ms = self._began_ms
+                self._request_time(now_s)
+                self._announce_topics(now_s)
+                self._time_requested_ms = self._time_received_ms = self._began_ms
                 return True
             case Id.TIME:
                 self._set_time(payload, now_s)
             case Id.PARAMETER:
-                self._take_parameter(payload)
+                self._receive_parameter(payload)
             case Id.STOP:
                 self.is_configured = False
             case topic_id:
@@ -242,7 +242,7 @@ class SimulatedDevice:
             raise DeviceCrashed(f"a message for id {topic_id}, which was never announced")
         self._to_device[number][1](payload)
 
-    def _ask_time(self, now_s: float) -> None:
+    def _request_time(self, now_s: float) -> None:
         self.publish(Id.TIME, bytes(8), now_s)
         self._time_sent_ms = self._ms(now_s)
 
@@ -251,14 +251,14 @@ class SimulatedDevice:
         if wall_ns is not None:
             now_ms = self._ms(now_s)
             self._offset_ns = wall_ns + (now_ms - self._time_sent_ms) * 1_000_000 - now_ms * 1_000_000
-            self._time_heard_ms = now_ms
+            self._time_received_ms = now_ms
 
-    def _tell_topics(self, now_s: float) -> None:
+    def _announce_topics(self, now_s: float) -> None:
         for info in [*self._from_device, *(info for info, _ in self._to_device)]:
             self.to_host.send(encode(info.kind, encode_topic_info(info)), now_s)
         self.is_configured = True
 
-    def _take_parameter(self, payload: bytes) -> None:
+    def _receive_parameter(self, payload: bytes) -> None:
         parameter = decode_parameter(payload)
         if parameter is not None and self._parameter is not None:
             answer, self._parameter = self._parameter, None

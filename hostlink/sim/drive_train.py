@@ -19,10 +19,10 @@ class MotorWorld:
     time_constant_s: float = 0.1  # while its PWM pushes it: a geared 12 V motor under a small robot
     coast_constant_s: float = 0.3  # while nothing pushes it and it runs free
     brake_constant_s: float = 0.04  # while it is short-circuited, behind its 75:1 gear
-    friction_ticks_s: float = 24.0  # ends a coasting: the speed that friction takes away in one time constant
+    friction_ticks_s: float = 24.0  # ends a coasting: the speed lost to friction in one time constant
     dead_zone_pwm: float = 350.0  # less does not turn it; well under the firmware's dead band of 700
     has_jump: bool = True  # above the dead zone it turns as if there were none; else beginning with nothing
-    caster_pwm: float = 0.0  # what the caster takes while it swings round after a reversal
+    caster_pwm: float = 0.0  # the load of the caster while it swings round after a reversal
 
 
 class DriveTrain:
@@ -31,32 +31,32 @@ class DriveTrain:
     def __init__(self, world: MotorWorld | None = None) -> None:
         self.world = MotorWorld() if world is None else world
         self.speed_ticks_s = 0.0
-        self.rolled_ticks = 0.0  # signed, exact: the truth that odometry tries to tell
-        self._is_held = False
+        self.rolled_ticks = 0.0  # signed, exact: the truth that odometry estimates
+        self._is_blocked = False
         self._is_broken = False
         self._is_stuck = False
         self._counted = 0.0
         self._sense = 0  # of the last roll
         self._since_turn_ticks = 0.0  # rolled since its sense changed
 
-    def hold(self) -> None:
-        """The wheel is held: nothing turns it."""
-        self._is_held = True
+    def block(self) -> None:
+        """Nothing turns the wheel any more."""
+        self._is_blocked = True
 
     def break_driver(self) -> None:
         """The motor runs on at full speed once it was driven, whatever it is given then."""
         self._is_broken = True
 
     def step(self, pwm: float, dt_s: float) -> int:
-        """Drive with a signed PWM for `dt_s`, 0 brakes; returns the edges that the encoder saw."""
+        """Drive with a signed PWM for `dt_s`, 0 brakes; returns the edges that the encoder counted."""
         self._is_stuck |= self._is_broken and pwm != 0
-        if self._is_held or (pwm == self.speed_ticks_s == 0 and not self._is_stuck):
+        if self._is_blocked or (pwm == self.speed_ticks_s == 0 and not self._is_stuck):
             return 0
         if self._is_stuck:
             pwm = FULL_PWM
         target_ticks_s = self._aimed_ticks_s(pwm)
         if target_ticks_s:
-            is_too_fast = self.speed_ticks_s * target_ticks_s > target_ticks_s**2  # a PWM pushes, it holds nothing back
+            is_too_fast = self.speed_ticks_s * target_ticks_s > target_ticks_s**2  # a PWM pushes, it does not brake
             constant_s = self.world.coast_constant_s if is_too_fast else self.world.time_constant_s
             rolled_ticks = self._approach(target_ticks_s, constant_s, dt_s)
         else:

@@ -1,4 +1,4 @@
-"""Faults of devices and their lines, on demand: what a healthy simulated robot says is spoilt on its way."""
+"""Faults of devices and their lines, on demand: the frames of a healthy simulated robot are changed on their way."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -66,7 +66,7 @@ class Fault:
     """What is wrong with a robot; the default is nothing."""
 
     text: str
-    say: Callable[[Frame], bytes] = _as_it_is  # what becomes of each frame to the host
+    transform: Callable[[Frame], bytes] = _as_it_is  # of each frame to the host
     at_power_up: bytes = b""  # what comes before the first of them
     clock_rate: float = 1.0  # seconds of the device's in one of the world's
     runs_s: float | None = None  # it starts anew so often; None: never
@@ -75,24 +75,24 @@ class Fault:
 
 HEALTHY = Fault(text="none")
 FAULTS = {
-    "silence": Fault(text="the device sends nothing", say=_nothing),
-    "wrong_baud": Fault(text="its UART is slower than its reader", say=_at_another_speed),
-    "protocol_1": Fault(text="a library of before 2013", say=_in_protocol_1),
-    "text": Fault(text="Serial.print between the frames", say=_with_text),
-    "no_topics": Fault(text="TopicInfos never come", say=_without_topics),
-    "wrong_md5": Fault(text="an old definition of a message", say=_with_other_md5),
-    "time_stops": Fault(text="requests for the time never come", say=_without_time_requests),
-    "small_buffer": Fault(text="an input buffer smaller than a Twist", say=_with_small_buffers),
+    "silence": Fault(text="the device sends nothing", transform=_nothing),
+    "wrong_baud": Fault(text="its UART is slower than its reader", transform=_at_another_speed),
+    "protocol_1": Fault(text="a library of before 2013", transform=_in_protocol_1),
+    "text": Fault(text="Serial.print between the frames", transform=_with_text),
+    "no_topics": Fault(text="TopicInfos never come", transform=_without_topics),
+    "wrong_md5": Fault(text="an old definition of a message", transform=_with_other_md5),
+    "time_stops": Fault(text="requests for the time never come", transform=_without_time_requests),
+    "small_buffer": Fault(text="an input buffer smaller than a Twist", transform=_with_small_buffers),
     "reboots": Fault(text=f"starts anew every {RUN_S:g} s", runs_s=RUN_S),
     "boot_noise": Fault(text="an ESP8266's boot message", at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),
     "clock": Fault(text="its clock is a quarter too fast", clock_rate=1.25),
-    "stalled_wheel": Fault(text="its left wheel is held", break_wheel=DriveTrain.hold),
+    "stalled_wheel": Fault(text="its left wheel is blocked", break_wheel=DriveTrain.block),
     "runaway_wheel": Fault(text="its left motor's driver is broken", break_wheel=DriveTrain.break_driver),
 }
 
 
 class FaultyLine:
-    """The bytes of one connection from a device to its host, spoilt by a fault."""
+    """The bytes of one connection from a device to its host, changed by a fault."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
@@ -104,5 +104,5 @@ class FaultyLine:
         if self._fault is HEALTHY:
             return data
         frames = [item for item in self._stream.feed(data) if isinstance(item, Frame)]
-        spoilt, self._power_up = self._power_up + b"".join(map(self._fault.say, frames)), b""
-        return spoilt
+        changed, self._power_up = self._power_up + b"".join(map(self._fault.transform, frames)), b""
+        return changed

@@ -74,7 +74,7 @@ class SimulatedRobot:
         self._greeting = 0
 
     def _watch(self) -> None:
-        """A wheel that does not do what it is told stops both, once told, until a zero has come and both stand."""
+        """A wheel that does not follow its command stops both; they go on after a zero, when both stand."""
         if self._is_faulted:
             if not self._has_zero or not all(control.stands for control in self.controllers):
                 return
@@ -87,7 +87,7 @@ class SimulatedRobot:
             if control.watch.fault is not None
         ]
         for side, control in faulty:
-            self.device.log(_ERROR, f"{side} {_told(control)}; off until a zero", self._now_s)
+            self.device.log(_ERROR, f"{side} {_complaint(control)}; off until a zero", self._now_s)
         if faulty:
             self._is_faulted, self._has_zero = True, False
             self._command(0.0, 0.0)
@@ -103,20 +103,20 @@ class SimulatedRobot:
         self.device.publish(self._plot, self._types["Twist"].encode(plot), self._now_s)
 
     def _greet(self) -> None:
-        """Once configured, say so, and ask for what may be set; without an answer the constants hold."""
+        """Once configured, log it, and request the parameters; without an answer the constants apply."""
         if not self.device.is_configured:
             self._greeting = 0
         elif self._greeting == 0:
             self._greeting = 1
             self.device.log(_INFO, f"{self.name} is ready", self._now_s)
-            self.device.ask_parameter(f"/{self.name}/wheel_separation", self._set_separation, self._now_s)
+            self.device.request_parameter(f"/{self.name}/wheel_separation", self._set_separation, self._now_s)
 
     def _set_separation(self, parameter: Parameter) -> None:
         if parameter.floats and parameter.floats[0] > 0:
             self.drive = DifferentialDrive(wheel_separation_m=parameter.floats[0])
         if self._greeting == 1:
             self._greeting = 2
-            self.device.ask_parameter(f"/{self.name}/wheel_radius", self._set_radius, self._now_s)
+            self.device.request_parameter(f"/{self.name}/wheel_radius", self._set_radius, self._now_s)
 
     def _set_radius(self, parameter: Parameter) -> None:
         if parameter.floats and parameter.floats[0] > 0:
@@ -130,7 +130,7 @@ class SimulatedRobot:
         for control, ticks_s in zip(self.controllers, wanted, strict=True):
             control.aim(ticks_s * factor)
 
-    def _take_velocity(self, payload: bytes) -> None:
+    def _receive_velocity(self, payload: bytes) -> None:
         twist: dict[str, Any] = self._types["Twist"].decode(payload)
         linear_m_s, angular_rad_s = twist["linear"]["x"], twist["angular"]["z"]
         self._has_zero |= linear_m_s == angular_rad_s == 0
@@ -152,7 +152,7 @@ class SimulatedRobot:
     def _subscribe_all(self, catalog: Catalog) -> None:
         empty = catalog.message("std_msgs/Empty")
         for topic, type_, callback in (
-            ("velocity_commands", self._types["Twist"], self._take_velocity),
+            ("velocity_commands", self._types["Twist"], self._receive_velocity),
             ("reset_odometry", empty, self._reset),
             ("pid_tune_l", self._types["Vector3"], lambda payload: self._tune(0, payload)),
             ("pid_tune_r", self._types["Vector3"], lambda payload: self._tune(1, payload)),
@@ -161,7 +161,7 @@ class SimulatedRobot:
             self.device.subscribe(f"/{self.name}/{topic}", type_.name, type_.md5, callback)
 
 
-def _told(control: WheelController) -> str:
+def _complaint(control: WheelController) -> str:
     if control.watch.fault is WheelFault.STALLED:
         return f"wheel stalled: no edge at PWM {control.pwm}"
     return f"wheel runs away: {control.speed_ticks_s:.0f} of {control.set_point.value:.0f} ticks/s"

@@ -14,7 +14,7 @@ from hostlink.sim.robot import SimulatedRobot
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
-USER_TIMEOUT_MS = 5000  # sent and not acknowledged for so long: the host is gone
+USER_TIMEOUT_MS = 5000  # sent and not acknowledged: the host is gone
 LINE_POLL_S = 0.004  # how often what has left the UART is passed on: as an ESP8266's loop does
 
 
@@ -25,14 +25,14 @@ async def run_fleet(
     robots: int = 1,
     first: int = 0,
     fault: Fault = HEALTHY,
-    say: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Run robot_0, robot_1, ... until cancelled; each connects again for ever."""
+    """Run robot_0, robot_1, ... until cancelled; each connects again when its connection ends."""
     catalog = Catalog()
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
             robot = SimulatedRobot(f"robot_{number}", catalog, device=SimulatedDevice(clock_rate=fault.clock_rate))
-            tasks.create_task(run_over_tcp(robot, host, port, fault=fault, say=say), name=robot.name)
+            tasks.create_task(run_over_tcp(robot, host, port, fault=fault, log=log), name=robot.name)
 
 
 async def run_over_tcp(
@@ -42,28 +42,28 @@ async def run_over_tcp(
     *,
     fault: Fault = HEALTHY,
     local_host: str | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Connect (from `local_host`), talk, connect again, until cancelled; the robot's own loop never stops."""
     local = None if local_host is None else (local_host, 0)
-    said = ""
+    last_error = ""
     fault.break_wheel(robot.wheels[0])
     async with _alive(robot):
         while True:
             try:
                 reader, writer = await asyncio.open_connection(host, port, local_addr=local)
             except OSError as error:
-                if said != str(error):
-                    said = str(error)
-                    say(f"{robot.name}: waiting for a host at {host}:{port}: {error.strerror or error}")
+                if last_error != str(error):
+                    last_error = str(error)
+                    log(f"{robot.name}: waiting for a host at {host}:{port}: {error.strerror or error}")
             else:
-                said = ""
+                last_error = ""
                 _give_up_soon(writer)
-                say(f"{robot.name}: connected to {host}:{port}")
+                log(f"{robot.name}: connected to {host}:{port}")
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(fault.runs_s):
                         await _talk(robot, reader, writer, fault)
-                    say(f"{robot.name}: the host closed the connection")
+                    log(f"{robot.name}: the host closed the connection")
                 if fault.runs_s is not None:
                     robot.reboot()
             await asyncio.sleep(RECONNECT_S)

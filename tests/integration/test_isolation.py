@@ -137,7 +137,7 @@ async def test_a_crash_of_a_task_or_a_diagnosis_ends_nothing_else(logged: list[d
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         host.hub.spawn(work(), name="some work")
-        host.hub.diagnoses._live[1].monitor.look = crash  # type: ignore[method-assign, assignment]
+        host.hub.diagnoses._live[1].monitor.sample = crash  # type: ignore[method-assign, assignment]
         await expect(lambda: host.hub.isolation.crashes["diagnosis"] > 0)
         await is_driven(host, "robot_0", device)
     assert {"task.crashed", "diagnosis.crashed"} <= set(crashes(logged))

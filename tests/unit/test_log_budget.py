@@ -25,8 +25,8 @@ def test_what_was_left_out_is_told_once() -> None:
     for _ in range(4):
         budget.allows("a", 0.0)
     budget.allows("b", 0.0)
-    assert budget.take_left_out() == {"a": 3}
-    assert budget.take_left_out() == {}
+    assert budget.pop_left_out() == {"a": 3}
+    assert budget.pop_left_out() == {}
     assert budget.left_out == 3
 
 
@@ -36,7 +36,7 @@ def test_a_crowd_of_names_is_bounded_and_loses_no_count() -> None:
         for _ in range(3):
             budget.allows(f"peer {number}", 0.0)
     assert len(budget._buckets) == MAX_PEERS
-    told = budget.take_left_out()
+    told = budget.pop_left_out()
     assert told[""] == 10 * 2
     assert sum(told.values()) == budget.left_out == (MAX_PEERS + 10) * 2
 

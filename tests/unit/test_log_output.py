@@ -54,7 +54,7 @@ def test_a_reader_that_sleeps_costs_lines_and_no_time(pipe: tuple[int, TextIO]) 
     assert data == LINE.encode() * kept
     output.write(LINE)
     assert os.read(reading, 1 << 16) == LINE.encode()
-    assert (output.take_lost(), output.take_lost()) == (2000 - kept, 0)
+    assert (output.pop_lost(), output.pop_lost()) == (2000 - kept, 0)
 
 
 def test_a_line_that_was_cut_is_ended_before_the_next(pipe: tuple[int, TextIO]) -> None:

@@ -86,12 +86,12 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         ),
         (
             Config(robots={"a": RobotConfig(address="10.0.0.1"), "b": RobotConfig(address="10.0.0.1")}),
-            "robots.b and robots.a have one address, 10.0.0.1: which device is which is known only if each says its "
+            "robots.b and robots.a have one address, 10.0.0.1: which device is which is known only if each has its "
             "own name",
         ),
         (
             Config(api=replace(OPEN, tokens=(TOKEN,))),
-            "api.host 0.0.0.0 without a certificate: whoever sees the network can read the tokens",
+            "api.host 0.0.0.0 without a certificate: everybody on the network can read the tokens",
         ),
         (
             Config(serial=(SerialConfig(path="/dev/[nz][ue][lr][lo]"),)),

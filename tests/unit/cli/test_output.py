@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import hostlink.cli
 from hostlink import logs
-from hostlink.cli.output import plain, say
+from hostlink.cli.output import plain, write
 
 WRITERS = {"output.py", "terminal.py", "capture.py"}  # the second its own codes, the third JSON of hexadecimal digits
 HOSTILE = "\x1b[2J\x9b31m\u202e\u2066\x7f\n\r\t\x07\u2028\ufeff\U000e0041"
@@ -34,7 +34,7 @@ def test_plain_words_of_all_languages_stay() -> None:
 
 
 def test_a_line_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    say("a\nb", "c")
+    write("a\nb", "c")
     assert capsys.readouterr().out == "a\\nb\nc\n"
 
 

@@ -24,11 +24,11 @@ def session() -> Session:
 def test_intervals_are_between_requests_that_nobody_provoked() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for now_s in (0.1, 2.6, 5.1):
-        monitor.note(TopicsAsked("connected") if now_s == 0.1 else TimeRequested(), now_s)
-    monitor.note(TimeRequested(), 7.6)
-    monitor.note(TopicsAsked("unknown_id"), 8.0)
-    monitor.note(TimeRequested(), 8.1)
-    monitor.note(TimeRequested(), 10.6)
+        monitor.observe(TopicsAsked("connected") if now_s == 0.1 else TimeRequested(), now_s)
+    monitor.observe(TimeRequested(), 7.6)
+    monitor.observe(TopicsAsked("unknown_id"), 8.0)
+    monitor.observe(TimeRequested(), 8.1)
+    monitor.observe(TimeRequested(), 10.6)
     evidence = monitor.evidence(11.0, silent_s=0.0)
     assert evidence.time_intervals_s == (2.5,)  # 2.6 answered the request for topics, as 8.1 did
     assert evidence.time_requested_s == pytest.approx(0.4)
@@ -36,11 +36,11 @@ def test_intervals_are_between_requests_that_nobody_provoked() -> None:
 
 def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
-    monitor.note(TimeRequested(), 2.5)
+    monitor.observe(TimeRequested(), 2.5)
     for start_s in (10.0, 20.0):
-        monitor.note(TopicsAsked("no_time_requests"), start_s)
-        monitor.note(TimeRequested(), start_s + 0.1)
-        monitor.note(TimeRequested(), start_s + 2.6)
+        monitor.observe(TopicsAsked("no_time_requests"), start_s)
+        monitor.observe(TimeRequested(), start_s + 0.1)
+        monitor.observe(TimeRequested(), start_s + 2.6)
     assert monitor.evidence(23.0, silent_s=0.0).revivals == 2
     assert monitor.evidence(81.0, silent_s=0.0).revivals == 1
 
@@ -51,7 +51,7 @@ def test_what_is_recent_is_of_the_last_half_minute() -> None:
     told.open(now_s=0.0)
     told.receive(b"noise" * 10, now_s=0.5)
     for now_s in range(1, 41):
-        monitor.look(float(now_s))
+        monitor.sample(float(now_s))
         if now_s == 20:
             told.receive(b"more " * 2, now_s=20.5)
     evidence = monitor.evidence(40.0, silent_s=1.0)
@@ -67,7 +67,7 @@ def test_what_does_not_fit_is_told_by_what_was_announced_refused_and_logged() ->
     told.tick(now_s=1.0)
     with pytest.raises(FrameTooLarge):
         told.publish("/cmd_vel", bytes(48))
-    monitor.note(DeviceLogged(3, "Message from device dropped: message larger than buffer."), 1.1)
+    monitor.observe(DeviceLogged(3, "Message from device dropped: message larger than buffer."), 1.1)
     assert monitor.evidence(2.0, silent_s=0.0).too_small == (
         "/cmd_vel: a frame of 56 bytes, the device takes 48",
         "/cmd_vel: frame of 56 bytes, the device takes 48",
@@ -91,7 +91,7 @@ STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
 )
 def test_an_error_line_of_a_wheel_is_taken_as_it_is(level: int, text: str, is_taken: bool) -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
-    monitor.note(DeviceLogged(level, text), 5.0)
+    monitor.observe(DeviceLogged(level, text), 5.0)
     evidence = monitor.evidence(12.0, silent_s=0.0)
     assert evidence.wheel_stalled == (Complaint(text, 7.0) if is_taken else None)
     assert evidence.wheel_runaway is None
@@ -100,7 +100,7 @@ def test_an_error_line_of_a_wheel_is_taken_as_it_is(level: int, text: str, is_ta
 def test_the_last_line_of_a_wheel_counts() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for at_s, side in ((1.0, "left"), (2.0, "right")):
-        monitor.note(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
+        monitor.observe(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
     told = monitor.evidence(3.0, silent_s=0.0).wheel_runaway
     assert told == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
@@ -120,10 +120,10 @@ def test_refused_topics_are_told_with_the_reason() -> None:
 def test_the_computers_own_clock() -> None:
     clock = HostClock()
     second_ns = 1_000_000_000
-    assert clock.look(0.0, MIN_WALL_NS - 1) == "its clock is not set"
-    assert clock.look(1.0, MIN_WALL_NS + 3600 * second_ns) == "its clock was set by +3599.0 s"
-    assert clock.look(30.0, MIN_WALL_NS + 3629 * second_ns) == "its clock was set by +3599.0 s"
-    assert clock.look(31.1, MIN_WALL_NS + 3630 * second_ns) == ""
+    assert clock.check(0.0, MIN_WALL_NS - 1) == "its clock is not set"
+    assert clock.check(1.0, MIN_WALL_NS + 3600 * second_ns) == "its clock was set by +3599.0 s"
+    assert clock.check(30.0, MIN_WALL_NS + 3629 * second_ns) == "its clock was set by +3599.0 s"
+    assert clock.check(31.1, MIN_WALL_NS + 3630 * second_ns) == ""
 
 
 @pytest.mark.parametrize(

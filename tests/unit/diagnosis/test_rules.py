@@ -16,12 +16,12 @@ HEALTHY = Evidence(
     silent_s=0.1,
     total=GOOD,
     recent=GOOD,
-    asks=1,
+    requests=1,
     negotiated_s=59.0,
     time_requested_s=1.0,
     time_intervals_s=(2.5,) * 8,
 )
-NEW = Evidence(age_s=6.0, silent_s=0.1, asks=3)
+NEW = Evidence(age_s=6.0, silent_s=0.1, requests=3)
 SLOW = resample(encode(Id.TIME, bytes(8)) * 60, ratio=2.0)[:512]
 BOOT = resample(b"\r\n ets Jan  8 2013,rst cause:2, boot mode:(3,6)\r\n\r\nload 0x4010f000, len 3424\r\n", ratio=1.54)
 
@@ -89,7 +89,7 @@ def test_what_is_enough(code: str, evidence: Evidence, detail: str) -> None:
     [
         HEALTHY,
         replace(NEW, age_s=4.9),
-        replace(NEW, asks=2, total=GOOD, recent=GOOD),
+        replace(NEW, requests=2, total=GOOD, recent=GOOD),
         non_rosserial(b"x = 1\r\n" * 4),
         replace(non_rosserial(bytes(range(128, 256)) * 3), age_s=2.9),
         replace(non_rosserial(b"\x80\x90" * 40, frames=100, of=3000), negotiated_s=1.0),

@@ -163,7 +163,7 @@ def test_a_message_over_its_buffer_is_not_sent() -> None:
 def test_parameters() -> None:
     made, _ = device(baud=None)
     answers: list[Parameter] = []
-    made.ask_parameter("/gain", answers.append, 0.0)
+    made.request_parameter("/gain", answers.append, 0.0)
     assert decode_parameter_request(sent(made, 0.0)[0].payload) == "/gain"
     made.from_host.send(encode(Id.PARAMETER, encode_parameter(Parameter(floats=(0.5,)))) * 2, 0.0)
     spin(made, 0.0)
