@@ -23,8 +23,8 @@ READ_CHARS = 4096
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--native", action="store_true", help="the Due's firmware as a process instead of on QEMU")
-    parser.add_argument("--listen", default="127.0.0.1:11411", help="where hostlink takes devices")
-    parser.add_argument("--api", default="127.0.0.1:9090", help="where hostlink takes programs")
+    parser.add_argument("--listen", default="127.0.0.1:11411", help="where devices connect")
+    parser.add_argument("--api", default="127.0.0.1:9090", help="where programs connect")
     arguments = parser.parse_args()
     build("native", "due_native", "esp8266_native")
     if not arguments.native:
@@ -41,7 +41,7 @@ def main() -> int:
         due = parts.enter_context(running(*due_command(port, is_native=arguments.native)))
         where = "this PC" if arguments.native else "an emulated Cortex-M3"
         print(f"hostlink <- TCP {arguments.listen} <- ESP8266 sketch <- UART 38400 <- Due firmware on {where}")
-        print(f"look: http://{arguments.api}   drive: hostlink teleop --url http://{arguments.api}   Ctrl-C ends it")
+        print(f"page: http://{arguments.api}   drive: hostlink teleop --url http://{arguments.api}   Ctrl-C ends it")
         return watch({"hostlink serve": serve, "the ESP8266 sketch": esp, "the Due firmware": due})
     print("\nended")
     return 0
@@ -109,7 +109,7 @@ def running(*command: str | Path) -> Iterator[Part]:
 
 
 def uart_port(esp: Part) -> int:
-    """The sketch tells on which port its UART is."""
+    """The sketch prints the port of its UART."""
     line = esp.line()
     if not line:
         sys.exit("the ESP8266 sketch ended at once: is something else on its ports?")

@@ -3,7 +3,7 @@
     hostlink serve & python tools/chaos.py --at 10 cut --every 120 lose 1s --split 1-7 --delay 50±20ms --seed 7
     hostlink sim --connect 127.0.0.1:11412
 
-Each option is a line of the script (tools/fault_script.py tells the language); --script FILE reads more of them.
+Each option is a line of the script (tools/fault_script.py has the language); --script FILE reads more of them.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def main() -> int:
         script = parse(lines)
         listen = parse_address("--listen", arguments.listen, "127.0.0.1")
         to = parse_address("--to", arguments.to, "127.0.0.1")
-        asyncio.run(relay(script, listen, to, Teller(is_json=arguments.json)))
+        asyncio.run(relay(script, listen, to, EventPrinter(is_json=arguments.json)))
     except (BadScript, ConfigError, OSError) as error:
         print(f"chaos: {error}", file=sys.stderr)
         return 2
@@ -61,14 +61,14 @@ def command_line() -> argparse.ArgumentParser:
     return parser
 
 
-class Teller:
+class EventPrinter:
     """Prints what the relay did."""
 
     def __init__(self, *, is_json: bool) -> None:
         self._is_json = is_json
         self._began_s: float | None = None
 
-    def say(self, what: str, facts: dict[str, Any]) -> None:
+    def log(self, what: str, facts: dict[str, Any]) -> None:
         """One line, with the time since the first."""
         now_s = asyncio.get_running_loop().time()
         self._began_s = now_s if self._began_s is None else self._began_s
@@ -82,7 +82,7 @@ class Teller:
             )
 
 
-async def relay(script: Script, listen: tuple[str, int], to: tuple[str, int], teller: Teller) -> None:
+async def relay(script: Script, listen: tuple[str, int], to: tuple[str, int], lines: EventPrinter) -> None:
     """Until the script ends, or Ctrl-C."""
     running = asyncio.current_task()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -91,7 +91,7 @@ async def relay(script: Script, listen: tuple[str, int], to: tuple[str, int], te
     async def connect() -> TcpEnd:
         return await connect_tcp(*to)
 
-    made = Relay(script, connect, teller.say)
+    made = Relay(script, connect, lines.log)
     try:
         async with asyncio.TaskGroup() as tasks:
 
@@ -102,14 +102,14 @@ async def relay(script: Script, listen: tuple[str, int], to: tuple[str, int], te
             passages: list[asyncio.Task[None]] = []
             async with await listen_tcp(accept, *listen) as server:
                 where = "{}:{}".format(*server.sockets[0].getsockname()[:2])
-                teller.say("listening", {"at": where, "to": "{}:{}".format(*to), "seed": script.seed})
+                lines.log("listening", {"at": where, "to": "{}:{}".format(*to), "seed": script.seed})
                 await made.run()
             for task in passages:
                 task.cancel()
-    except asyncio.CancelledError:  # Ctrl-C: what was done is still told
+    except asyncio.CancelledError:  # Ctrl-C: what was done is still printed
         pass
     finally:
-        teller.say("done", dict(sorted(made.counts.items())))
+        lines.log("done", dict(sorted(made.counts.items())))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ say nothing.
     python tools/crowd.py flood 1 HOST:PORT SECONDS          # so many devices that publish poses as fast as they can
     python tools/crowd.py mixed 16 HOST:PORT SECONDS         # the same, each with frames of another kind
 
-They come from addresses of their own (127.0.0.2 and up), so that the bounds for one address hold for each. Prints
+They come from addresses of their own (127.0.0.2 and up), so that each has the bounds of one address. Prints
 "ready" when all are there, and a JSON object at the end.
 """
 
@@ -40,7 +40,7 @@ FLOOD_BYTES = 65536  # of one write
 
 
 class Device(asyncio.Protocol):
-    """Tells its topics when asked."""
+    """Announces its topics when they are requested."""
 
     def __init__(self, hello: bytes, counts: Counter[str]) -> None:
         self._hello, self._counts = hello, counts
@@ -60,7 +60,7 @@ class Device(asyncio.Protocol):
         self.is_known = False
         self._counts["lost"] += 1
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         if self.is_known and self.transport is not None:
             self.transport.write(data)
             self._counts["sent"] += 1
@@ -82,7 +82,7 @@ def hello(name: str) -> bytes:
 
 
 async def devices(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
-    """A fleet, spread over the period so that the host has no bursts but its own."""
+    """A fleet, distributed over the period so that the host has no bursts but its own."""
     loop = asyncio.get_running_loop()
     fleet: list[Device] = []
     for number in range(count):
@@ -91,7 +91,7 @@ async def devices(count: int, host: str, port: int, seconds: float, counts: Coun
         fleet.append(made)
         await asyncio.sleep(ARRIVAL_S)
     for made in fleet:
-        made.say(TIME + POSE)  # its first message ends the telling of topics
+        made.send(TIME + POSE)  # its first message ends the announcement of topics
         await asyncio.sleep(ARRIVAL_S)
     ready()
     turn, began_s = 0, loop.time()
@@ -99,9 +99,9 @@ async def devices(count: int, host: str, port: int, seconds: float, counts: Coun
     time_turns = round(TIME_INTERVAL_S * turns_a_second)
     while turn < seconds * turns_a_second:
         for made in fleet[turn % TURNS_A_PERIOD :: TURNS_A_PERIOD]:
-            made.say(POSE)
+            made.send(POSE)
         for made in fleet[turn % time_turns :: time_turns]:
-            made.say(TIME)
+            made.send(TIME)
         turn += 1
         await asyncio.sleep(max(0.0, began_s + turn / turns_a_second - loop.time()))
     counts["behind_ms"] = round(1000 * (loop.time() - began_s - seconds))
@@ -167,14 +167,14 @@ async def _flood(kinds: list[bytes], host: str, port: int, seconds: float, count
                 reader, writer = await asyncio.open_connection(host, port, local_addr=(source(number * 50), 0))
                 writer.write(hello(f"flood_{number}"))
                 async with asyncio.timeout_at(end_s), asyncio.TaskGroup() as tasks:
-                    hearing = tasks.create_task(_hear(reader))
+                    draining = tasks.create_task(_drain(reader))
                     try:
-                        while not hearing.done():
+                        while not draining.done():
                             writer.write(block)
                             await writer.drain()
                             counts["bytes"] += len(block)
                     finally:
-                        hearing.cancel()
+                        draining.cancel()
                         writer.close()
             counts["connections"] += 1
             await asyncio.sleep(ARRIVAL_S)
@@ -185,7 +185,7 @@ async def _flood(kinds: list[bytes], host: str, port: int, seconds: float, count
             tasks.create_task(send(number, kind))
 
 
-async def _hear(reader: asyncio.StreamReader) -> None:
+async def _drain(reader: asyncio.StreamReader) -> None:
     while await reader.read(1 << 16):
         pass
 

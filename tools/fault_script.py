@@ -26,7 +26,7 @@ LEAST_INTERVAL_S = 0.001
 
 
 class BadScript(ValueError):
-    """A line that says nothing; the text says what could stand there."""
+    """A line that means nothing; the text names what is known."""
 
 
 def parse(lines: Iterable[str]) -> Script:

@@ -1,6 +1,6 @@
 """What goes wrong on a line, decided by a script and a seed: bytes and a time in, bytes and a time out. Pure.
 
-`FaultyLine` is one direction of one connection, `Schedule` tells which faults are due. `chaos.py` moves the bytes.
+`FaultyLine` is one direction of one connection, `Schedule` has the faults that are due. `chaos.py` moves the bytes.
 """
 
 import random
@@ -45,7 +45,7 @@ class Kind(Enum):
     DUPLICATE = "duplicate"  # so many bytes come twice
     CUT = "cut"  # every connection is reset at both ends
     CLOSE = "close"  # every connection is closed in good order
-    HALF_OPEN = "half-open"  # the device's end is reset, the host is never told
+    HALF_OPEN = "half-open"  # the device's end is reset, the host never learns of it
     REBOOT = "reboot"  # the device is away for so many seconds, and comes back with boot noise
 
 

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of what reads foreign bytes, by atheris, for a bounded time; part of `make fuzz`.
+"""Coverage-guided fuzzing of what reads bytes of others, by atheris, for a bounded time; part of `make fuzz`.
 
 Each target starts from tests/corpus/TARGET and from what earlier runs on this machine have learned (build/fuzz/TARGET/
 corpus). What breaks a law is written to build/fuzz/TARGET, and goes into tests/corpus with the fix.
@@ -28,10 +28,10 @@ def main() -> int:
         name, *options = arguments.run
         fuzz(name, options)
         return 0
-    return max(look(name, arguments.seconds) for name in arguments.target or NAMES)
+    return max(fuzz_in_process(name, arguments.seconds) for name in arguments.target or NAMES)
 
 
-def look(name: str, seconds: int) -> int:
+def fuzz_in_process(name: str, seconds: int) -> int:
     """Fuzz one target in a process of its own: libFuzzer ends its process. Returns the status."""
     found, corpus = FOUND / name, CORPUS / name
     work = found / "corpus"

@@ -55,7 +55,7 @@ def lost_of_bursts(policy: Policy, burst: int, frames: int, seed: int) -> tuple[
 def measure(policy: Policy, deliveries: list[list[tuple[float, bytes]]], dice: random.Random) -> tuple[int, int]:
     """(frames, bytes) lost; a frame's bytes are lost with it, whether the ring had room for them or not."""
     uart = Uart(baud=38400)
-    sent = heard = 0
+    sent = received = 0
     with node(policy.retry) as device:
         now_s = dice.random()
         for delivery in deliveries:
@@ -66,8 +66,8 @@ def measure(policy: Policy, deliveries: list[list[tuple[float, bytes]]], dice: r
                 wait_s = turn(uart, pieces, device, now_s)
                 now_s += policy.loop_s if wait_s is None else wait_s
             sent += sum(len(piece) for _, piece in delivery)
-            heard += len(device.heard())
-    return sent // len(FRAME) - heard, sent - heard * len(FRAME)
+            received += len(device.heard())
+    return sent // len(FRAME) - received, sent - received * len(FRAME)
 
 
 def turn(uart: Uart, pieces: list[tuple[float, bytes]], device: object, now_s: float) -> float | None:

@@ -1,7 +1,7 @@
 """Real network faults: the robot in a network namespace of its own, and the air between it and the host in here.
 
 Needs root, iproute2 and /dev/net/tun, no module of the kernel: each end of the air is a TUN device, and what one
-gives the other gets, unless it is lost, and as late as is asked. What TCP makes of that is the kernel's own. The robot
+gives the other gets, unless it is lost, and as late as is wanted. What TCP makes of that is the kernel's own. The robot
 is driven meanwhile. Prints a JSON object a fault.
 """
 
@@ -108,10 +108,10 @@ class Watch:
 
     def __init__(self) -> None:
         self.times_s: list[float] = []
-        self.count = 0  # with those that came so close together that the newest was told alone
+        self.count = 0  # with those that came so close together that only the newest was reported
         self.came = asyncio.Event()
 
-    async def look(self, host: Host) -> None:
+    async def watch(self, host: Host) -> None:
         async for state in host.robot("robot_0").odometry():
             self.times_s.append(time.monotonic())
             self.count = state["count"]
@@ -150,7 +150,7 @@ async def measure(ends: tuple[int, int], seconds: float, seed: int) -> None:
         connected() as host,
         asyncio.TaskGroup() as tasks,
     ):
-        children = [tasks.create_task(watch.look(host)), tasks.create_task(drive(host))]
+        children = [tasks.create_task(watch.watch(host)), tasks.create_task(drive(host))]
         await watch.came.wait()
         await asyncio.sleep(SETTLE_S)
         for what, loss, delay_s in (
@@ -194,7 +194,7 @@ async def spoil(
     await asyncio.sleep(seconds)
     until_s = time.monotonic()
     now = (await host.links())[0]
-    tell(
+    report(
         fault=what,
         seconds=seconds,
         packets=air.carried - carried_before,
@@ -210,17 +210,17 @@ async def black_out(air: Air, watch: Watch, seconds: float) -> None:
     air.is_cut = True
     await asyncio.sleep(seconds)
     air.is_cut = False
-    tell(fault=f"black-out of {seconds:g} s", recovery_s=round(await watch.back_s(time.monotonic()), 2))
+    report(fault=f"black-out of {seconds:g} s", recovery_s=round(await watch.back_s(time.monotonic()), 2))
     await asyncio.sleep(SETTLE_S)
 
 
 async def change_address(watch: Watch) -> None:
     ip("-n", NAMESPACE, "address", "flush", "dev", "hostlink-dev")
     ip("-n", NAMESPACE, "address", "add", f"{OTHER_IP}/24", "dev", "hostlink-dev")
-    tell(fault="the robot's address changes", recovery_s=round(await watch.back_s(time.monotonic()), 2))
+    report(fault="the robot's address changes", recovery_s=round(await watch.back_s(time.monotonic()), 2))
 
 
-def tell(**facts: object) -> None:
+def report(**facts: object) -> None:
     print(json.dumps(facts), flush=True)
 
 

@@ -1,4 +1,4 @@
-"""Relay: the shell of `faults`: it stands between devices and a host and does to their bytes what the script says."""
+"""Relay: the shell of `faults`: it stands between devices and a host and changes their bytes as the script wants."""
 
 import asyncio
 import contextlib
@@ -59,14 +59,14 @@ async def listen_tcp(on_connection: Callable[[TcpEnd], None], host: str, port: i
 
 
 class Relay:
-    """All connections through it. `say(what, facts)` is told of each fault and connection."""
+    """All connections through it. `log(what, facts)` is called for each fault and connection."""
 
     def __init__(
-        self, script: Script, connect: Callable[[], Awaitable[End]], say: Callable[[str, dict[str, Any]], None]
+        self, script: Script, connect: Callable[[], Awaitable[End]], log: Callable[[str, dict[str, Any]], None]
     ) -> None:
         """`connect` opens a connection to the host."""
         self.counts: Counter[str] = Counter()
-        self._script, self._connect, self._say = script, connect, say
+        self._script, self._connect, self._log = script, connect, log
         self._schedule = Schedule(script)
         self._began_s = asyncio.get_running_loop().time()
         self._passages: list[_Passage] = []
@@ -94,7 +94,7 @@ class Relay:
         try:
             host = await self._connect()
         except OSError as error:
-            self._say("no host", {"connection": number, "cause": str(error)})
+            self._log("no host", {"connection": number, "cause": str(error)})
             device.break_off()
             return
         passage = _Passage(device, host, self._script, number)
@@ -104,7 +104,7 @@ class Relay:
             dice = random.Random(f"{self._script.seed} boot {number}")  # noqa: S311 - can be repeated
             passage.lines[Direction.FROM_DEVICE].send(boot_noise(dice), self._loop_s(now_s))
         self._passages.append(passage)
-        self._say("connected", {"connection": number, "device": device.peer})
+        self._log("connected", {"connection": number, "device": device.peer})
         try:
             await passage.run()
         finally:
@@ -112,7 +112,7 @@ class Relay:
             for way, line in passage.lines.items():
                 self.counts[f"bytes {way.value}"] += passage.passed[way]
                 self.counts.update({f"{kind.value} bytes": count for kind, count in line.harmed.items() if count})
-            self._say("ended", {"connection": number})
+            self._log("ended", {"connection": number})
 
     def heal(self) -> None:
         """Bytes that were to be harmed will not be."""
@@ -128,7 +128,7 @@ class Relay:
             facts["bytes" if fault.kind in OF_BYTES else "seconds"] = round(fault.amount, 3)
         if fault.direction is not None:
             facts["direction"] = fault.direction.value
-        self._say(fault.kind.value, facts)
+        self._log(fault.kind.value, facts)
         now_s = self._now_s()
         if fault.kind is Kind.BLACKOUT:
             self._still_until_s = max(self._still_until_s, now_s + fault.amount)
@@ -161,7 +161,7 @@ class _Passage:
         """Until one end closes, breaks, or a fault ends it."""
         try:
             async with asyncio.TaskGroup() as tasks:
-                pumps = [tasks.create_task(pump(way)) for way in Direction for pump in (self._take, self._give)]
+                pumps = [tasks.create_task(pump(way)) for way in Direction for pump in (self._receive, self._send)]
                 await self._is_ended.wait()
                 for pump in pumps:
                     pump.cancel()
@@ -199,7 +199,7 @@ class _Passage:
             line.cut()
             self._gave[way].set()
 
-    async def _take(self, way: Direction) -> None:
+    async def _receive(self, way: Direction) -> None:
         """Bytes in."""
         source, _ = self._ends[way]
         line = self.lines[way]
@@ -221,7 +221,7 @@ class _Passage:
             self._gave[way].clear()
             await self._gave[way].wait()
 
-    async def _give(self, way: Direction) -> None:
+    async def _send(self, way: Direction) -> None:
         """Bytes out, each when it is due."""
         _, sink = self._ends[way]
         line = self.lines[way]

@@ -1,4 +1,4 @@
-"""Tells whether the built page (hostlink/api/web/built) is the one of the sources beside it; needs no Node.
+"""Checks whether the built page (hostlink/api/web/built) is the one of the sources beside it; needs no Node.
 
 `make web` writes a digest of every file that the page is made of and of what was made; `make check` compares.
 """

@@ -28,7 +28,7 @@ void loop() {
     const bool is_connected = network.connect();
     passthrough.connection_tried(is_connected, millis());
   }
-  // Never while a host drives: an update takes the processor for seconds and then restarts it.
+  // Never while a host drives: an update occupies the processor for seconds and then restarts it.
   if (passthrough.state() != hostlink::LinkState::kConnected) updates.step();
   board::set_led(hostlink::is_led_lit(passthrough.state(), millis()));
   yield();

@@ -1,4 +1,4 @@
-// Copy to settings.h and fill in. settings.h is not committed: it holds the password of the WiFi.
+// Copy to settings.h and fill in. settings.h is not committed: the password of the WiFi is in it.
 #pragma once
 
 #include "src/settings_type.h"

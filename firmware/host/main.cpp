@@ -41,7 +41,7 @@ class PosixHal : public hostlink::Hal {
   int read() override { return ring_.read(); }
 
   size_t write(const uint8_t* data, size_t size) override {
-    if (socket_ < 0) return size;  // a UART that nobody listens to takes everything
+    if (socket_ < 0) return size;  // a UART without a reader accepts everything
     const size_t taken = out_.put(data, size, micros());
     send();
     return taken;
@@ -86,7 +86,7 @@ class PosixHal : public hostlink::Hal {
     return static_cast<uint64_t>(now.tv_sec) * 1000000u + static_cast<uint64_t>(now.tv_nsec) / 1000u;
   }
 
-  // What has passed the line goes on to the host; what a full socket does not take holds the line up.
+  // What has passed the line goes on to the host; what a full socket does not accept blocks the line.
   void send() {
     size_t size = 0;
     while (socket_ >= 0 && (size = out_.ready(micros())) > 0) {

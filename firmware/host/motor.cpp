@@ -22,7 +22,7 @@ float Motor::step(const MotorLevels& levels, float dt_s) {
   if (is_gripped_) {
     rolled = speed_ticks_s_ * dt_s;
   } else if (target != 0.0f) {
-    const bool is_too_fast = speed_ticks_s_ * target > target * target;  // a PWM pushes, it does not hold back
+    const bool is_too_fast = speed_ticks_s_ * target > target * target;  // a PWM pushes, it does not brake
     rolled = approach(target, is_too_fast ? world_.coast_constant_s : world_.time_constant_s, dt_s);
   } else {
     const float on = levels.brake ? static_cast<float>(levels.duty) / kFullPwm : 0.0f;  // the enable's share of time

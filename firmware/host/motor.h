@@ -14,17 +14,17 @@ struct MotorWorld {
   float time_constant_s = 0.1f;    // while its PWM pushes it
   float coast_constant_s = 0.3f;   // while nothing pushes it and it runs free
   float brake_constant_s = 0.04f;  // while it is short-circuited, behind its 75:1 gear
-  float friction_ticks_s = 24.0f;  // ends a coasting: the speed that friction takes away in one time constant
+  float friction_ticks_s = 24.0f;  // ends a coasting: the speed lost to friction in one time constant
   float dead_zone_pwm = 350.0f;    // less does not turn it
   bool has_jump = true;            // above the dead zone it turns as if there were none; else beginning with nothing
-  float caster_pwm = 0.0f;         // what the caster takes while it swings round after a reversal
+  float caster_pwm = 0.0f;         // the load of the caster while it swings round after a reversal
 };
 
 class Motor {
  public:
   explicit Motor(bool is_mirrored) : is_mirrored_(is_mirrored) {}  // mounted so: rolls forwards with DIR LOW
   void be(const MotorWorld& world) { world_ = world; }
-  // Somebody turns the wheel by hand, at this speed, or holds it (0), whatever the motor does.
+  // Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does.
   void grip(float ticks_s);
   void release() { is_gripped_ = false; }
 

@@ -25,7 +25,7 @@ class Plant {
   Motor& right() { return right_; }
   const Motor& left() const { return left_; }
   const Motor& right() const { return right_; }
-  // Where the robot truly is: what its odometry tries to tell.
+  // Where the robot truly is: what its odometry estimates.
   double x_m() const { return x_m_; }
   double y_m() const { return y_m_; }
   double theta_rad() const { return theta_rad_; }

@@ -12,7 +12,7 @@ class UartOut {
 
   explicit UartOut(uint32_t baud) : baud_(baud) {}  // 0: bytes are through at once
 
-  size_t put(const uint8_t* data, size_t size, uint32_t now_us);  // takes what fits
+  size_t put(const uint8_t* data, size_t size, uint32_t now_us);  // adds what fits
   // What is through and was not dropped yet: so many bytes in one piece, at data().
   size_t ready(uint32_t now_us);
   const uint8_t* data() const { return ring_ + head_; }

@@ -1,4 +1,4 @@
-"""What the firmware takes of the Due, against its budgets: printed after each build for the Cortex-M3, or it fails."""
+"""What the firmware uses of the Due, against its budgets: printed after each build for the Cortex-M3, or it fails."""
 
 import subprocess
 import sys
@@ -20,9 +20,9 @@ def main(elf: Path) -> int:
         ("stack of a function", stack_bytes, STACK_BYTES, function),
         ("functions of the heap", len(heap), 0, " ".join(heap)),
     )
-    for name, taken, budget, remark in rows:
-        print(f"{name:>21}: {taken:6} of {budget:6}  {'OVER THE BUDGET  ' if taken > budget else ''}{remark}")
-    return 1 if any(taken > budget for _, taken, budget, _ in rows) else 0
+    for name, used, budget, remark in rows:
+        print(f"{name:>21}: {used:6} of {budget:6}  {'OVER THE BUDGET  ' if used > budget else ''}{remark}")
+    return 1 if any(used > budget for _, used, budget, _ in rows) else 0
 
 
 def deepest(objects: Path) -> tuple[int, str]:

@@ -20,7 +20,7 @@ struct TestHal : public Hal {
   uint64_t now_us = 0;
   std::deque<uint8_t> from_host;
   std::string to_host;
-  size_t room = SIZE_MAX;  // what write() takes in all until it is set again
+  size_t room = SIZE_MAX;  // what write() accepts in all until it is set again
   int16_t left_pwm = 0;
   int16_t right_pwm = 0;
   uint32_t left_ticks = 0;

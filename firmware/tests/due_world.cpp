@@ -25,7 +25,7 @@ struct World {
   Plant plant;
   uint32_t edges[2] = {0, 0};
   bool is_deaf[2] = {false, false};   // its encoder is dead
-  bool is_stuck[2] = {false, false};  // its driver is through: the motor runs at full speed, whatever the pins say
+  bool is_stuck[2] = {false, false};  // its driver is through: the motor runs at full speed, whatever the pins command
   World() : robot(board) {}
 
   Motor& motor(int side) { return side == 0 ? plant.left() : plant.right(); }

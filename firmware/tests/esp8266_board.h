@@ -1,4 +1,4 @@
-// Ports in memory: what the tests put in and take out of a Passthrough.
+// Ports in memory: the input and the output of a Passthrough.
 #pragma once
 
 #include <algorithm>

@@ -76,7 +76,7 @@ void half_a_frame_leaves_after_the_longest_time_although_bytes_drip() {
   CHECK(a.ready_bytes(kAll, now_ms) == 50);
 }
 
-void the_hold_survives_the_wrap_of_the_clock() {
+void the_timeout_survives_the_wrap_of_the_clock() {
   FrameAssembler a(kHold);
   put(a, part(kPose, 0, 10), 0xfffffff8u);
   CHECK(a.ready_bytes(kAll, 0xffffffffu) == 0);
@@ -148,7 +148,7 @@ void a_restart_swallows_up_to_a_quiet_time() {
   CHECK(a.ready_bytes(kAll, 25) == 64);
 }
 
-void a_restart_does_not_swallow_for_ever() {
+void a_restart_does_not_swallow_without_end() {
   FrameAssembler a(kHold);
   a.restart(0);
   for (uint32_t i = 0; i < 10; ++i) put(a, Bytes(128, 'x'), i);
@@ -169,7 +169,7 @@ void the_backoff_doubles_to_its_limit_and_jitters() {
 
 uint32_t four() { return 4; }
 
-// A passthrough between ports in memory, with a clock that only goes when it is told to.
+// A passthrough between ports in memory, with a clock that only a test moves.
 struct Rig {
   test::MemoryUart uart;
   test::MemoryNetwork network;
@@ -205,7 +205,7 @@ void it_connects_when_the_wifi_is_up() {
   CHECK(rig.passthrough.state() == LinkState::kConnected);
 }
 
-void it_asks_for_a_new_join_after_20_s() {
+void it_requests_a_new_join_after_20_s() {
   Rig rig;
   rig.network.joined = false;
   rig.turn(19999);
@@ -281,7 +281,7 @@ void last_words_of_a_host_that_closes_reach_the_device() {
   CHECK(rig.ends(LinkEnd::kPeerClosed) == 1);
 }
 
-void a_network_that_takes_nothing_ends_the_link_after_2_s() {
+void a_network_that_accepts_nothing_ends_the_link_after_2_s() {
   Rig rig;
   rig.link();
   rig.network.room = 10;
@@ -379,7 +379,7 @@ void with_a_key_nothing_passes_before_the_host_has_proven_it() {
   CHECK(rig.ends(LinkEnd::kKeyRefused) == 1 && !rig.network.connected);
 }
 
-void a_host_that_asks_for_no_key_is_refused() {
+void a_host_that_requires_no_key_is_refused() {
   Rig rig("a key of 16 bytes");
   rig.turns(2);
   rig.network.from_host = kTwist;
@@ -387,7 +387,7 @@ void a_host_that_asks_for_no_key_is_refused() {
   CHECK(rig.ends(LinkEnd::kKeyRefused) == 1 && rig.uart.to_device.empty());
 }
 
-void a_host_that_says_nothing_is_given_up() {
+void a_host_that_sends_nothing_is_given_up() {
   Rig rig("a key of 16 bytes");
   rig.turns(2);
   rig.turn(Passthrough::kProof_ms - 10);
@@ -396,7 +396,7 @@ void a_host_that_says_nothing_is_given_up() {
   CHECK(rig.ends(LinkEnd::kKeyRefused) == 1);
 }
 
-void the_led_says_the_state() {
+void the_led_shows_the_state() {
   CHECK(hostlink::is_led_lit(LinkState::kConnected, 123));
   CHECK(hostlink::is_led_lit(LinkState::kJoining, 0) && !hostlink::is_led_lit(LinkState::kJoining, 100));
   CHECK(hostlink::is_led_lit(LinkState::kWaiting, 400) && !hostlink::is_led_lit(LinkState::kWaiting, 500));
@@ -409,7 +409,7 @@ const std::pair<const char*, std::function<void()>> kTests[] = {
     TEST(whole_frames_leave_together_and_the_rest_waits),
     TEST(half_a_frame_leaves_after_a_quiet_time),
     TEST(half_a_frame_leaves_after_the_longest_time_although_bytes_drip),
-    TEST(the_hold_survives_the_wrap_of_the_clock),
+    TEST(the_timeout_survives_the_wrap_of_the_clock),
     TEST(noise_leaves_when_a_frame_follows_or_when_it_is_long),
     TEST(a_bad_checksum_hides_no_frame),
     TEST(a_claim_over_the_limit_is_no_frame),
@@ -417,25 +417,25 @@ const std::pair<const char*, std::function<void()>> kTests[] = {
     TEST(a_full_buffer_drops_the_oldest_frame_but_not_the_started_one),
     TEST(a_restart_swallows_up_to_the_first_header),
     TEST(a_restart_swallows_up_to_a_quiet_time),
-    TEST(a_restart_does_not_swallow_for_ever),
+    TEST(a_restart_does_not_swallow_without_end),
     TEST(the_backoff_doubles_to_its_limit_and_jitters),
     TEST(it_connects_when_the_wifi_is_up),
-    TEST(it_asks_for_a_new_join_after_20_s),
+    TEST(it_requests_a_new_join_after_20_s),
     TEST(frames_pass_both_ways_each_in_one_write),
     TEST(half_a_command_never_reaches_the_device),
     TEST(a_new_link_begins_with_nothing_of_the_old_one_but_a_started_frame),
     TEST(what_came_while_the_link_was_down_is_not_sent),
     TEST(last_words_of_a_host_that_closes_reach_the_device),
-    TEST(a_network_that_takes_nothing_ends_the_link_after_2_s),
+    TEST(a_network_that_accepts_nothing_ends_the_link_after_2_s),
     TEST(partial_writes_lose_nothing),
     TEST(a_host_that_answers_no_time_request_ends_the_link),
     TEST(a_host_that_answers_keeps_the_link),
     TEST(a_stalled_network_drops_whole_old_frames),
     TEST(the_hmac_is_that_of_rfc_4231),
     TEST(with_a_key_nothing_passes_before_the_host_has_proven_it),
-    TEST(a_host_that_asks_for_no_key_is_refused),
-    TEST(a_host_that_says_nothing_is_given_up),
-    TEST(the_led_says_the_state),
+    TEST(a_host_that_requires_no_key_is_refused),
+    TEST(a_host_that_sends_nothing_is_given_up),
+    TEST(the_led_shows_the_state),
 };
 }  // namespace
 

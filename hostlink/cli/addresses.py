@@ -10,7 +10,11 @@ MAX_DIGITS = 9  # of a port or a baud rate; Python refuses to read a number of t
 
 
 def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
-    """`HOST:PORT`, `:PORT` or `[::1]:PORT`."""
+    """`HOST:PORT`, `:PORT` or `[::1]:PORT`.
+
+    Raises:
+        ConfigError: it is none of them; `option` names it.
+    """
     host, colon, port = text.rpartition(":")
     if not colon or not _is_number(port) or int(port) > MAX_PORT:
         raise ConfigError(option, f"{text!r} is not HOST:PORT")
@@ -18,7 +22,11 @@ def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
 
 
 def parse_serial(text: str) -> SerialConfig:
-    """`/dev/ttyACM0`, `/dev/ttyACM0@57600`, or with rates to try `/dev/ttyACM0@57600,115200`."""
+    """`/dev/ttyACM0`, `/dev/ttyACM0@57600`, or with rates to try `/dev/ttyACM0@57600,115200`.
+
+    Raises:
+        ConfigError: it is none of them.
+    """
     path, at, rates = text.partition("@")
     bauds = rates.split(",") if at else []
     if not path or not all(_is_number(baud) and int(baud) for baud in bauds):

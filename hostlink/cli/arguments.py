@@ -19,7 +19,11 @@ Token = Annotated[
 
 
 def json_object(name: str, text: str) -> dict[str, object]:
-    """The object that a text spells; ConfigError, so exit status 2, when it is none."""
+    """The JSON object of an argument.
+
+    Raises:
+        ConfigError: it is none; the exit status is 2.
+    """
     try:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:

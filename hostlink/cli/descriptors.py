@@ -20,7 +20,10 @@ def limit() -> int:
 def fitted(config: Config, descriptors: int) -> Config:
     """The bounds on connections such that neither devices nor programs can use up the others' descriptors.
 
-    Where there are too few, both have their share of them by what they wanted. ConfigError below FEWEST.
+    Where there are too few, both have their share of them by what they wanted.
+
+    Raises:
+        ConfigError: there are fewer than FEWEST.
     """
     if descriptors < FEWEST + len(config.serial):
         raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few: at least {FEWEST + len(config.serial)}")

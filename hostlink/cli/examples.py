@@ -8,7 +8,11 @@ EXAMPLES = {"config": "hostlink.toml", "systemd": "hostlink.service", "udev": "7
 
 
 def read_example(name: str) -> str:
-    """The text of one of EXAMPLES."""
+    """The text of one of EXAMPLES.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
     if name not in EXAMPLES:
         raise ConfigError("--example", f"{name} is none of {', '.join(EXAMPLES)}")
     return (files("hostlink") / "data" / EXAMPLES[name]).read_text()

@@ -37,7 +37,11 @@ class Terminal:
 
 @contextlib.contextmanager
 def key_terminal() -> Iterator[Terminal]:
-    """The terminal in key mode for the length of the block. ConfigError when there is none."""
+    """The terminal in key mode for the length of the block.
+
+    Raises:
+        ConfigError: there is no terminal.
+    """
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ConfigError("teleop", "needs a terminal for its keys; a program drives with `hostlink pub` or the API")
     terminal = Terminal()

@@ -73,13 +73,13 @@ def test_the_derivative_has_the_right_sign() -> None:
         assert library().pid_step(pid, 5.0, 0.0, 0.1) == pytest.approx(-50.0)
 
 
-def test_the_feedback_term_takes_a_part_of_the_last_output() -> None:
+def test_the_feedback_term_subtracts_a_part_of_the_last_output() -> None:
     with made("pid", 1.0, 0.0, 0.0, 0.5) as pid:
         assert library().pid_step(pid, 100.0, 0.0, 0.1) == pytest.approx(100.0)
         assert library().pid_step(pid, 100.0, 0.0, 0.1) == pytest.approx(100.0 - 0.5 * 100.0 / 4095 * 280)
 
 
-def test_the_filter_takes_a_tenth_of_what_is_new() -> None:
+def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
     with made("wheel") as wheel:
         seen = []
         for _ in range(3):

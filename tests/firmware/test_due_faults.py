@@ -25,7 +25,7 @@ def strained_s(made: World, side: int) -> float:
 
 
 @SIDES
-def test_a_wheel_that_is_held_stops_both_motors_within_half_a_second_of_a_high_pwm(side: int, name: str) -> None:
+def test_a_wheel_that_is_blocked_stops_both_motors_within_half_a_second_of_a_high_pwm(side: int, name: str) -> None:
     with world() as made:
         made.drive(0.2, 0.0, 3.0)
         made.grip(side, 0.0)
@@ -59,7 +59,7 @@ def test_a_dead_encoder_ends_a_drive_at_any_speed(speed: float, side: int, pair:
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 0.2, 0.3])
 @SIDES
-def test_a_motor_that_its_driver_keeps_running_is_told_once(side: int, name: str, speed: float) -> None:
+def test_a_motor_that_its_driver_keeps_running_is_logged_once(side: int, name: str, speed: float) -> None:
     with world() as made:
         made.drive(speed, 0.0, 5.0)
         made.stick(side)
@@ -74,7 +74,7 @@ def test_a_motor_that_its_driver_keeps_running_is_told_once(side: int, name: str
         assert not other.any()
 
 
-def test_a_motor_that_does_not_stop_after_a_zero_is_told() -> None:
+def test_a_motor_that_does_not_stop_after_a_zero_is_logged() -> None:
     with world() as made:
         made.drive(0.3, 0.0, 4.0)
         made.stick(LEFT)
@@ -93,7 +93,7 @@ def test_a_robot_that_is_pushed_while_it_stands_has_no_fault() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.2, 0.33])
-def test_an_encoder_that_never_rests_does_not_let_the_robot_reverse_and_is_told(speed: float) -> None:
+def test_an_encoder_that_never_rests_does_not_let_the_robot_reverse_and_is_logged(speed: float) -> None:
     with world() as made:
         made.drive(0.2, 0.0, 2.0)
         made.drive(0.0, 0.0, 0.1)
@@ -122,7 +122,7 @@ def test_after_a_fault_only_a_zero_and_then_a_command_drives() -> None:
         assert len(made.errors) == 1
 
 
-def test_a_wheel_that_stalls_again_is_told_again() -> None:
+def test_a_wheel_that_stalls_again_is_logged_again() -> None:
     with world() as made:
         made.grip(LEFT, 0.0)
         for _ in range(2):

@@ -50,7 +50,7 @@ def answer(connection: socket.socket) -> tuple[int, float]:
 
 
 @pytest.mark.parametrize("words", [(), ("38400",)], ids=["default", "38400 baud"])
-def test_the_topics_take_as_long_as_their_bytes_on_the_line(words: tuple[str, ...]) -> None:
+def test_the_topics_last_as_long_as_their_bytes_on_the_line(words: tuple[str, ...]) -> None:
     with board(*words) as connection:
         size, took_s = answer(connection)
         assert size > 500

@@ -264,7 +264,7 @@ def test_a_queue_without_messages_refuses_and_counts() -> None:
         st.tuples(st.sampled_from(["pose", "pose", "plot", "log", "spin"]), st.integers(0, 300)), max_size=150
     )
 )
-def test_whatever_the_line_takes_the_host_gets_whole_frames_in_order(story: list[tuple[str, int]]) -> None:
+def test_whatever_the_line_accepts_the_host_gets_whole_frames_in_order(story: list[tuple[str, int]]) -> None:
     with blocked() as device:
         data, published, accepted = b"", 0, 0
         now_s = 1.0

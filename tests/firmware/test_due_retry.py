@@ -26,7 +26,7 @@ def test_the_original_loses_what_straddles_two_turns_of_its_loop() -> None:
     assert lost(ORIGINAL, 0.025, FRAMES, SEED)[0] > 0.8 * FRAMES
 
 
-def test_only_a_loop_that_drains_the_ring_on_each_pass_takes_a_burst() -> None:
+def test_only_a_loop_that_drains_the_ring_on_each_pass_survives_a_burst() -> None:
     assert lost_of_bursts(KEEP, 2, FRAMES, SEED) == (0, 0)  # 112 of the ring's 127 bytes
     assert lost_of_bursts(KEEP, 10, FRAMES, SEED)[0] > 0
     assert lost_of_bursts(KEEP_EACH_PASS, 10, FRAMES, SEED) == (0, 0)

@@ -63,7 +63,7 @@ class Track:
         return sum(motor.speed_ticks_s for motor in self.motors) / 2 * METRES_PER_TICK
 
 
-def test_its_topics_and_what_it_asks_for() -> None:
+def test_its_topics_and_its_parameters() -> None:
     with robot() as firmware:
         track = Track(firmware)
         names = [frame.payload for frame in track.frames if frame.topic_id in (0, 1)]
@@ -225,7 +225,7 @@ def test_gains_that_are_none(gains: tuple[float, float, float]) -> None:
         assert min(firmware.pwm) > 3800  # the wheels are held
 
 
-def test_an_answer_that_comes_too_late_is_not_taken_for_another_parameter() -> None:
+def test_an_answer_that_comes_too_late_is_not_used_for_another_parameter() -> None:
     with robot() as firmware:
         firmware.feed(TOPICS_REQUEST)
         now_s = 1.0
@@ -240,7 +240,7 @@ def test_an_answer_that_comes_too_late_is_not_taken_for_another_parameter() -> N
         assert firmware.pose[2] == pytest.approx(turned_rad, rel=0.2)
 
 
-def test_it_tells_the_host_why_it_stopped_what_it_refused_and_what_the_link_cost() -> None:
+def test_it_logs_why_it_stopped_what_it_refused_and_what_the_link_cost() -> None:
     with robot() as firmware:
         track = Track(firmware)
         track.run(2.0, velocity(0.3, 0.0))

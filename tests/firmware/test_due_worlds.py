@@ -87,7 +87,7 @@ def check_stop(made: World, pair: tuple[MotorWorld, MotorWorld]) -> None:
 
 @WORLDS
 @given(pair=motors(), story=stories)
-def test_whatever_motors_it_has_the_robot_does_what_it_says_and_no_more(
+def test_whatever_motors_it_has_the_robot_moves_as_its_odometry_shows(
     pair: tuple[MotorWorld, MotorWorld], story: list[tuple[float, float, float, float]]
 ) -> None:
     with world(*pair) as made:

@@ -83,7 +83,7 @@ def test_host_and_device_with_one_key_agree_however_their_words_are_cut(from_hos
         assert bridge.to_device() == COMMAND
 
 
-def test_what_the_host_says_right_after_its_proof_reaches_the_device() -> None:
+def test_what_the_host_sends_right_after_its_proof_reaches_the_device() -> None:
     with Bridge(KEY) as bridge:
         connect(bridge)
         bridge.from_host(MAGIC + RANDOM)

@@ -106,7 +106,7 @@ def test_a_frame_that_the_network_cuts_reaches_the_device_in_one_piece(host: Hos
         assert receive(device, len(COMMAND)) == COMMAND
 
 
-def test_more_than_the_buffers_hold_is_slowed_down_and_not_lost(host: Host) -> None:
+def test_more_than_fits_the_buffers_is_slowed_down_and_not_lost(host: Host) -> None:
     with (
         running_sketch(host.port, "--write-limit", "7") as sketch,
         open_device(sketch) as device,
@@ -165,7 +165,7 @@ def test_wifi_that_was_away_comes_back_on_a_new_connection(host: Host) -> None:
             old_link.recv(1)
 
 
-def test_a_link_that_takes_no_more_bytes_is_given_up(host: Host) -> None:
+def test_a_link_that_accepts_no_more_bytes_is_given_up(host: Host) -> None:
     options = ("--send-buffer", "1072")
     with running_sketch(host.port, *options) as sketch, open_device(sketch) as device, host.accept() as old_link:
         assert_passes_both_ways(device, old_link)
@@ -178,7 +178,7 @@ def test_a_link_that_takes_no_more_bytes_is_given_up(host: Host) -> None:
             assert_passes_both_ways(device, link)
 
 
-def test_a_link_on_which_nobody_tells_the_time_is_given_up(host: Host) -> None:
+def test_a_link_without_time_answers_is_given_up(host: Host) -> None:
     with running_sketch(host.port) as sketch, open_device(sketch) as device, host.accept() as old_link:
         assert_passes_both_ways(device, old_link)
         device.sendall(encode(Id.TIME, bytes(8)))

@@ -54,7 +54,7 @@ async def test_the_page_and_the_health_need_none() -> None:
         assert await status(host, "GET", "/api/openapi.json") == 200
 
 
-async def test_roles_on_the_rest_door() -> None:
+async def test_roles_on_the_rest_api() -> None:
     async with daemon(GUARDED) as host, fake_device(host.tcp, robot_topics()):
         assert await status(host, *VELOCITY, **bearer(DRIVE)) == 200
         assert await status(host, *VELOCITY, **bearer(READ)) == 403
@@ -104,7 +104,7 @@ async def test_a_page_of_elsewhere_cannot_drive() -> None:
         assert (await host.get("/api/robots/robot_0"))["holder"] is not None
 
 
-async def test_a_page_that_is_listed_is_told_so_by_cors() -> None:
+async def test_a_page_that_is_listed_is_allowed_by_cors() -> None:
     config = Config(api=ApiConfig(origins=("https://app.example",)))
     async with daemon(config) as host:
         for method in ("OPTIONS", "GET"):
@@ -141,7 +141,7 @@ async def test_too_many_clients() -> None:
             pass
 
 
-async def test_a_client_that_says_too_much_is_closed_and_what_it_drove_stops() -> None:
+async def test_a_client_that_sends_too_much_is_closed_and_what_it_drove_stops() -> None:
     command = {"op": "publish", "topic": "/robot_0/velocity_commands", "msg": {"linear": {"x": 0.2}}}
     async with (
         daemon(Config(api=ApiConfig(max_requests_s=50))) as host,

@@ -1,4 +1,4 @@
-"""FakeDevice: the device side of rosserial on a socket, as a script: it does what the test says, and nothing else."""
+"""FakeDevice: the device side of rosserial on a socket, as a script: it does what the test calls, and nothing else."""
 
 import asyncio
 import contextlib
@@ -28,7 +28,7 @@ def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: i
 
 
 def robot_topics(name: str = "robot_0") -> list[TopicInfo]:
-    """The paper's robot, as far as it takes to be one."""
+    """The topics of the paper's robot that hostlink needs."""
     return [
         topic(Id.PUBLISHER, 125, f"/{name}/odometry", "geometry_msgs/Pose2D"),
         topic(Id.SUBSCRIBER, 100, f"/{name}/velocity_commands", "geometry_msgs/Twist"),

@@ -1,6 +1,6 @@
-"""What a fuzzer tries with any bytes, and the laws that must hold: one function a target, an error is a find.
+"""Targets of the fuzzer, for any bytes, and the laws that must hold: one function a target, an error is a find.
 
-`tools/fuzz.py` lets atheris look for such bytes; tests/unit/test_corpus.py tries those that it has found.
+`tools/fuzz.py` lets atheris search for such bytes; tests/unit/test_corpus.py tries those that it has found.
 """
 
 import contextlib
@@ -68,7 +68,7 @@ def session(data: bytes) -> None:
 
 
 def send_all(tried: Session, now_s: float) -> None:
-    """Say something on each topic, and look at what leaves for the device."""
+    """Send something on each topic, and check what leaves for the device."""
     for info in tried.topics:
         with contextlib.suppress(HostlinkError):  # refused before it is queued
             tried.publish(info.name, bytes(SIZES.get(info.type, 3)))

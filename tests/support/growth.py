@@ -8,7 +8,7 @@ SHORTEST_S = 0.01
 
 
 def is_linear(seconds: Callable[[int], float], size: int) -> bool:
-    """Whether four times `size` takes less than eight times as long; a square would take sixteen times."""
+    """Whether four times `size` lasts less than eight times as long; a square would last sixteen times."""
 
     def best(of_size: int) -> float:
         gc.collect()

@@ -58,7 +58,7 @@ async def driving(server: ForkServer, reading: Reading, *arguments: str) -> Asyn
 
 
 async def end_at(drive: Drive, after_s: float, end: Callable[[int], None]) -> float:
-    """End the daemon after so long; returns how long the robots moved on, infinite for one that still does."""
+    """End the daemon after a time; returns how long the robots moved on, infinite for one that still does."""
     await asyncio.sleep(after_s)
     began_s = time.monotonic()
     end(drive.daemon.pid)

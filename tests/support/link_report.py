@@ -39,7 +39,7 @@ class Account:
     faults: list[tuple[float, str]] = field(default_factory=list)
 
     def obeyed(self, commands: Iterable[tuple[float, bytes]]) -> None:
-        """Take what the robot was told; the zeros of a stop have no number."""
+        """Add the commands of the robot; the zeros of a stop have no number."""
         for at_s, payload in commands:
             number = round(TWIST.unpack(payload)[0] / LEAST_STEP_M_S) - 1
             if number >= 0:

@@ -87,7 +87,7 @@ def _started(log: Path) -> Any:
 
 
 async def run(*arguments: str, input_text: str = "") -> tuple[int, str, str]:
-    """Run a hostlink command to its end: (status, what it printed, what it complained)."""
+    """Run a hostlink command to its end: (status, standard output, standard error)."""
     child = await asyncio.create_subprocess_exec(
         HOSTLINK, *arguments,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,

@@ -64,7 +64,7 @@ class Proxy:
                     if self._line is Line.WORKS:
                         writer.write(data)
                         await writer.drain()
-            await self._works.wait()  # that one end is gone is no more told than anything else
+            await self._works.wait()  # the end of one side is not passed on either
         finally:
             self._writers.discard(writer)
             writer.close()

@@ -1,4 +1,4 @@
-"""What the test's process holds of its system."""
+"""What the test's process uses of its system."""
 
 import asyncio
 import threading

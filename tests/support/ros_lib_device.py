@@ -25,7 +25,7 @@ from tests.support.memory_transport import MemoryTransport, memory_pair
 
 REQUESTS, RESPONSES = 125, 100  # the ids of the first service client of a device
 TIME_INTERVAL_S = 2.5
-HANGS_S = 30.0  # a real one would wait for ever
+HANGS_S = 30.0  # a real one would wait without end
 
 
 class Hangs(AssertionError):
@@ -33,7 +33,7 @@ class Hangs(AssertionError):
 
 
 class GivenUp(Exception):
-    """`call` returned without a response: the host asked for the topics, or said stop, or the connection ended."""
+    """`call` returned without a response: the host requested the topics, or sent stop, or the connection ended."""
 
 
 def clients(
@@ -102,12 +102,12 @@ class RosLibDevice:
         return self._frames.pop(0)
 
     async def announce(self) -> None:
-        """Say what it has, and let the host know that this was all."""
+        """Announce what it has, then a frame that ends the negotiation."""
         infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self._topics)
         await self._end.send(infos + encode(Id.TIME, bytes(8)))
 
     async def keep_time(self) -> None:
-        """Ask for the time as `spinOnce` does."""
+        """Request the time as `spinOnce` does."""
         with contextlib.suppress(OSError):
             while True:
                 await asyncio.sleep(TIME_INTERVAL_S)
@@ -162,7 +162,7 @@ class Connected:
 
 @contextlib.asynccontextmanager
 async def ros_lib_device(hub: Hub, topics: list[TopicInfo], response: MessageType) -> AsyncIterator[Connected]:
-    """A device that has told its topics to a running hub."""
+    """A device that has announced its topics to a running hub."""
     host_end, device_end = memory_pair()
     link = hub.open(host_end)
     made = Connected(RosLibDevice(device_end, topics, response), link)

@@ -18,7 +18,7 @@ from tests.support.fake_device import CATALOG
 
 
 class Peer:
-    """One client: what it says, and all that it has heard since it was last asked."""
+    """One client: it sends requests, and keeps all that came since the last `heard`."""
 
     def __init__(self, name: str, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.queue = client_queue()
@@ -37,7 +37,7 @@ class Peer:
         return heard
 
     async def answers(self) -> list[Any]:
-        """What is heard once everything that is under way and ready has run."""
+        """What came once everything that is under way and ready has run."""
         for _ in range(5):
             await asyncio.sleep(0)
         return self.heard()

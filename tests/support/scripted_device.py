@@ -1,4 +1,4 @@
-"""ScriptedDevice: a device in memory that tells whatever topics it is given, each time that it is asked for them."""
+"""ScriptedDevice: a device in memory that announces any topics, each time that they are requested."""
 
 import asyncio
 import contextlib
@@ -31,12 +31,12 @@ class ScriptedDevice:
         return [frame.payload for _, frame in self.heard if frame.topic_id == topic_id]
 
     async def send(self, topic_id: int, payload: bytes) -> None:
-        """Send a frame, if the host still takes it."""
+        """Send a frame, if the host still receives it."""
         with contextlib.suppress(OSError):
             await self._end.send(encode(topic_id, payload))
 
     async def announce(self) -> None:
-        """Tell them, asked or not."""
+        """Announce them, requested or not."""
         for info in self.infos:
             await self.send(info.kind, encode_topic_info(info))
         await self.send(Id.TIME, bytes(8))

@@ -1,4 +1,4 @@
-"""A simulated robot in the test's own process, so that its true speed can be looked at."""
+"""A simulated robot in the test's own process, so that a test can read its true speed."""
 
 import asyncio
 import contextlib

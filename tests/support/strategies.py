@@ -10,7 +10,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 payloads = st.binary(max_size=60)
 topic_ids = st.integers(0, 0xFFFF)
 frames = st.builds(Frame, topic_ids, payloads)
-# Syncs, half syncs and headers that lie, because plain random bytes hardly ever hold one.
+# Syncs, half syncs and headers that lie, because plain random bytes hardly ever have one.
 liars = st.builds(
     lambda size, rest: b"\xff\xfe" + size.to_bytes(2, "little") + bytes([~(size + (size >> 8)) & 0xFF]) + rest,
     st.integers(0, 1200),

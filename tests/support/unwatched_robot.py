@@ -1,6 +1,6 @@
-"""A robot without a watchdog: it obeys the last velocity that it was sent, for ever, and says when each came.
+"""A robot without a watchdog: it obeys the last velocity without end, and reports when each came.
 
-Over TCP or on one end of a pseudo terminal. It reads as ros_lib does, as much at a time and as often as the test says.
+Over TCP or on one end of a pseudo terminal. It reads as ros_lib does, as much at a time and as often as the test wants.
 """
 
 import asyncio
@@ -35,12 +35,12 @@ class Reading:
     bytes_a_turn: int = 65536
     turn_s: float = TURN_S
     gives_up: bool = True
-    with_blobs: bool = False  # it also takes long messages
+    with_blobs: bool = False  # it also subscribes to long messages
 
 
 @dataclass
 class UnwatchedRobot:
-    """What it has heard."""
+    """What it has received."""
 
     name: str
     reading: Reading

@@ -13,7 +13,7 @@ from hostlink.sim.robot import LOOP_S
 from hostlink.transport.base import Transport
 
 RECONNECT_S = 0.5  # docs/reliability.md#the-papers-link: how long this device waits before it dials again
-LINE_POLL_S = 0.004  # how often it looks for bytes of the UART
+LINE_POLL_S = 0.004  # how often it polls the UART
 POSE, TWIST = struct.Struct("<3d"), struct.Struct("<6d")
 
 
@@ -32,7 +32,7 @@ class Program(Protocol):
 
 
 class NumberedRobot:
-    """A robot whose messages can be told apart: pose n is (n, 0, 0). It keeps the commands that reach it."""
+    """A robot whose messages differ: pose n is (n, 0, 0). It keeps the commands that reach it."""
 
     loop_s = LOOP_S
     publish_every = 3

@@ -1,9 +1,9 @@
-"""Virtual time: when nothing is ready, the clock jumps to the next timer. An hour of waiting takes about a millisecond.
+"""Virtual time: when nothing is ready, the clock jumps to the next timer. An hour of waiting lasts about a millisecond.
 
     def test_a_silent_device_is_dropped() -> None:
         assert run_virtual(link.run()) is LinkEnd.IDLE
 
-For coroutines whose world is in memory (`memory_transport.py`): asking the loop for a socket is a NotImplementedError.
+For coroutines whose world is in memory (`memory_transport.py`): a socket on the loop is a NotImplementedError.
 `loop.time()` is virtual and starts at 0; `time.time()` is not.
 """
 
@@ -38,11 +38,11 @@ class VirtualLoop(asyncio.BaseEventLoop):
         return self._now_s
 
     def burn(self, seconds: float) -> None:
-        """A callback computes for so long: time passes, and nothing else runs."""
+        """A callback computes for a time: it passes, and nothing else runs."""
         self._now_s += seconds
 
     def run_in_executor(self, executor: object, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # noqa: ARG002 - of asyncio
-        """What others do in a thread is done here and now: it takes no virtual time, and always as long."""
+        """What others do in a thread is done here and now: it lasts no virtual time, and always the same real one."""
         future = self.create_future()
         try:
             future.set_result(func(*args))

@@ -20,7 +20,7 @@ from tools.faults import Script
 from tools.relay import Relay
 
 CATALOG = Catalog()
-LEAST_STEP_M_S = 0.0001  # commands are told apart by their speed
+LEAST_STEP_M_S = 0.0001  # commands differ by their speed
 NUMBERS = 9000  # so many, up to 0.9 m/s; then they begin again
 
 
@@ -52,15 +52,15 @@ class Tap:
 
 @dataclass
 class World:
-    """What goes on, and what was seen of it."""
+    """What goes on, and what was recorded of it."""
 
     hub: Hub
     relay: Relay
     device: VirtualDevice
     taps: list[Tap]
     poses: list[tuple[float, bytes]] = field(default_factory=list)  # (time, payload) at a subscriber
-    told: list[tuple[float, str, dict[str, Any]]] = field(default_factory=list)  # what the relay said
-    commands: list[tuple[float, int]] = field(default_factory=list)  # (time, number) of what the host took
+    told: list[tuple[float, str, dict[str, Any]]] = field(default_factory=list)  # what the relay reported
+    commands: list[tuple[float, int]] = field(default_factory=list)  # (time, number) of what the host accepted
     commanded: int = 0
 
     @property
@@ -124,7 +124,7 @@ async def world(
         made = World(hub, relay, VirtualDevice(program, reach_relay, loop_s=loop_s), taps)
         running = [tasks.create_task(hub.run(), name="hub")]
         await hub.is_running.wait()
-        subscribe(hub, "/robot_0/odometry", lambda message: _see(made, message))
+        subscribe(hub, "/robot_0/odometry", lambda message: _record_pose(made, message))
         running += [tasks.create_task(made.device.run(), name="device"), tasks.create_task(relay.run(), name="relay")]
         try:
             yield made
@@ -133,5 +133,5 @@ async def world(
                 task.cancel()
 
 
-def _see(made: World, message: Message) -> None:
+def _record_pose(made: World, message: Message) -> None:
     made.poses.append((asyncio.get_running_loop().time(), message.payload))

@@ -1,10 +1,10 @@
-"""Waiting for something that another task does, without knowing how long it takes."""
+"""Waiting for something that another task does, whose duration is not known."""
 
 import asyncio
 from collections.abc import Callable
 
 TIMEOUT_S = 5.0
-LOOK_S = 0.005
+POLL_S = 0.005
 
 
 async def expect(is_so: Callable[[], object], *, timeout_s: float = TIMEOUT_S) -> None:
@@ -19,4 +19,4 @@ async def expect(is_so: Callable[[], object], *, timeout_s: float = TIMEOUT_S) -
             except Exception as error:
                 if type(error).__module__ != "hostlink.errors":
                     raise
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)

@@ -99,7 +99,7 @@ async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
     assert err == b""
 
 
-async def test_a_fleet_is_seen_by_name() -> None:
+async def test_a_fleet_is_listed_by_name() -> None:
     async with serve() as daemon, simulated(daemon.tcp, "--robots", "3", "--first", "4"):
         for _ in range(3):
             await daemon.read_log("robot.appeared")
@@ -108,7 +108,7 @@ async def test_a_fleet_is_seen_by_name() -> None:
         assert f"/robot_{number}/odometry" in out
 
 
-async def test_a_guarded_daemon_asks_the_commands_for_a_token(tmp_path: Path) -> None:
+async def test_a_guarded_daemon_requires_a_token_of_the_commands(tmp_path: Path) -> None:
     secret, config = "a-token-of-a-driver", tmp_path / "hostlink.toml"
     (tmp_path / "token").write_text(secret + "\n")
     config.write_text('[[api.tokens]]\nname = "desk"\nrole = "drive"\ntoken_file = "token"\n')

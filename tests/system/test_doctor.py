@@ -58,21 +58,21 @@ async def test_a_healthy_daemon_is_status_0() -> None:
     assert out.endswith("6 topics)  healthy\n")
 
 
-async def test_a_daemon_without_a_device_says_what_to_check() -> None:
+async def test_a_daemon_without_a_device_has_advice() -> None:
     async with serve() as daemon:
         status, out, _ = await run("doctor", "--url", daemon.url)
     assert status == 1
     assert out.startswith("no_device: no device has connected to this computer\n  next: check the host address")
 
 
-async def test_a_serial_port_that_the_daemon_cannot_open_is_told_by_doctor(tmp_path: Path) -> None:
+async def test_doctor_names_a_serial_port_that_the_daemon_cannot_open(tmp_path: Path) -> None:
     async with serve("--serial", str(tmp_path / "none")) as daemon:
         await daemon.read_log("serial.waiting")
         status, out, _ = await run("doctor", "--json", "--url", daemon.url)
     assert (status, codes(out)) == (1, ["serial_missing"])
 
 
-async def test_a_daemon_that_is_not_there_is_said() -> None:
+async def test_a_daemon_that_is_not_there_is_named() -> None:
     status, out, err = await run("doctor", "--url", NOWHERE)
     assert (status, out) == (1, "")
     assert "no hostlink at" in err
@@ -101,7 +101,7 @@ async def test_nobody_comes() -> None:
     assert (status, codes(out)) == (1, ["no_device"])
 
 
-async def test_doctor_looks_at_a_serial_port() -> None:
+async def test_doctor_probes_a_serial_port() -> None:
     async with robot_on_a_port(FAULTS["small_buffer"]) as path:
         status, out, _ = await run("doctor", "--json", "--serial", path)
     assert (status, codes(out)) == (1, ["buffer_too_small"])
@@ -149,7 +149,7 @@ async def test_a_capture_of_nothing(arguments: list[str], status: int, complaint
     assert complaint in err
 
 
-async def test_devices_that_are_not_let_in_are_told(tmp_path: Path) -> None:
+async def test_devices_that_are_not_admitted_are_a_finding(tmp_path: Path) -> None:
     config = tmp_path / "hostlink.toml"
     config.write_text('[tcp]\nallow = ["10.1.2.3"]\n')
     async with serve("--config", str(config)) as daemon, simulated(daemon.tcp):

@@ -58,7 +58,7 @@ async def test_odometry_is_recorded(tmp_path: Path) -> None:
     assert {float(row["x_m"]) for row in rows} == {0.0}
 
 
-async def test_any_topic_is_listed_heard_published_and_called() -> None:
+async def test_any_topic_is_listed_subscribed_published_and_called() -> None:
     async with world() as (url, _):
         printed = await run_example("any_topic.py", url)
     assert "/robot_0/velocity_commands: geometry_msgs/Twist" in printed

@@ -78,7 +78,7 @@ def test_every_part_is_read(tmp_path: Path) -> None:
         ("x = [", "is not TOML: Invalid value (at end of document)"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, problem: str) -> None:
+def test_what_is_wrong_is_named_with_its_place(tmp_path: Path, text: str, problem: str) -> None:
     path = write(tmp_path, text)
     with pytest.raises(ConfigError) as caught:
         load(path)

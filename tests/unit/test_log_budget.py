@@ -20,7 +20,7 @@ def test_peers_do_not_share() -> None:
     assert not budget.allows("a", 9.0)
 
 
-def test_what_was_left_out_is_told_once() -> None:
+def test_what_was_left_out_is_reported_once() -> None:
     budget = LogBudget(burst_lines=1, rate_hz=0.0)
     for _ in range(4):
         budget.allows("a", 0.0)

@@ -108,7 +108,7 @@ def events(log: io.StringIO) -> list[dict[str, object]]:
     return [json.loads(line) for line in log.getvalue().splitlines()]
 
 
-def test_what_a_peer_causes_has_a_budget_and_what_was_left_out_is_told(log: io.StringIO) -> None:
+def test_what_a_peer_causes_has_a_budget_and_what_was_left_out_is_logged(log: io.StringIO) -> None:
     for peer in ("192.0.2.77", "192.0.2.78"):
         with structlog.contextvars.bound_contextvars(**logs.of_peer(peer)):
             for number in range(700 if peer.endswith("77") else 3):

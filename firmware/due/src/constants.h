@@ -21,17 +21,17 @@ const bool kIsReversedRight = true;
 
 const float kFilterWeight = 0.1f;      // of the newest speed
 const float kSecondsPerTick = 0.018f;  // of minimum jerk, for each tick/s of change
-const float kTooFastFactor = 1.05f;    // of what was asked for: from here a wheel brakes, whatever the PID says
+const float kTooFastFactor = 1.05f;    // of the requested speed: from here a wheel brakes, whatever the PID computes
 const float kNothingTicksS = 0.001f;   // a set-point of less is zero: rounding must not decide a sign
 const float kStandingS = 0.1f;         // without an edge: a wheel has come to rest, or all but
-const float kRestS = 5.0f;             // and does not come to rest so long after it was told to: it runs away
+const float kRestS = 5.0f;             // from a zero to rest; a wheel that is slower runs away
 
-const int16_t kHighPwm = 2048;       // turns any wheel: what needs more is held
+const int16_t kHighPwm = 2048;       // turns any wheel that is free
 const float kStalledS = 0.5f;        // with a high PWM and no edge
 const float kBlindS = 5.0f;          // with any PWM and no edge
 const float kRunawayFactor = 1.1f;   // too fast, although it has braked since 1.05: by so much,
 const float kRunawayTicksS = 20.0f;  // and by so much,
-const float kRunawayS = 0.5f;        // for so long
+const float kRunawayS = 0.5f;        // the least duration
 const float kSlowingFactor = 0.9f;   // without having slowed to this share of its peak
 
 const uint32_t kLoopUs = 33333;   // 30 Hz

@@ -37,7 +37,7 @@ void FrameReader::give_up() {
   if (size_ > 0) fail();
 }
 
-// Looks at what stands at the start until it is a frame, may become one, or nothing is left. Each false start drops at
+// Checks what stands at the start until it is a frame, may become one, or nothing is left. Each false start drops at
 // least one byte, so this ends.
 FrameReader::Result FrameReader::judge() {
   while (size_ >= 2) {

@@ -9,7 +9,7 @@ namespace hostlink {
 const size_t kPayloadBytesMax = 512;
 const size_t kOverheadBytes = 8;
 
-// Which frames the device takes: a false start often shows by its id or its size, long before its checksum.
+// Which frames the device accepts: a false start often shows by its id or its size, long before its checksum.
 class Expected {
  public:
   virtual bool is_expected(uint16_t topic_id, size_t payload_bytes) const = 0;
@@ -26,7 +26,7 @@ class FrameReader {
   // lost, and a frame that nobody expects is a false start. Without, they are gone, as in the original library.
   FrameReader(bool rescans, const Expected& expected) : rescans_(rescans), expected_(expected) {}
 
-  // Takes one byte. kFrame: topic_id(), payload() and payload_bytes() hold until the next call.
+  // Adds one byte. kFrame: topic_id(), payload() and payload_bytes() are valid until the next call.
   Result take(uint8_t byte);
   // A frame is among the bytes that were read again: call until kNothing, before the next take().
   Result again();

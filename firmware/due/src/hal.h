@@ -11,7 +11,7 @@ class Hal {
   virtual uint32_t millis() = 0;                                // wraps after 49.7 days: only differences mean anything
   virtual uint32_t micros() = 0;                                // wraps after 71.6 minutes
   virtual int read() = 0;                                       // the next byte from the host, -1 when there is none
-  virtual size_t write(const uint8_t* data, size_t size) = 0;   // takes what fits now, never waits
+  virtual size_t write(const uint8_t* data, size_t size) = 0;   // accepts what fits now, never waits
   virtual void drive(int16_t left_pwm, int16_t right_pwm) = 0;  // signed, -4095..4095; 0 brakes as hard as it can
   virtual void ticks(uint32_t& left, uint32_t& right) = 0;      // encoder edges since the start; wrap
 

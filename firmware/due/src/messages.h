@@ -20,7 +20,7 @@ const char kVector3Md5[] = "4a842b65f413084dc2b10fb484ea7f17";
 const char kEmptyType[] = "std_msgs/Empty";
 const char kEmptyMd5[] = "d41d8cd98f00b204e9800998ecf8427e";
 
-// A float64 of the wire, rounded towards zero to a float; what a float cannot hold becomes infinite or zero.
+// A float64 of the wire, rounded towards zero to a float; what no float can represent becomes infinite or zero.
 float read_float64(const uint8_t* bytes);
 void write_float64(uint8_t* bytes, float value);
 

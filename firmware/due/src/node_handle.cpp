@@ -16,7 +16,7 @@ const uint8_t kIdLog = 7;
 const uint8_t kIdTime = 10;
 const uint8_t kIdStop = 11;
 const uint32_t kFrameTimeoutMs = 20;
-const uint32_t kKeptFrameTimeoutMs = 250;  // a frame of 512 bytes takes 135 ms at 38400 baud; WiFi pauses come on top
+const uint32_t kKeptFrameTimeoutMs = 250;  // a frame of 512 bytes lasts 135 ms at 38400 baud; WiFi pauses come on top
 const uint32_t kRetryMs = 10;
 const uint32_t kTimeIntervalMs = 2500;
 const uint32_t kHostTimeoutMs = 11000;
@@ -177,7 +177,7 @@ void NodeHandle::ask_parameter(const char* ns, const char* name, FloatsCallback 
   end_frame();
 }
 
-// int32[] ints, float32[] floats, string[] strings: the floats are what this robot asks for; ints are taken as such.
+// int32[] ints, float32[] floats, string[] strings: the floats are what this robot requests; ints are read as such.
 void NodeHandle::take_parameter(const uint8_t* payload, size_t size) {
   if (parameter_ == nullptr || size < 4) return;
   float values[kFloatsMax] = {};
@@ -218,7 +218,7 @@ void NodeHandle::tell_topics() {
   for (size_t i = 0; i < to_device_count_; ++i) {
     is_whole = tell(kIdSubscriber, static_cast<uint16_t>(kFirstTopicId + i), to_device_[i]) && is_whole;
   }
-  is_configured_ = is_whole;  // else the host hears no data, and asks again
+  is_configured_ = is_whole;  // else the host receives no data, and requests the topics again
 }
 
 bool NodeHandle::tell(uint8_t kind, uint16_t topic_id, const Topic& topic) {
@@ -237,7 +237,7 @@ bool NodeHandle::tell(uint8_t kind, uint16_t topic_id, const Topic& topic) {
 }
 
 // A frame goes into the queue whole, or not at all. Where there is no room the oldest messages of topics go: the next
-// ones say what they said, and newer. Topics, questions and lines of the log are said once, and stay.
+// ones replace them. Topics, requests and lines of the log are sent once, and stay.
 bool NodeHandle::begin_frame(uint16_t topic_id, size_t payload_bytes) {
   const size_t size = payload_bytes + kOverheadBytes;
   bool has_room = size <= kQueueBytes;

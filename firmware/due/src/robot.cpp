@@ -86,7 +86,7 @@ void Robot::turn(float dt_s) {
   }
 }
 
-// A wheel that does not do what it is told stops both, once told, until a zero has come and both stand.
+// A wheel that does not follow its command stops both, with one line in the log, until a zero has come and both stand.
 void Robot::watch() {
   if (is_faulted_) {
     if (!has_zero_ || !left_.stands() || !right_.stands()) return;
@@ -123,7 +123,7 @@ void Robot::stop() {
   hal_.drive(0, 0);
 }
 
-// Once configured: say so, and ask for what may be set, one after the other and never waiting.
+// Once configured: log it, and request the parameters, one after the other and never waiting.
 void Robot::greet() {
   const bool is_configured = node_.is_configured();
   if (is_configured && !was_configured_) {
@@ -132,7 +132,7 @@ void Robot::greet() {
     node_.ask_parameter(ns_, kParameters[0], &Robot::take_parameter, this);
     asked_at_ms_ = hal_.millis();
   } else if (is_configured && asking_ != 0 && hal_.millis() - asked_at_ms_ > kParameterTimeoutMs) {
-    // The constants hold. An answer does not say to which question: one that comes now must not pass for the next's.
+    // The constants apply. An answer does not name its parameter: one that comes now must not be used for the next.
     node_.log(kWarn, Text().add("no answer to ").add(kParameters[asking_ - 1]).add(": no more questions").chars());
     asking_ = 0;
   }

@@ -62,7 +62,7 @@ class Robot {
   uint32_t right_edges_ = 0;
   uint8_t turns_ = 0;
   bool was_configured_ = false;
-  uint8_t asking_ = 0;  // the parameter that is asked for, 0: none
+  uint8_t asking_ = 0;  // the parameter that is requested, 0: none
   uint32_t asked_at_ms_ = 0;
   uint32_t told_trouble_ = 0;
   uint32_t told_trouble_at_ms_ = 0;

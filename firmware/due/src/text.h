@@ -13,7 +13,7 @@ class Text {
   Text& add(const char* text);
   Text& add(int32_t number);
   Text& add(uint32_t number);
-  // With `decimals` digits after the point; what no int32 holds is "?".
+  // With `decimals` digits after the point; what does not fit an int32 is "?".
   Text& add(float number, uint8_t decimals);
 
   const char* chars() const { return chars_; }

@@ -115,7 +115,7 @@ bool Wheel::is_too_fast() const {
   return recent_.ticks() > kTooFastFactor * asked_ticks_s() * recent_.seconds() + 0.49f;
 }
 
-// What the motor is given; see the table of the class.
+// The PWM of the motor, by the table of the class.
 float Wheel::regulate(float dt_s) {
   const float wanted = set_point_.step(dt_s);
   const float along = wanted * static_cast<float>(direction_);
@@ -150,7 +150,7 @@ bool Wheel::is_stalled(bool has_edges, float dt_s) {
   return has_lasted(strained_s_, kStalledS) || has_lasted(blind_s_, kBlindS);
 }
 
-// A wheel that coasts or was told to go slower slows down; one that somebody else drives does not.
+// A wheel that coasts or has a lower set-point slows down; one that is driven from outside does not.
 bool Wheel::runs_away(float dt_s) {
   if (has_lasted(waited_s_, kRestS)) return true;
   const float asked = asked_ticks_s();

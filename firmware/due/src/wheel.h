@@ -63,7 +63,7 @@ class RecentSpeed {
 
 enum class WheelFault : uint8_t {
   kNone,
-  kStalled,  // driven, and no edge: held, or its encoder is dead
+  kStalled,  // driven, and no edge: blocked, or its encoder is dead
   kRunaway,  // far faster than it should be, and not slowing down: not this program drives it
 };
 
@@ -72,7 +72,7 @@ enum class WheelFault : uint8_t {
 //   | set-point         | wheel                         | motor                                                     |
 //   |-------------------|-------------------------------|-----------------------------------------------------------|
 //   | zero              | any                           | brakes; the edges keep their sign                         |
-//   | along the sign    | faster than asked for         | brakes, at the latest after 0.2 s                         |
+//   | along the sign    | faster than requested         | brakes, at the latest after 0.2 s                         |
 //   | along the sign    | any                           | driven that way, or brakes: never a torque against it     |
 //   | against the sign  | had an edge in the last 0.1 s | brakes; the set-point waits at zero                       |
 //   | against the sign  | stands: none for 0.1 s        | the sign changes, then it is driven                       |

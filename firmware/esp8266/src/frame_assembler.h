@@ -1,6 +1,6 @@
 // Cuts a byte stream into pieces that may leave in one write: whole rosserial frames, or bytes that are none.
 // Owns the bytes between two ports and nothing else: no clock, no port. Order is kept, and no byte is lost or
-// added, except what restart(), drop_oldest() and the forget_ calls say and count.
+// added, except what restart(), drop_oldest() and the forget_ calls drop and count.
 #pragma once
 
 #include <stddef.h>
@@ -19,14 +19,14 @@ class FrameAssembler {
   static const size_t kOverheadBytes = 8;
   static const size_t kPayloadBytesMax = 1024;  // a header that claims more is not believed
   static const size_t kFrameBytesMax = kPayloadBytesMax + kOverheadBytes;
-  static const size_t kCapacityBytes = 2 * kFrameBytesMax;  // so a full buffer always holds a whole piece
+  static const size_t kCapacityBytes = 2 * kFrameBytesMax;  // so a full buffer always has a whole piece
 
   explicit FrameAssembler(const Hold& hold) : hold_(hold) {}
 
   // Forget everything; then swallow what comes up to the first frame header or a quiet period, whichever is first.
   void restart(uint32_t now_ms);
 
-  // Takes as many bytes as there is room for, and says how many.
+  // Adds as many bytes as there is room for; returns how many.
   size_t put(const uint8_t* bytes, size_t count, uint32_t now_ms);
   size_t room_bytes() const { return kCapacityBytes - size_bytes_; }
   size_t size_bytes() const { return size_bytes_; }

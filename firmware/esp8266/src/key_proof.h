@@ -2,7 +2,7 @@
 //   host -> device   "HLK1", 16 random bytes
 //   device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
 //   host -> device   HMAC-SHA256(key, "host", both randoms)
-// It owns the words that are said, and no port.
+// It owns the bytes of both sides, and no port.
 #pragma once
 
 #include <stddef.h>
@@ -33,7 +33,7 @@ class KeyProof {
   // How many bytes of the host's are its proof's; the ones after them are rosserial's.
   size_t wanted_bytes() const;
   void take(const uint8_t* bytes, size_t count);
-  // What waits to be said to the host.
+  // What waits for the host.
   const uint8_t* to_say() const { return answer_ + said_bytes_; }
   size_t to_say_bytes() const { return state_ == State::kAnswered ? kAnswerBytes - said_bytes_ : 0; }
   void said(size_t count) { said_bytes_ += count; }

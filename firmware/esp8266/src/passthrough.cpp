@@ -13,7 +13,7 @@ namespace {
 const uint16_t kTimeId = 10;
 const size_t kTurnBytes = 256;  // the most that one turn reads from a port: 67 ms of the UART
 
-// A byte takes 0.26 ms at 38400 baud: 20 ms of silence is an end, 270 ms the longest frame.
+// A byte lasts 0.26 ms at 38400 baud: 20 ms of silence is an end, 270 ms the longest frame.
 const Hold kFromDeviceHold = {20, 500};
 // A lost TCP segment comes again after 200 ms and more; the device would give up on half a frame after 20 ms.
 const Hold kToDeviceHold = {500, 1000};
@@ -94,7 +94,7 @@ void Passthrough::step_proving(uint32_t now_ms) {
 void Passthrough::step_connected(uint32_t now_ms) {
   const bool has_read = read_host(now_ms);
   if (!network_.is_joined()) return end_link(LinkEnd::kWifiLost, now_ms);
-  // What a host said before it closed still counts: a stop, for one.
+  // What a host sent before it closed still counts: a stop, for one.
   if (!has_read && to_device_.room_bytes() > 0 && !network_.is_connected())
     return end_link(LinkEnd::kPeerClosed, now_ms);
   read_device(now_ms);
@@ -168,7 +168,7 @@ void Passthrough::retry_in(uint32_t delay_ms, uint32_t now_ms) {
   retry_after_ms_ = delay_ms;
 }
 
-// Read until the port is empty, but not for ever: a port that refills itself is read again next turn.
+// Read until the port is empty, but not without end: a port that refills itself is read again next turn.
 void Passthrough::discard_from_device() {
   uint8_t bytes[kTurnBytes];
   for (size_t turn = 0; turn < 8; ++turn) {

@@ -1,5 +1,5 @@
 // The bridge between the device's UART and the host's TCP port: decides when to connect, what may pass, when a link is
-// dead. Owns the two buffers and the state; the shell owns the ports and makes the connection when it is asked to.
+// dead. Owns the two buffers and the state; the shell owns the ports and makes the connection on request.
 #pragma once
 
 #include <stddef.h>
@@ -19,7 +19,7 @@ enum class LinkEnd : uint8_t { kWifiLost, kPeerClosed, kWriteStalled, kHostSilen
 struct Counters {
   uint32_t from_device_bytes = 0;  // forwarded
   uint32_t to_device_bytes = 0;
-  uint32_t from_device_dropped_bytes = 0;    // oldest frames, because the network did not take them
+  uint32_t from_device_dropped_bytes = 0;    // oldest frames, because the network did not accept them
   uint32_t from_device_discarded_bytes = 0;  // came while no link was up, or was not sent when it ended
   uint32_t to_device_discarded_bytes = 0;    // was not delivered when a link ended
   uint32_t links = 0;
@@ -46,7 +46,7 @@ class Passthrough {
  public:
   static const uint32_t kRejoin_ms = 20000;
   static const uint32_t kWriteStalled_ms = 2000;
-  static const uint32_t kHostSilent_ms = 6000;  // a device asks every 2.5 s and falls silent after 11 s
+  static const uint32_t kHostSilent_ms = 6000;  // a device requests the time every 2.5 s and falls silent after 11 s
 
   static const uint32_t kProof_ms = 4000;  // the host gives up after 3 s
 

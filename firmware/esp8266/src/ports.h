@@ -1,4 +1,4 @@
-// What the passthrough asks of a board. No call may block, except Network::connect() within its bound.
+// What the passthrough needs of a board. No call may block, except Network::connect() within its bound.
 #pragma once
 
 #include <stddef.h>

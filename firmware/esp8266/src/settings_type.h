@@ -10,7 +10,7 @@ struct Settings {
   const char* wifi_password = "";
   const char* server = "";  // name or address of the computer that runs hostlink
   uint16_t server_port = 11411;
-  const char* key = "";  // the one in the host's tcp.key_file; empty: the host is not asked for it, nor asks
+  const char* key = "";  // the one in the host's tcp.key_file; empty: neither side requires it
   uint32_t uart_baud = 38400;
   bool is_uart_swapped = false;      // UART on GPIO15 (TX) and GPIO13 (RX), where the boot messages do not go
   const char* name = "hostlink";     // in the router's list, and for updates over the air

@@ -24,7 +24,7 @@ uint32_t read_word(const uint8_t* bytes) {
          static_cast<uint32_t>(bytes[2]) << 8 | bytes[3];
 }
 
-// The next word of the message schedule takes the place of the one sixteen before it.
+// The next word of the message schedule replaces the one sixteen before it.
 uint32_t next_word(uint32_t schedule[16], size_t round) {
   const uint32_t w1 = schedule[(round + 1) % 16], w14 = schedule[(round + 14) % 16];
   const uint32_t small0 = rotated(w1, 7) ^ rotated(w1, 18) ^ (w1 >> 3);

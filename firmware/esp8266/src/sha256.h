@@ -36,7 +36,7 @@ class HmacSha256 {
   Sha256 inner_;
 };
 
-// Takes as long wherever they differ, so that its time says nothing of a secret.
+// The duration is the same wherever they differ: it gives no secret away.
 bool are_equal(const uint8_t* a, const uint8_t* b, size_t count);
 
 }  // namespace hostlink

@@ -1,4 +1,4 @@
-// What the board's LED says: fast blinking without WiFi, slow blinking without host, lit with a link.
+// What the board's LED shows: fast blinking without WiFi, slow blinking without host, lit with a link.
 #pragma once
 
 #include <stdint.h>

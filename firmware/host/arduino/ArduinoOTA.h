@@ -1,4 +1,4 @@
-// Stand-in for ArduinoOTA: nobody ever asks for an update here.
+// Stand-in for ArduinoOTA: no update is ever requested here.
 #pragma once
 
 class ArduinoOTAClass {

@@ -1,4 +1,4 @@
-// The ESP8266 as far as its sketch can tell: time, a paced UART, a radio, a watchdog. One thread: the hardware catches
+// The ESP8266 as its sketch knows it: time, a paced UART, a radio, a watchdog. One thread: the hardware catches
 // up whenever the sketch calls into the core, and the sketch sleeps only where the real core lets the SDK run.
 #pragma once
 
@@ -16,7 +16,7 @@ struct Options {
   std::string server = "127.0.0.1";
   uint16_t server_port = 11411;
   std::string key;
-  unsigned boot_noise_bytes = 0;  // what the ROM's messages look like at another baud rate
+  unsigned boot_noise_bytes = 0;  // the ROM's messages at another baud rate
   bool is_uart_paced = true;
   bool is_uart_swapped = false;
   bool waits_for_device = false;  // power comes when the other end of the UART is there

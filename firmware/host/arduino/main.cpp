@@ -1,4 +1,4 @@
-// esp8266_native: the unmodified sketch as a process. Prints where its UART is; takes commands on stdin (machine.cpp).
+// esp8266_native: the unmodified sketch as a process. Prints where its UART is; reads commands on stdin (machine.cpp).
 #include <cstdio>
 #include <cstdlib>
 #include <exception>

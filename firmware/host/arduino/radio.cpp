@@ -42,7 +42,7 @@ void Connection::receive() {
     }
     if (count < 0 && (errno == EAGAIN || errno == EINTR)) return;
     is_open_ = false;                  // as the core does: closed while bytes of the peer still wait
-    if (count < 0) received_.clear();  // a reset takes them away
+    if (count < 0) received_.clear();  // a reset discards them
   }
 }
 

@@ -1,5 +1,5 @@
-// The WiFi side: joining takes time, connections go silent instead of ending when the air is gone, and a peer does not
-// hear a close that was made in silence.
+// The WiFi side: joining is slow, connections go silent instead of ending when the air is gone, and a peer does not
+// notice a close that was made in silence.
 #pragma once
 
 #include <cstdint>
@@ -11,14 +11,14 @@ namespace standin {
 
 struct RadioOptions {
   unsigned join_ms = 100;
-  unsigned connect_ms = 20;  // what a connect() takes at least
+  unsigned connect_ms = 20;  // the least duration of a connect()
   size_t send_buffer_bytes = 2920;
-  size_t write_limit_bytes = 0;  // what one write() takes at most; 0: what the send buffer takes
+  size_t write_limit_bytes = 0;  // the most that one write() accepts; 0: what fits the send buffer
 };
 
 enum class Dialling { kNormal, kRefuse, kHang };
 
-// One TCP connection; counts as open until the peer's end, a reset or missing keepalive answers are seen.
+// One TCP connection; counts as open until the peer's end, a reset or missing keepalive answers are noticed.
 class Connection {
  public:
   Connection(int fd, size_t send_buffer_bytes) : fd_(fd), send_buffer_bytes_(send_buffer_bytes) {}
@@ -28,7 +28,7 @@ class Connection {
 
   void advance(int64_t now_us, bool has_air);
   size_t send_room() const;
-  size_t queue(const uint8_t* bytes, size_t count);  // takes what there is room for
+  size_t queue(const uint8_t* bytes, size_t count);  // adds what there is room for
   size_t available() const { return received_.size(); }
   size_t read(uint8_t* bytes, size_t limit_bytes);
   bool is_open() const { return is_open_; }

@@ -54,7 +54,7 @@ class UartLine {
 
   std::deque<uint8_t> received_;
   std::deque<uint8_t> transmitting_;
-  std::vector<uint8_t> arriving_;  // taken from the socket, not yet over the wire
+  std::vector<uint8_t> arriving_;  // read from the socket, not yet over the wire
   size_t arrived_ = 0;
   Lane receive_lane_;
   Lane send_lane_;

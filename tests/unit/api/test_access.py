@@ -122,7 +122,7 @@ def test_other_addresses_need_tokens(host: str) -> None:
         (ApiConfig(max_requests_s=float("nan")), "1 or more"),
     ],
 )
-def test_settings_that_cannot_be_meant_are_refused(config: ApiConfig, problem: str) -> None:
+def test_settings_that_make_no_sense_are_refused(config: ApiConfig, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         Access(config)
 

@@ -77,7 +77,7 @@ steps = st.lists(st.tuples(st.sampled_from(["enter", "serve", "wait", "leave"]),
 
 
 @given(steps, st.integers(1, 6), st.integers(1, 6))
-def test_the_bounds_hold_and_nobody_who_sends_a_whole_request_waits_for_one_who_does_not(
+def test_the_bounds_are_kept_and_a_whole_request_never_waits_for_half_a_one(
     script: list[tuple[str, int]], most: int, of_address: int
 ) -> None:
     connections = crowd(most=most, of_address=of_address)

@@ -15,7 +15,7 @@ def test_a_second_s_worth_at_once_then_one_by_one() -> None:
     assert limit.refused == 2
 
 
-def test_who_says_too_much_is_in_debt() -> None:
+def test_a_client_that_sends_too_much_is_in_debt() -> None:
     limit = RateLimit(10)
     assert [limit.debt_s("a", 5.0) for _ in range(10)] == [0.0] * 10
     assert limit.debt_s("a", 5.0) == pytest.approx(0.1)

@@ -124,7 +124,7 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         ),
     ],
 )
-def test_what_looks_wrong_is_a_warning(config: Config, warning: str) -> None:
+def test_what_is_suspicious_is_a_warning(config: Config, warning: str) -> None:
     warnings = checked(config)
     assert len(warnings) == 1
     assert warnings[0].startswith(warning)

@@ -31,7 +31,7 @@ def robot(**state: Any) -> dict[str, Any]:
     return {"name": "robot_0", "link": 1, "holder": None, "locked": False, "odometry": None, **state}
 
 
-def test_rates_are_of_the_time_between_two_looks() -> None:
+def test_rates_are_of_the_time_between_two_samples() -> None:
     now = link(frames_from_device=60, frames_to_device=20, bytes_from_device=2000, skipped_bytes=100)
     shown = figures(look(10.0, link(frames_from_device=20)), look(12.0, now, robots=[robot()]))
     assert link_rows(shown) == [

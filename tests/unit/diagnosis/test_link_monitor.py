@@ -59,7 +59,7 @@ def test_what_is_recent_is_of_the_last_half_minute() -> None:
     assert evidence.non_rosserial == b"more more "
 
 
-def test_what_does_not_fit_is_told_by_what_was_announced_refused_and_logged() -> None:
+def test_what_does_not_fit_is_known_from_what_was_announced_refused_and_logged() -> None:
     told = session()
     monitor = LinkMonitor(told, now_s=0.0)
     told.open(now_s=0.0)
@@ -89,7 +89,7 @@ STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
         (3, "left wheel stalled: " + "x" * 200, False),
     ],
 )
-def test_an_error_line_of_a_wheel_is_taken_as_it_is(level: int, text: str, is_taken: bool) -> None:
+def test_an_error_line_of_a_wheel_is_kept_as_it_is(level: int, text: str, is_taken: bool) -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(DeviceLogged(level, text), 5.0)
     evidence = monitor.evidence(12.0, silent_s=0.0)
@@ -105,7 +105,7 @@ def test_the_last_line_of_a_wheel_counts() -> None:
     assert told == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
 
-def test_refused_topics_are_told_with_the_reason() -> None:
+def test_refused_topics_have_their_reason() -> None:
     def refuse(info: TopicInfo) -> int | None:
         raise FrameTooLarge(info.name, 2, 1)
 

@@ -120,7 +120,7 @@ def test_a_burst_before_the_topics_is_a_boot_message_as_long_as_it_is_new() -> N
     assert diagnose(replace(evidence, recent=GOOD, non_rosserial=b"")) == []
 
 
-def test_several_are_told_in_the_order_of_the_words() -> None:
+def test_several_findings_are_in_the_order_of_the_words() -> None:
     found = diagnose(replace(HEALTHY, refused=("a",), silent_s=7.0, too_small=("b",)))
     assert [each.code for each in found] == ["wrong_md5", "buffer_too_small", "went_silent"]
 

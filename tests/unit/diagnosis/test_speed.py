@@ -45,7 +45,7 @@ def test_a_faster_device_is_only_called_faster() -> None:
     assert (guess.baud, str(guess)) == (0, "the device is faster than its reader")
 
 
-def test_behind_a_network_only_the_ratio_is_told() -> None:
+def test_behind_a_network_only_the_ratio_is_known() -> None:
     guess = guess_speed(resample(TIME_REQUESTS, ratio=2.0)[:512], None)
     assert str(guess) == "sent at about 0.5 times the speed at which they are read"
 
@@ -60,7 +60,7 @@ def test_behind_a_network_only_the_ratio_is_told() -> None:
     ],
     ids=["noise", "text", "too few", "damage at the right speed"],
 )
-def test_what_does_not_tell_gives_no_guess(seen: bytes) -> None:
+def test_a_sample_that_shows_no_speed_gives_no_guess(seen: bytes) -> None:
     assert guess_speed(seen, 57600) is None
 
 

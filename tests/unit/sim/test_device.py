@@ -83,7 +83,7 @@ def test_the_retry_waits_once_for_each_gap() -> None:
 
 
 @pytest.mark.parametrize(("away_s", "lost"), [(0.0330, 0), (0.0331, 1), (0.040, 27)])
-def test_the_ring_overflows_where_arithmetic_says(away_s: float, lost: int) -> None:
+def test_the_ring_overflows_where_arithmetic_predicts(away_s: float, lost: int) -> None:
     """127 bytes at 3840 a second are 33.07 ms."""
     uart = Uart(baud=38400)
     uart.send(bytes(400), 0.0)

@@ -42,7 +42,7 @@ class Track:
             self.frames += [item for item in FrameStream().feed(sent) if isinstance(item, Frame)]
 
 
-def test_it_reaches_the_speed_that_it_is_told_and_its_odometry_says_so() -> None:
+def test_it_reaches_the_commanded_speed_and_its_odometry_shows_it() -> None:
     track = Track()
     track.drive(0.2, 0.0, 10.0)
     assert track.robot.speed_m_s == pytest.approx(0.2, rel=0.1)
@@ -113,7 +113,7 @@ def test_the_dead_band(wanted: float, pwm: int) -> None:
     assert motor_output(wanted) == pwm
 
 
-def test_minimum_jerk_takes_its_time_and_ends_where_it_should() -> None:
+def test_minimum_jerk_lasts_as_computed_and_ends_where_it_should() -> None:
     curve = MinimumJerk()
     curve.aim(100.0)
     values = [curve.step(0.1) for _ in range(20)]  # 0.018 s a tick/s: 1.8 s
@@ -148,7 +148,7 @@ def pwms(track: Track) -> list[int]:
     return [control.pwm for control in track.robot.controllers]
 
 
-def test_a_held_wheel_stops_both_is_told_once_and_waits_for_a_zero() -> None:
+def test_a_blocked_wheel_stops_both_is_logged_once_and_waits_for_a_zero() -> None:
     track = Track()
     held, track.robot.wheels[1].world = track.robot.wheels[1].world, MotorWorld(dead_zone_pwm=FULL_PWM + 1)
     track.drive(0.2, 0.0, 4.0)
@@ -190,7 +190,7 @@ stories = st.lists(st.tuples(speeds, st.floats(0.1, 3.0), st.floats(0.0, 0.3)), 
 
 @settings(max_examples=settings.default.max_examples // 2)
 @given(worlds, stories)
-def test_its_odometry_tells_what_its_wheels_do_in_any_world(
+def test_its_odometry_shows_what_its_wheels_do_in_any_world(
     motor: MotorWorld, story: list[tuple[float, float, float]]
 ) -> None:
     track = Track()
@@ -213,6 +213,6 @@ def test_the_drive_train_does_not_depend_on_the_length_of_its_steps() -> None:
     assert abs(ticks[0] - ticks[1]) <= 1
 
 
-def test_stiction_holds_a_wheel_below_its_least_pwm() -> None:
+def test_stiction_stops_a_wheel_below_its_least_pwm() -> None:
     wheel = DriveTrain()
     assert wheel.step(300, 1.0) == 0

@@ -61,7 +61,7 @@ def test_each_fault_has_an_amount_of_its_own(kind: Kind) -> None:
         ("slow 3", "slow 3: known are at, every"),
     ],
 )
-def test_what_says_nothing_is_told_what_could_stand_there(line: str, complaint: str) -> None:
+def test_a_line_that_means_nothing_is_refused_with_what_is_known(line: str, complaint: str) -> None:
     with pytest.raises(BadScript) as caught:
         parse([line])
     assert str(caught.value).startswith(complaint)

@@ -29,7 +29,7 @@ def test_a_line_without_habits_passes_bytes_at_once_as_they_came() -> None:
     assert (line.next_s(), line.waiting_bytes) == (None, 0)
 
 
-def test_split_gives_pieces_of_the_asked_size_one_after_another() -> None:
+def test_split_gives_pieces_of_the_requested_size_one_after_another() -> None:
     line = FaultyLine(Habits(split_bytes=Span(3, 3)), "0")
     line.send(DATA, 0.0)
     found = drain(line)
@@ -51,7 +51,7 @@ def test_rate_is_kept_on_average() -> None:
     assert [at_s for at_s, _ in drain(line)] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5])
 
 
-def test_a_lost_segment_holds_all_back_and_what_waited_comes_as_one() -> None:
+def test_a_lost_segment_delays_all_and_what_waited_comes_as_one() -> None:
     line = FaultyLine(Habits(), "0")
     line.stand_still(1.0)
     line.send(b"one", 0.1)

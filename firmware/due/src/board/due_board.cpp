@@ -24,7 +24,7 @@ const uint32_t kBaud = 38400;
 const uint8_t kPwmBits = 12;
 const uint32_t kLeastPulseUs = 1000;  // at 280 ticks/s an edge comes each 3.6 ms; what is faster is a bouncing sensor
 const uint32_t kQuietMs = 2000;       // after power-up: the ESP8266 prints its boot message at another baud rate
-const uint32_t kWatchdogMs = 500;     // the loop has not turned for so long: the board starts again, motors off
+const uint32_t kWatchdogMs = 500;     // the loop has not turned for this time: the board starts again, motors off
 
 volatile uint32_t left_ticks = 0;  // written by interrupts
 volatile uint32_t right_ticks = 0;

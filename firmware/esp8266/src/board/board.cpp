@@ -63,7 +63,7 @@ bool WifiNetwork::connect() {
 bool WifiNetwork::is_connected() { return client_.connected() != 0; }
 
 size_t WifiNetwork::read(uint8_t* bytes, size_t limit_bytes) {
-  // Ask first: read() of a client that was never connected is not safe in every version of the core.
+  // Check first: read() of a client that was never connected is not safe in every version of the core.
   const size_t count = least(client_.available(), limit_bytes);
   if (count == 0) return 0;
   const int got = client_.read(bytes, count);

@@ -49,7 +49,7 @@ def test_a_broken_budget_is_found(record: DaemonRecord, changes: dict[str, int],
     assert promise in promises(record)
 
 
-def test_a_budget_that_stays_broken_is_one_violation_until_it_holds_again(record: DaemonRecord) -> None:
+def test_a_budget_that_stays_broken_is_one_violation_until_it_is_kept_again(record: DaemonRecord) -> None:
     for descriptors in (1020, 1024, 100, 1020):
         record.add_sample(later(descriptors=descriptors))
     assert promises(record) == ["descriptors", "descriptors"]

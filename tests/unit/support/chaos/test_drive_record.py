@@ -106,7 +106,7 @@ def test_a_velocity_after_the_end_was_judged_is_found() -> None:
     assert story.found() == ["no velocity after the driver's end"]
 
 
-def test_a_robot_that_stood_at_the_end_need_not_hear_another_zero() -> None:
+def test_a_robot_that_stood_at_the_end_needs_no_other_zero() -> None:
     story = Story()
     story.drive()
     story.velocity(ZERO)
@@ -210,7 +210,7 @@ def test_the_harness_and_a_busy_machine_are_forgiven_as_far_as_they_were_measure
     assert late.after(1.0).found() == []
 
 
-def test_what_commands_take_with_nobody_hostile_is_forgiven() -> None:
+def test_the_latency_of_commands_without_hostile_clients_is_forgiven() -> None:
     story = Story()
     story.record.baseline_s = 0.1
     story.drive(latency_s=0.15)
@@ -227,7 +227,7 @@ def test_a_link_that_the_daemon_ends_is_found_and_one_that_the_robot_ends_is_not
     assert story.found() == ["the honest robot keeps its link"]
 
 
-def test_a_new_connection_hears_zero_first_and_soon() -> None:
+def test_a_new_connection_receives_zero_first_and_soon() -> None:
     story = Story()
     story.event("closed", True)
     story.event("opened")
@@ -270,7 +270,7 @@ def test_percentile_is_a_value_that_was_there() -> None:
     assert percentile([2.0, 1.0], 0.5) == 1.0
 
 
-def test_a_connection_that_heard_no_velocity_does_not_hide_the_one_before() -> None:
+def test_a_connection_that_received_no_velocity_does_not_hide_the_one_before() -> None:
     story = Story()
     story.event("closed", False)
     story.event("opened")

@@ -36,7 +36,7 @@ def test_a_run_without_violations_names_no_failure() -> None:
         Wanted(seed=1, seconds=60.0, limits=Limits(p99_s=0.02, robots=1000)),
     ],
 )
-def test_the_command_that_is_told_plays_the_same_again(wanted: Wanted) -> None:
+def test_the_printed_command_plays_the_same_again(wanted: Wanted) -> None:
     _, _, *words = shlex.split(wanted.command())
     arguments = command_line().parse_args(words)
     assert wanted_of(arguments, arguments.seeds[0]) == wanted
@@ -49,7 +49,7 @@ def test_each_limit_has_a_flag() -> None:
     assert limits.from_flags(parser.parse_args(["--limit-zero-s", "0.7"])) == Limits(zero_s=0.7)
 
 
-def test_the_generator_holds_no_more_connections_than_it_may() -> None:
+def test_the_generator_opens_no_more_connections_than_it_may() -> None:
     room = Room(device=3)
     assert room.take("device", 2) == 2
     assert room.take("device", 2) == 1
