@@ -33,7 +33,7 @@ async def test_whatever_is_played_the_robot_stops_and_the_daemon_lives() -> None
     assert outcome.figures["ends"] > SECONDS / 12
 
 
-async def test_a_promise_that_does_not_hold_ends_the_run_and_is_told_with_its_seed() -> None:
+async def test_a_broken_promise_ends_the_run_and_is_printed_with_its_seed() -> None:
     outcome = await run(Wanted(seed=1, seconds=10.0, limits=IMPOSSIBLE), print)
     assert "memory, MiB" in {violation.promise for violation in outcome.violations}
     assert outcome.steps == 0

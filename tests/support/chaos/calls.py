@@ -1,4 +1,4 @@
-"""Devices that call a service and wait, as ros_lib's ServiceClient::call does: for ever, for one frame that fits."""
+"""Devices that call a service and wait, as ros_lib's ServiceClient::call does: without end, for one frame that fits."""
 
 import asyncio
 import contextlib
@@ -18,14 +18,14 @@ from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import Stage, introduce
 
 PATIENCE_S = 9.0  # longer than any limit: what it finds is judged elsewhere
-TIME_INTERVAL_S = 2.5  # it spins while it waits, and so it asks for the time
+TIME_INTERVAL_S = 2.5  # it spins while it waits, and so it requests the time
 SETTLE_S = 0.1
 PROVIDERS = ("nobody", "program", "program", "device")
 DEVICE_MANNERS = ("right", "other", "never")
 
 
 async def call(stage: Stage, action: Action) -> None:
-    """A device asks; nobody, a program or another device provides, and answers well, badly, too much or never."""
+    """A device calls; nobody, a program or another device provides, and answers well, badly, too much or never."""
     dice = action.dice()
     service, type_name = f"/asked_{action.number}/do", dice.choice(SERVICE_TYPES)
     provider = dice.choice(PROVIDERS)

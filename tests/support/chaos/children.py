@@ -38,7 +38,7 @@ class Daemon:
     api: tuple[str, int] = ("", 0)
 
     async def started(self) -> None:
-        """Wait until it has said where it listens."""
+        """Wait until it has printed where it listens."""
         async with asyncio.timeout(START_S):
             while not (found := _started(self.log)):
                 if self.child.returncode is not None:
@@ -95,7 +95,7 @@ class Talker:
     async def receive(self) -> Any:
         """The next line."""
         if self.child.stdout is None:
-            raise RuntimeError("a pipe was asked for")
+            raise RuntimeError("a pipe is needed")
         line = await self.child.stdout.readline()
         if not line.endswith(b"\n"):
             raise EOFError(f"a process of the harness ended, status {await self.child.wait()}")

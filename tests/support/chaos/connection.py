@@ -14,7 +14,7 @@ READ_BYTES = 256 * 1024
 
 
 class Room:
-    """Bounds on what this generator itself holds, and those connections that stay until everybody leaves."""
+    """Bounds on what this generator itself uses, and those connections that stay until everybody leaves."""
 
     def __init__(self, **most: int) -> None:
         self._left = dict(most)

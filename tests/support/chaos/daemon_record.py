@@ -1,4 +1,4 @@
-"""DaemonRecord: samples of the daemon from outside; says which budgets it has broken. Pure."""
+"""DaemonRecord: samples of the daemon from outside; finds the budgets that it has broken. Pure."""
 
 import re
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ WORDS_OF_A_CRASH = (b"Traceback (most recent call last)", b"link.crashed", b"was
 
 @dataclass(frozen=True)
 class Sample:
-    """One look at the daemon."""
+    """One sample of the daemon."""
 
     at_s: float
     memory_bytes: int
@@ -38,7 +38,7 @@ CAUSE = re.compile(rb"(?:^|\\n|\n)[ |+]*(" + _KINDS + rb"[^\n\\]{0,120})")
 
 
 class DaemonRecord:
-    """A budget that is broken is one violation until it holds again."""
+    """A budget that is broken is one violation until it is kept again."""
 
     def __init__(self, limits: Limits, noise: Noise) -> None:
         self.most_memory_bytes = self.most_log_bytes = self.most_robots = 0
@@ -57,7 +57,7 @@ class DaemonRecord:
         return 0.0 if self._first is None else (self.last_memory_bytes - self._first.memory_bytes) / MIB
 
     def add_sample(self, sample: Sample) -> None:
-        """Take a look; the first is what the growth is counted from."""
+        """Add a sample; growth counts from the first."""
         self._first = first = self._first or sample
         self._last = sample
         self._noise.add_turn(sample.at_s, sample.ran_s, sample.waited_s)
@@ -73,7 +73,7 @@ class DaemonRecord:
         self._judge("descriptors", sample.descriptors, most, sample.at_s)
 
     def add_health(self, health: Health) -> None:
-        """Take an answer, or that none came."""
+        """Add an answer, or that none came."""
         self.slowest_s = max(self.slowest_s, health.took_s)
         end_s = health.asked_s + health.took_s
         limit_s = self._limits.healthz_s * self._noise.stretch(health.asked_s, end_s)
@@ -98,7 +98,7 @@ class DaemonRecord:
                 self._found.append(Violation("no traceback in the log", 0, 0, cause, at_s=at_s))
 
     def settle(self) -> list[Violation]:
-        """What must be true once everybody hostile has left; not counted until it is asked for the last time."""
+        """What must be true once everybody hostile has left; not counted before the last call."""
         if self._first is None or self._last is None:
             return [Violation("the daemon is sampled", 0, 1)]
         growth_mib = self.growth_mib
@@ -113,7 +113,7 @@ class DaemonRecord:
         return found
 
     def check(self) -> list[Violation]:
-        """What did not hold since the last call."""
+        """The violations since the last call."""
         found, self._found = self._found, []
         return found
 

@@ -17,7 +17,7 @@ TURN_S = 0.02
 
 
 async def flood(stage: Stage, action: Action) -> None:
-    """One connection or sixteen send one kind of frame, or a mix, as fast as the line takes it."""
+    """One connection or sixteen send one kind of frame, or a mix, as fast as the line accepts it."""
     dice = action.dice()
     maker = dice.choice(frames.FLOODS)
     count = dice.choice((1, 1, 4, 16))
@@ -112,7 +112,7 @@ async def churn(stage: Stage, action: Action) -> None:
 
 
 async def silent(stage: Stage, action: Action) -> None:
-    """Devices that connect, some of which announce a robot, and are never heard of again."""
+    """Devices that connect, some of which announce a robot, and then stay silent."""
     dice = action.dice()
     count, is_known = dice.choice((1, 10, 60)), dice.random() < 0.5
     what = f"{count} devices fall silent, {'known' if is_known else 'unknown'}"

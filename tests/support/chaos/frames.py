@@ -106,7 +106,7 @@ def logs(dice: random.Random) -> Blocks:
 
 
 def new_names(dice: random.Random) -> Blocks:
-    """Questions for parameters that nobody asked for before."""
+    """Requests for parameters that nobody requested before."""
     word = f"p{dice.randrange(1 << 30)}_"
     numbers = itertools.count()
     size = dice.choice((8, 100, 900, 900))

@@ -30,7 +30,7 @@ TICK_S = 0.005
 LATE_S = 0.003  # by which a tick is worth a line
 DRIVE_S = (0.5, 4.0)
 LEASE_S = 0.65
-REST_S = (0.75, 1.0)  # longer than any zero may take
+REST_S = (0.75, 1.0)  # longer than any zero may need
 HANDSHAKE_S = 5.0
 WAYS = ("topic", "topic", "drive", "rest")
 ENDS = ("lease", "lease", "drop", "drop", "reset", "stop", "link")
@@ -45,7 +45,7 @@ def event(kind: str, *facts: object) -> None:
 
 
 class Robot:
-    """The honest device: it answers, keeps time, tells poses, and dials again when its connection ends."""
+    """The honest device: it answers, keeps time, sends poses, and dials again when its connection ends."""
 
     def __init__(self, to: tuple[str, int]) -> None:
         self._to = to
@@ -92,9 +92,9 @@ class Robot:
             while data := await connection.receive():
                 for item in stream.feed(data):
                     if isinstance(item, Frame):
-                        await self._take(connection, item)
+                        await self._receive(connection, item)
 
-    async def _take(self, connection: Connection, frame: Frame) -> None:
+    async def _receive(self, connection: Connection, frame: Frame) -> None:
         if frame.topic_id == 100:
             twist = TWIST.unpack(frame.payload)
             event("velocity", twist[0], twist[5])
@@ -161,10 +161,10 @@ class Driver:
             await self._stop()
         else:
             event("ended", "lease")
-            await asyncio.sleep(LEASE_S)  # the connection stays, and says nothing
+            await asyncio.sleep(LEASE_S)  # the connection stays, and sends nothing
 
     async def _command(self, connection: Connection, way: str, end: str) -> None:
-        """Commands at 20 to 50 Hz, for as long as this drive takes."""
+        """Commands at 20 to 50 Hz, for as long as this drive lasts."""
         interval_s = 1 / self._dice.uniform(20, 50)
         seconds = 3600.0 if end == "last" else self._dice.uniform(*DRIVE_S)
         event("began", way)

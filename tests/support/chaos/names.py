@@ -15,7 +15,7 @@ HONEST_VELOCITY = f"/{HONEST}/velocity_commands"
 HONEST_ODOMETRY = f"/{HONEST}/odometry"
 HONEST_RESET = f"/{HONEST}/reset_odometry"
 ADDRESSES = 8  # from which hostile connections come; each has a bound of its own at the host
-FOREIGN_RAD_S = -0.75  # how fast everybody else's commands turn
+HOSTILE_RAD_S = -0.75  # how fast the commands of hostile clients turn
 ROGUES = 4  # names of robots that hostile devices share
 ROGUE_TOPICS = [f"/rogue_{number}/data" for number in range(ROGUES)]
 CLASHING_NAMES = (
@@ -59,9 +59,9 @@ def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes
 
 
 def payload_of(type_name: str, dice: random.Random) -> bytes:
-    """A message of the type; a velocity is one by which everybody else's is told from the honest program's."""
+    """A message of the type; a velocity differs from every one of the honest program."""
     if type_name == "geometry_msgs/Twist":
-        return struct.pack("<6d", dice.uniform(-1, 1), 0, 0, 0, 0, FOREIGN_RAD_S)
+        return struct.pack("<6d", dice.uniform(-1, 1), 0, 0, 0, 0, HOSTILE_RAD_S)
     if type_name == "geometry_msgs/Pose2D":
         return struct.pack("<3d", dice.uniform(-9, 9), dice.uniform(-9, 9), dice.uniform(-9, 9))
     if type_name == "std_msgs/UInt8MultiArray":

@@ -1,6 +1,6 @@
 """Plan: what is played in each step, drawn from a seed. Pure: the same seed gives the same steps.
 
-Each phase of some steps draws which kinds of action take part and how often (as in swarm testing): a mix of everything
+Each phase of some steps draws which kinds of action occur and how often (as in swarm testing): a mix of everything
 hides what a mix of three finds. Each step draws from its own dice, so that one step can be played alone.
 """
 
@@ -60,7 +60,7 @@ class Step:
 
 
 def draw_mix(seed: int, phase: int, only: tuple[str, ...] = ()) -> dict[str, int]:
-    """The kinds of a phase, and how often each is taken."""
+    """The kinds of a phase, and how often each is drawn."""
     dice = random.Random(f"{seed} phase {phase}")
     kinds = only or tuple(KINDS)
     chosen = dice.sample([*kinds, *(kind for kind in kinds if kind in DOUBLE)], min(len(kinds), dice.randint(2, 5)))

@@ -115,7 +115,7 @@ async def rest(stage: Stage, action: Action) -> None:
 
 
 async def idle(stage: Stage, action: Action) -> None:
-    """Hundreds of connections that say nothing, or half a request, and stay."""
+    """Hundreds of connections that send nothing, or half a request, and stay."""
     dice = action.dice()
     count = dice.choice((20, 200, 450))
     stage.report({"action": action.number, "what": f"{count} connections to the API that stay silent"})

@@ -9,10 +9,10 @@ import cbor2
 
 from tests.support.chaos.names import (
     CLASHING_NAMES,
-    FOREIGN_RAD_S,
     HONEST,
     HONEST_ODOMETRY,
     HONEST_VELOCITY,
+    HOSTILE_RAD_S,
     MESSAGE_TYPES,
     ROGUE_TOPICS,
     ROGUES,
@@ -47,7 +47,7 @@ HANDSHAKE = (
 
 
 def ws_frame(data: bytes, kind: int = TEXT, *, is_last: bool = True, claim: int | None = None, flags: int = 0) -> bytes:
-    """A client's frame, masked with zeros; `claim` is the length that it says it has."""
+    """A client's frame, masked with zeros; `claim` is the length in its header."""
     size = len(data) if claim is None else claim
     head = bytes([(0x80 if is_last else 0) | flags | kind])
     if size < 126:
@@ -122,7 +122,7 @@ def _subscribe(dice: random.Random) -> dict[str, Any]:
 
 def _publish(dice: random.Random) -> dict[str, Any]:
     message = dice.choice((
-        {}, {"data": "x" * dice.choice((1, 1000, 300_000))}, {"linear": {"x": 0.3}, "angular": {"z": FOREIGN_RAD_S}},
+        {}, {"data": "x" * dice.choice((1, 1000, 300_000))}, {"linear": {"x": 0.3}, "angular": {"z": HOSTILE_RAD_S}},
         {"data": [1] * 1000}, {"header": {"stamp": {"secs": -1}}}, {"x": 1.0}, {"nobody": {"knows": []}},
     ))  # fmt: skip
     return {"op": "publish", "topic": _topic(dice), "type": _type(dice), "msg": message}
@@ -148,7 +148,7 @@ _OPERATIONS = (
     lambda dice: {"op": "unadvertise_service", "service": dice.choice(SERVICES)},
     lambda dice: {"op": "service_response", "service": dice.choice(SERVICES), "id": "1", "values": {}, "result": True},
     lambda dice: {"op": "set_level", "level": dice.choice(("info", "none", "loud"))},
-    lambda dice: {"op": "drive", "robot": "rogue_0", "linear": dice.random(), "angular": FOREIGN_RAD_S, "id": 1},
+    lambda dice: {"op": "drive", "robot": "rogue_0", "linear": dice.random(), "angular": HOSTILE_RAD_S, "id": 1},
     lambda dice: {"op": dice.choice(("send_action_goal", "auth", "status", "x" * 500)), "action": "a"},
 )
 
@@ -186,7 +186,7 @@ def publication(dice: random.Random) -> bytes:
     """To a topic of a hostile device's, or one that the daemon derives."""
     leaf = dice.choice(("velocity_commands", "cmd_vel", "cmd_vel_stamped", "data", "odom"))
     name = f"/rogue_{dice.randrange(ROGUES)}/{leaf}"
-    twist = {"linear": {"x": dice.uniform(-1, 1)}, "angular": {"z": FOREIGN_RAD_S}}
+    twist = {"linear": {"x": dice.uniform(-1, 1)}, "angular": {"z": HOSTILE_RAD_S}}
     type_name = dice.choice(("geometry_msgs/Twist", "geometry_msgs/TwistStamped", *MESSAGE_TYPES))
     message = {"twist": twist} if type_name.endswith("Stamped") else twist if type_name.endswith("Twist") else {}
     return operation(op="publish", topic=name, type=type_name, msg=message)
@@ -194,17 +194,17 @@ def publication(dice: random.Random) -> bytes:
 
 def rival_frame(dice: random.Random) -> bytes:
     """Drive the honest robot at a lower priority, by whatever name."""
-    velocity = {"linear": dice.uniform(-1, 1), "angular": FOREIGN_RAD_S}
+    velocity = {"linear": dice.uniform(-1, 1), "angular": HOSTILE_RAD_S}
     if dice.random() < 0.3:
         return operation(op="drive", robot=HONEST, priority=dice.choice((0, RIVAL_PRIORITY)), id=1, **velocity)
     topic = dice.choice((HONEST_VELOCITY, f"/{HONEST}/cmd_vel", HONEST_VELOCITY[1:]))
-    twist = {"linear": {"x": velocity["linear"]}, "angular": {"z": FOREIGN_RAD_S}}
+    twist = {"linear": {"x": velocity["linear"]}, "angular": {"z": HOSTILE_RAD_S}}
     return operation(op="publish", topic=topic, type="geometry_msgs/Twist", msg=twist, priority=RIVAL_PRIORITY)
 
 
 def rival_request(dice: random.Random) -> bytes:
     """The same by REST."""
-    body = json.dumps({"linear": dice.uniform(-1, 1), "angular": FOREIGN_RAD_S, "priority": RIVAL_PRIORITY})
+    body = json.dumps({"linear": dice.uniform(-1, 1), "angular": HOSTILE_RAD_S, "priority": RIVAL_PRIORITY})
     return http("PUT", f"/api/robots/{HONEST}/velocity", body.encode())
 
 
@@ -251,7 +251,7 @@ def draw_half(dice: random.Random) -> bytes:
 
 
 def provider_answer(manner: str, service: str, call_id: object) -> bytes | None:
-    """What a program answers that offers a service to devices; None: nothing, for ever."""
+    """What a program answers that offers a service to devices; None: nothing, ever."""
     values: Any = {
         "long": {"success": True, "message": "y" * 3000},
         "right": {"success": True, "message": "yes"},

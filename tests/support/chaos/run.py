@@ -25,7 +25,7 @@ STEP_MARGIN_S = 30.0  # after which the generator itself hangs
 CALLS_BEFORE_END_S = 2.0
 SETTLE_S = 4.0
 DEATH_S = 2.0
-LOOK_S = 0.1
+POLL_S = 0.1
 JUDGE_S = 1.0
 LAST_WORD_S = 0.4  # in which a zero reaches the robot, whoever sends it for a daemon that has died
 DRIVE_BEFORE_END_S = 0.7
@@ -72,9 +72,9 @@ class Outcome:
 class Conductor:
     """One run on a running daemon."""
 
-    def __init__(self, wanted: Wanted, running: Daemon, honest: Talker, player: Talker, tell: Callable[[str], None]):
+    def __init__(self, wanted: Wanted, running: Daemon, honest: Talker, player: Talker, log: Callable[[str], None]):
         self.outcome = Outcome(wanted)
-        self._wanted, self._daemon, self._honest, self._player, self._tell = wanted, running, honest, player, tell
+        self._wanted, self._daemon, self._honest, self._player, self._log = wanted, running, honest, player, log
         noise = Noise(stretch_most=wanted.limits.stretch_most)
         self._drive, self._record = DriveRecord(wanted.limits, noise), DaemonRecord(wanted.limits, noise)
         self._noise = noise
@@ -95,10 +95,10 @@ class Conductor:
         """Baseline, steps, the end; to the first violation unless it keeps going."""
         async with asyncio.TaskGroup() as tasks:
             running = [
-                tasks.create_task(self._watch.sample()),
-                tasks.create_task(self._watch.ask()),
-                tasks.create_task(self._hear_honest()),
-                tasks.create_task(self._hear_player()),
+                tasks.create_task(self._watch.sample_all()),
+                tasks.create_task(self._watch.poll_health()),
+                tasks.create_task(self._read_honest()),
+                tasks.create_task(self._read_player()),
             ]
             try:
                 await self._play()
@@ -117,9 +117,9 @@ class Conductor:
         if self._goes_on():
             await self._end()
         else:
-            await self._look_once_more()
+            await self._sample_once_more()
 
-    async def _look_once_more(self) -> None:
+    async def _sample_once_more(self) -> None:
         """What was found first may be the beginning of the daemon's death."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(DEATH_S):
@@ -132,7 +132,7 @@ class Conductor:
         """Nobody hostile is there yet."""
         async with asyncio.timeout(SERVED_S):
             while self._drive.commands < BASELINE_COMMANDS and self._goes_on():
-                await asyncio.sleep(LOOK_S)
+                await asyncio.sleep(POLL_S)
                 self._judge()
         self._drive.baseline_s = self.outcome.figures["baseline_p99_s"] = self._drive.latest_p99_s
 
@@ -154,13 +154,13 @@ class Conductor:
         self._player.send({"step": number})
         deadline_s = time.monotonic() + STEP_MARGIN_S
         while not self._done.is_set():
-            await _wait(self._done, LOOK_S)
+            await _wait(self._done, POLL_S)
             self._judge()
             if not self._goes_on():
                 return
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"the generator did not end step {number}")
-        self._tell_step()
+        self._log_step()
 
     def _judge(self) -> None:
         """Note what did not hold."""
@@ -169,14 +169,14 @@ class Conductor:
         found += self._record.check() + self._overdue_calls(now_s)
         status = self._daemon.child.returncode
         if status is not None and not self._is_ending:
-            self._is_ending = True  # it is told once
+            self._is_ending = True  # it is logged once
             self._watch.scan(now_s)
             dead = Violation("the daemon lives", 0, 0, f"exit status {status}", at_s=now_s)
             found = [*found, dead, *self._record.check()]
         self._note(found)
 
     def _drive_is_due(self, now_s: float) -> bool:
-        """What the honest robot has heard is judged once a second: its record comes in lines."""
+        """What the honest robot received is judged once a second: its record comes in lines."""
         if now_s < self._drive_judged_s + JUDGE_S:
             return False
         self._drive_judged_s = now_s
@@ -186,15 +186,15 @@ class Conductor:
         for each in found:
             named = dataclasses.replace(each, step=self._step, under_way=self._situation())
             self.outcome.violations.append(named)
-            self._tell(f"  ! {named}")
+            self._log(f"  ! {named}")
 
     def _situation(self) -> tuple[str, ...]:
         """What was played in this phase, the newest last."""
         return tuple(f"{'' if number in self._under_way else '(over) '}{what}" for number, what in self._recent[-12:])
 
-    # -- what the children say ----------------------------------------------------------------------------------------
+    # -- lines of the children ---------------------------------------------------------------------------------------
 
-    async def _hear_honest(self) -> None:
+    async def _read_honest(self) -> None:
         while True:
             event = await self._honest.receive()
             self._drive.add(event)
@@ -203,7 +203,7 @@ class Conductor:
             if event[0] == "began":
                 self._is_moving.clear()
 
-    async def _hear_player(self) -> None:
+    async def _read_player(self) -> None:
         while True:
             facts = await self._player.receive()
             if "began" in facts:
@@ -227,7 +227,7 @@ class Conductor:
                 self._left.set()
 
     def _judge_call(self, facts: dict[str, Any]) -> None:
-        """A call has ended; whether it took too long is found while it waits."""
+        """A call has ended; whether it lasted too long is found while it waits."""
         began_s = self._calls.pop(facts["called"], None)
         if began_s is not None and facts["outcome"] not in ("answered", "the link ended"):
             detail = f"{facts['called']}: {facts['outcome']}"
@@ -265,13 +265,13 @@ class Conductor:
 
     async def _wait_for_calls(self) -> None:
         while self._calls and self._goes_on():
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
             self._judge()
 
     async def _settle(self) -> None:
         deadline_s = time.monotonic() + SETTLE_S
         while (found := self._record.settle()) and time.monotonic() < deadline_s and self._goes_on():
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
             self._judge()
         self.outcome.figures["settled_growth_mib"] = self._record.growth_mib
         self._note(found)
@@ -280,7 +280,7 @@ class Conductor:
         limits = self._wanted.limits
         self._is_ending = True
         began_s = time.monotonic()
-        self._watch.stop_asking()
+        self._watch.stop_requests()
         self._daemon.child.send_signal(signal.SIGTERM)
         try:
             async with asyncio.timeout(5 * limits.end_s):
@@ -301,21 +301,21 @@ class Conductor:
         await self._judge_last_velocity()
 
     async def _judge_last_velocity(self) -> None:
-        """However the daemon ended, the robot must have heard a zero last."""
+        """However the daemon ended, the last frame of the robot must have been a zero."""
         await asyncio.sleep(LAST_WORD_S)
         last = self._drive.velocity_before_close
         if last != (0.0, 0.0):
             self._note([Violation("the last velocity is zero", 0, 0, f"it was {last}")])
 
-    # -- telling ------------------------------------------------------------------------------------------------------
+    # -- output -------------------------------------------------------------------------------------------------------
 
-    def _tell_step(self) -> None:
+    def _log_step(self) -> None:
         self.outcome.steps += 1
         self._p99s_s.append(self._drive.latest_p99_s)
         kinds = ", ".join(what.partition(":")[0] for what in self._began)
         record = self._record
         costs = f"memory {record.last_memory_bytes / MIB:5.0f} MiB  log {record.most_log_bytes / 1024:7.0f} KiB"
-        self._tell(f"step {self._step:3}  p99 {1000 * self._drive.latest_p99_s:6.1f} ms  {costs}  {kinds}")
+        self._log(f"step {self._step:3}  p99 {1000 * self._drive.latest_p99_s:6.1f} ms  {costs}  {kinds}")
 
     def _note_figures(self) -> None:
         zeros_s = self._drive.zeros_s
@@ -342,7 +342,7 @@ async def _wait(event: asyncio.Event, seconds: float) -> bool:
     return event.is_set()
 
 
-async def run(wanted: Wanted, tell: Callable[[str], None]) -> Outcome:
+async def run(wanted: Wanted, log: Callable[[str], None]) -> Outcome:
     """Play it on a daemon of its own; nothing of it is left afterwards."""
     with tempfile.TemporaryDirectory(prefix="chaos") as folder:
         async with daemon(Path(folder)) as running:
@@ -351,7 +351,7 @@ async def run(wanted: Wanted, tell: Callable[[str], None]) -> Outcome:
                 talker("honest", str(wanted.seed), *ports) as honest,
                 talker("player", str(wanted.seed), *ports, *wanted.kinds) as player,
             ):
-                outcome = await Conductor(wanted, running, honest, player, tell).run()
+                outcome = await Conductor(wanted, running, honest, player, log).run()
             if outcome.violations:
                 outcome.log_tail = _tail(running.log)
     return outcome

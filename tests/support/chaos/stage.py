@@ -13,7 +13,7 @@ from tests.support.chaos.requests import draw_handshake
 
 DEVICE, SOCKET, IDLE, STUCK = "device", "socket", "idle", "stuck"
 ROOM = {DEVICE: 150, SOCKET: 60, IDLE: 1300, STUCK: 4}  # the daemon has 256 connections of devices, 1024 descriptors
-ASK_WAIT_S = 0.7
+REQUEST_TIMEOUT_S = 0.7
 HANDSHAKE_WAIT_S = 2.0
 Report = Callable[[dict[str, Any]], None]
 
@@ -68,5 +68,5 @@ class Stage:
 
 async def introduce(connection: Connection, introduction: bytes) -> None:
     """Wait to be asked, though not for long, and announce."""
-    await connection.receive_until(TOPICS_REQUEST, ASK_WAIT_S)
+    await connection.receive_until(TOPICS_REQUEST, REQUEST_TIMEOUT_S)
     await connection.send(introduction)

@@ -1,4 +1,4 @@
-"""Violation: a promise that did not hold, as data."""
+"""Violation: a promise that was broken, as data."""
 
 from dataclasses import dataclass, field
 

@@ -13,8 +13,8 @@ from tests.support.chaos.names import WATCH_ADDRESS
 from tests.support.chaos.requests import http
 
 SAMPLE_S = 0.1
-ASK_S = 0.5
-ASK_WAIT_S = 10.0
+REQUEST_INTERVAL_S = 0.5
+REQUEST_TIMEOUT_S = 10.0
 SCAN_BYTES = 4 * MIB  # of log, a sample: a flood of it is counted, and need not be read
 DEADLY_MEMORY_BYTES, DEADLY_LOG_BYTES = 2048 * MIB, 256 * MIB  # then it is killed: the machine is others' too
 CLOSE = b"Connection: close\r\n"
@@ -22,26 +22,26 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class Watch:
-    """Looks until it is cancelled, or the process has ended."""
+    """Samples until it is cancelled, or the process has ended."""
 
     def __init__(self, pid: int, log: Path, api: tuple[str, int], record: DaemonRecord) -> None:
         self._process, self._log, self._api, self._record = Path(f"/proc/{pid}"), log, api, record
         self._scanned = 0
         self.is_deadly = self._is_ending = False
 
-    def stop_asking(self) -> None:
-        """The daemon has been told to end: it may answer no more."""
+    def stop_requests(self) -> None:
+        """The daemon is ending: it may answer no more."""
         self._is_ending = True
 
-    async def sample(self) -> None:
+    async def sample_all(self) -> None:
         """Every SAMPLE_S."""
         while True:
             with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-                self.look()
+                self.sample()
             await asyncio.sleep(SAMPLE_S)
 
-    def look(self) -> None:
-        """Take one sample, and what is new in the log."""
+    def sample(self) -> None:
+        """Add one sample, and what is new in the log."""
         now_s = time.monotonic()
         log_bytes = self._log.stat().st_size
         memory_bytes = int((self._process / "statm").read_text().split()[1]) * _PAGE
@@ -63,8 +63,8 @@ class Watch:
         self._scanned = size if len(text) == SCAN_BYTES else self._scanned + len(whole)
         self._record.add_log(whole, now_s)
 
-    async def ask(self) -> None:
-        """Every ASK_S: is it healthy, and how many robots does it know?"""
+    async def poll_health(self) -> None:
+        """Every REQUEST_INTERVAL_S: its health, and how many robots it knows."""
         while True:
             asked_s = time.monotonic()
             status, _ = await self.get("/healthz")
@@ -75,13 +75,13 @@ class Watch:
             if status == 200:
                 robots = json.loads(body)["robots"]
                 self._record.add_robots([robot["connected"] for robot in robots], time.monotonic())
-            await asyncio.sleep(ASK_S)
+            await asyncio.sleep(REQUEST_INTERVAL_S)
 
     async def get(self, path: str) -> tuple[int, bytes]:
         """(status, body) over a connection of its own; status 0: no answer."""
         answer = b""
         with contextlib.suppress(OSError, TimeoutError):
-            async with asyncio.timeout(ASK_WAIT_S):
+            async with asyncio.timeout(REQUEST_TIMEOUT_S):
                 connection = await Connection.dial(self._api, WATCH_ADDRESS, "watch")
                 try:
                     await connection.send(http("GET", path, headers=CLOSE))

@@ -10,7 +10,7 @@ import pytest
 from hostlink.protocol.frame import Frame, Id
 from hostlink.protocol.stream import FrameStream
 from tests.support.chaos import frames, requests
-from tests.support.chaos.names import CLASHING_NAMES, FOREIGN_RAD_S, payload_of
+from tests.support.chaos.names import CLASHING_NAMES, HOSTILE_RAD_S, payload_of
 from tests.support.chaos.plan import KINDS, PHASE_STEPS, draw_mix, draw_step
 from tests.support.chaos.player import PLAY
 from tests.support.chaos.stage import DEVICE, ROOM
@@ -73,7 +73,7 @@ def test_a_flood_of_new_names_never_requests_one_twice() -> None:
 
 def test_no_hostile_velocity_equals_an_honest_one() -> None:
     dice = random.Random(1)
-    assert all(payload_of("geometry_msgs/Twist", dice)[40:] == _packed(FOREIGN_RAD_S) for _ in range(50))
+    assert all(payload_of("geometry_msgs/Twist", dice)[40:] == _packed(HOSTILE_RAD_S) for _ in range(50))
     sent = b"".join(requests.draw_operation(dice) + requests.rival_frame(dice) for _ in range(500))
     assert not re.search(rb"(\"z\"|angular\"): 0.125[,}]", sent)
     assert re.search(rb"(\"z\"|angular\"): -0.75[,}]", sent)
