@@ -54,7 +54,7 @@ class _ClientSubscription:
 
     def _encode(self, message: Message) -> bytes:
         encode = _BINARY.get(self.form)
-        return self._prefix + message.made("json", _json) + b"}" if encode is None else encode(self.name, message)
+        return self._prefix + message.made("json", encode_json) + b"}" if encode is None else encode(self.name, message)
 
 
 class ClientSubscriptions:
@@ -134,6 +134,6 @@ def _update(mine: _ClientSubscription) -> None:
         mine.subscription.change(interval_s=interval_s, queue_length=queue_length)
 
 
-def _json(message: Message) -> bytes:
+def encode_json(message: Message) -> bytes:
     """The fields as JSON: NaN is null, uint8[] is base64."""
     return msgspec.json.encode(message.decoded)

@@ -1,31 +1,29 @@
-"""Server-sent events: the state of robots and links as it changes, for a page or `curl -N`.
+"""Server-sent events: the state of robots, links and clients as it changes, for the page, programs and `curl -N`.
 
-Nothing queues up: who is slow gets the newest state, and fewer of them.
+No state queues up: who is slow gets the newest, and fewer of them.
 """
 
 import asyncio
 import contextlib
-import itertools
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 
 import msgspec
 from aiohttp import web
 
 from hostlink.api.access import GRANT
-from hostlink.api.clients import Client, Clients
+from hostlink.api.clients import Backlog, Client, Clients
 from hostlink.api.routes import Route
-from hostlink.api.views import links_view, odometry_view, robot_view
+from hostlink.api.state_feed import Reader, StateFeed, encode_event
+from hostlink.api.views import odometry_view
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 
-ROBOTS_INTERVAL_S = 0.2  # quicker than people see
-LINKS_EVERY = 5  # of those
-HEARTBEAT_S = 5.0  # a stream whose reader is gone is noticed by writing to it
+HEARTBEAT_S = 0.3  # a reader that hears nothing for three of them knows that the daemon is gone
 SEND_TIMEOUT_S = 5.0
 HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no", "Content-Type": "text/event-stream"}
 
-Send = Callable[[str, Mapping[str, object]], Awaitable[None]]
+Send = Callable[[bytes], Awaitable[None]]
 
 
 class Events:
@@ -34,6 +32,7 @@ class Events:
     def __init__(self, hub: Hub, clients: Clients) -> None:
         self._hub = hub
         self._clients = clients
+        self._feed = StateFeed(hub, clients)
 
     def routes(self) -> list[Route]:
         """Both streams."""
@@ -41,7 +40,7 @@ class Events:
             Route(
                 "/api/events",
                 self._state,
-                "Events `robots`, five a second, and `links`, one a second: the JSON of their GETs",
+                "Events `robots`, `links` and `clients`: the JSON of their GETs; and `log`: a line of a device",
                 response=None,
                 media_type="text/event-stream",
                 fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
@@ -57,12 +56,13 @@ class Events:
         ]
 
     async def _state(self, request: web.Request) -> web.StreamResponse:
-        async with self._stream(request) as (response, send, _):
-            for number in itertools.count():
-                await send("robots", {"robots": [robot_view(robot) for robot in self._hub.robots.all()]})
-                if number % LINKS_EVERY == 0:
-                    await send("links", await links_view(self._hub))
-                await asyncio.sleep(ROBOTS_INTERVAL_S)
+        reader = Reader(self._feed)
+        async with self._stream(request, reader) as (response, send, _):
+            with self._feed.reading(reader):
+                while self._feed.is_running:
+                    for event in reader.pop():
+                        await send(event)
+                    await _wait(reader.news, response)
         return response
 
     async def _odometry(self, request: web.Request) -> web.StreamResponse:
@@ -75,37 +75,38 @@ class Events:
                 while self._hub.robots.is_known(robot) and not participant.has_left:  # one that is back is another
                     odometry = odometry_view(robot)
                     if odometry is not None:
-                        await send("odometry", odometry)
+                        await send(encode_event("odometry", msgspec.json.encode(odometry)))
                     await _wait(news, response)
             finally:
                 participant.leave()
         return response
 
     @contextlib.asynccontextmanager
-    async def _stream(self, request: web.Request) -> AsyncIterator[tuple[web.StreamResponse, Send, Client]]:
+    async def _stream(
+        self, request: web.Request, backlog: Backlog | None = None
+    ) -> AsyncIterator[tuple[web.StreamResponse, Send, Client]]:
         """A response that is written until its reader is gone, which ends the block."""
         response = web.StreamResponse(headers=HEADERS)
-        client = self._clients.enter("events", request, request[GRANT])
+        client = self._clients.enter("events", request, request[GRANT], backlog)
 
-        async def send(event: str, data: Mapping[str, object]) -> None:
-            wire = b"event: " + event.encode() + b"\ndata: " + msgspec.json.encode(data) + b"\n\n"
+        async def send(event: bytes) -> None:
             async with asyncio.timeout(SEND_TIMEOUT_S):
-                await response.write(wire)
-            client.sent(len(wire))
+                await response.write(event)
+            client.sent(len(event))
 
         try:
             try:
                 await response.prepare(request)
             except OSError as error:
                 raise web.HTTPBadRequest(reason="it broke off before the first event") from error
-            with contextlib.suppress(OSError):  # the reader is gone, or takes nothing (TimeoutError is one too)
+            with contextlib.suppress(OSError):  # the reader is gone, or accepts nothing (TimeoutError is one too)
                 yield response, send, client
         finally:
             self._clients.leave(client)
 
 
 async def _wait(news: asyncio.Event, response: web.StreamResponse) -> None:
-    """Wait for news; in the silence send a comment now and then, so that a reader that is gone is noticed."""
+    """Wait for news; write a comment now and then, by which both sides notice when the other is gone."""
     while not news.is_set():
         try:
             async with asyncio.timeout(HEARTBEAT_S):

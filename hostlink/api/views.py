@@ -2,7 +2,8 @@
 
 import asyncio
 import functools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import TypedDict
 
 import msgspec
@@ -149,16 +150,21 @@ class ClosedPortView(TypedDict):
     diagnosis: list[FindingView]
 
 
-class LinksView(TypedDict):
-    """Every live connection; the last that ended, latest first; serial ports that cannot be opened; how many links a
-    fault of hostlink ended; how many were refused, by cause.
+class LinkHistoryView(TypedDict):
+    """The last connections that ended, latest first; serial ports that cannot be opened; how many links a fault of
+    hostlink itself ended; how many were refused, by cause.
     """
 
-    links: list[LinkView]
     ended: list[EndedLinkView]
     ports: list[ClosedPortView]
     crashes: int
     refused: dict[str, int]
+
+
+class LinksView(LinkHistoryView):
+    """Every live connection, and what became of others."""
+
+    links: list[LinkView]
 
 
 class TopicView(TypedDict):
@@ -275,28 +281,38 @@ def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
     ]
 
 
+def link_views(hub: Hub) -> Iterator[LinkView]:
+    """Every live connection, each as it is when the iteration reaches it."""
+    for link in hub.links():
+        diagnosis = hub.diagnoses.find(link.number)
+        if diagnosis is not None:
+            yield link_view(hub, diagnosis)
+
+
 async def links_view(hub: Hub) -> dict[str, object]:
     """A LinksView, ready to be encoded.
 
     The topics of many devices are megabytes of JSON: each link is encoded when its turn of the loop has come.
     """
-    turns = hub.turns()
+    turns, views = hub.turns(), link_views(hub)
     links: list[msgspec.Raw] = []
 
-    def add(diagnosis: Diagnosis) -> None:
-        links.append(msgspec.Raw(msgspec.json.encode(link_view(hub, diagnosis))))
+    def add() -> None:
+        links.extend(msgspec.Raw(msgspec.json.encode(view)) for view in islice(views, 1))
 
-    for diagnosis in [hub.diagnoses.find(link.number) for link in hub.links()]:
-        if diagnosis is not None:
-            await turns.take(functools.partial(add, diagnosis), is_flooding=True)
-    others: LinksView = {
-        "links": [],
+    for _ in hub.links():
+        await turns.take(add, is_flooding=True)
+    return {**link_history_view(hub), "links": links}
+
+
+def link_history_view(hub: Hub) -> LinkHistoryView:
+    """The connections that are not live."""
+    return {
         "ended": ended_views(hub),
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
         "crashes": hub.isolation.crashes.total(),
         "refused": dict(hub.refused),
     }
-    return {**others, "links": links}
 
 
 def ended_views(hub: Hub) -> list[EndedLinkView]:

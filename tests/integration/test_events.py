@@ -8,6 +8,8 @@ from typing import Any
 
 import aiohttp
 
+from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 
@@ -30,6 +32,13 @@ class Reader:
                     return json.loads(value)
         raise AssertionError("the stream ended")
 
+    async def comment(self) -> str:
+        """The next line that is part of no event."""
+        async for line in self._response.content:
+            if line.startswith(b":"):
+                return line.decode().strip()
+        raise AssertionError("the stream ended")
+
 
 @contextlib.asynccontextmanager
 async def stream(host: Daemon, path: str) -> AsyncIterator[Reader]:
@@ -50,6 +59,20 @@ async def test_robots_and_links_as_they_come_and_go() -> None:
             assert (await reader.next("links"))["links"][0]["negotiations"] == 1
         while robots[0]["connected"]:
             robots = (await reader.next("robots"))["robots"]
+
+
+async def test_clients_and_the_lines_of_devices() -> None:
+    async with daemon() as host, stream(host, "/api/events") as reader, fake_device(host.tcp, []) as device:
+        assert (await reader.next("clients"))["clients"][0]["kind"] == "events"
+        await device.send(encode(Id.LOG, encode_log(Log(2, "warm"))))
+        line = await reader.next("log")
+        assert (line["level"], line["msg"]) == (4, "warm")
+
+
+async def test_a_stream_without_news_has_a_heartbeat_three_times_a_second() -> None:
+    async with daemon() as host, stream(host, "/api/events") as reader:
+        await reader.next("clients")
+        assert await asyncio.wait_for(reader.comment(), 0.45) == ": alive"
 
 
 async def test_each_new_pose_is_an_event() -> None:

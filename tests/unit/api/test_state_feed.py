@@ -1,0 +1,203 @@
+"""The feed of GET /api/events: what readers are sent, how often, and that it is made once for all. In virtual time."""
+
+import asyncio
+import contextlib
+import json
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from structlog.testing import capture_logs
+
+from hostlink.api.clients import Clients
+from hostlink.api.state_feed import MAX_LINES, Reader, StateFeed
+from hostlink.config import Config
+from hostlink.hub.hub import Hub
+from hostlink.protocol.control import Log, encode_log
+from hostlink.protocol.frame import Id
+from tests.support.fake_device import CATALOG, robot_topics
+from tests.support.scripted_device import ScriptedDevice
+from tests.support.virtual_loop import run_virtual
+
+
+def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
+    """Run the test beside a hub that ends with the first crash."""
+
+    async def run() -> None:
+        hub = Hub(Config(), CATALOG, reraises=True)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(hub.run())
+            await hub.is_running.wait()
+            await test(hub, StateFeed(hub, Clients(8, max_per_address=8)))
+            running.cancel()
+
+    with capture_logs():
+        run_virtual(run())
+
+
+def parsed(events: list[bytes]) -> list[tuple[str, Any]]:
+    found = []
+    for event in events:
+        name, _, data = event.decode().removeprefix("event: ").removesuffix("\n\n").partition("\ndata: ")
+        found.append((name, json.loads(data)))
+    return found
+
+
+async def counted(reader: Reader, seconds: float) -> Counter[str]:
+    """How many events of each kind come in this time."""
+    counts: Counter[str] = Counter()
+    until_s = asyncio.get_running_loop().time() + seconds
+    while asyncio.get_running_loop().time() < until_s:
+        counts.update(name for name, _ in parsed(reader.pop()))
+        await asyncio.sleep(0.02)
+    return counts
+
+
+async def connected(hub: Hub) -> ScriptedDevice:
+    device = ScriptedDevice(hub, robot_topics(), address="10.0.0.2")
+    await asyncio.sleep(0.5)
+    return device
+
+
+def test_states_are_encoded_once_for_all_readers() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device = await connected(hub)
+        one, two = Reader(feed), Reader(feed)
+        with feed.reading(one), feed.reading(two):
+            await asyncio.sleep(0.05)
+            first, second = one.pop(), two.pop()
+        assert [name for name, _ in parsed(first)] == ["robots", "links", "clients"]
+        assert all(mine is other for mine, other in zip(first, second, strict=True))
+        assert parsed(first)[0][1]["robots"][0]["name"] == "robot_0"
+        assert parsed(first)[1][1]["links"][0]["peer"] == "10.0.0.2"
+        await device.aclose()
+
+    with_feed(check)
+
+
+def test_nothing_is_encoded_while_nobody_reads_and_nobody_gets_what_was_encoded_before() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        reader = Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            assert parsed(reader.pop())[0] == ("robots", {"robots": []})
+        await asyncio.sleep(1.0)
+        version = feed.version
+        device = await connected(hub)
+        await asyncio.sleep(10.0)
+        assert (feed.version, feed.is_running) == (version, False)
+        rosout = hub.topics.find("/rosout")
+        assert not rosout.subscribers
+        later = Reader(feed)
+        assert later.pop() == []
+        with feed.reading(later):
+            await asyncio.sleep(0.05)
+            assert [robot["name"] for robot in parsed(later.pop())[0][1]["robots"]] == ["robot_0"]
+        await device.aclose()
+
+    with_feed(check)
+
+
+def test_robots_come_ten_times_a_second_while_one_moves_and_once_a_second_else() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, reader = await connected(hub), Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            reader.pop()
+            assert await counted(reader, 10.0) == {"robots": 10, "links": 10, "clients": 10}
+            async with asyncio.TaskGroup() as tasks:
+                moving = tasks.create_task(_move(device))
+                counts = await counted(reader, 10.0)
+                moving.cancel()
+            assert 95 <= counts["robots"] <= 101
+            assert counts["links"] == counts["clients"] == 10
+        await device.aclose()
+
+    with_feed(check)
+
+
+async def _move(device: ScriptedDevice) -> None:
+    while True:
+        await device.send(125, bytes(24))
+        await asyncio.sleep(0.02)
+
+
+def test_a_change_of_a_robot_that_stands_still_comes_at_once() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, reader = await connected(hub), Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            reader.pop()
+            hub.robots.lock(hub.robots.find("robot_0"), "somebody stands there")
+            await asyncio.sleep(0.15)
+            name, data = parsed(reader.pop())[0]
+            assert (name, data["robots"][0]["lock_reason"]) == ("robots", "somebody stands there")
+        await device.aclose()
+
+    with_feed(check)
+
+
+def test_a_slow_reader_gets_the_newest_state_and_the_newest_lines_and_the_others_are_counted() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, reader = await connected(hub), Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            reader.pop()
+            for number in range(MAX_LINES + 3):
+                await device.send(Id.LOG, encode_log(Log(2, f"line {number}")))
+                await asyncio.sleep(0.1)
+            assert reader.waiting_messages == MAX_LINES + 3
+            events = parsed(reader.pop())
+        assert Counter(name for name, _ in events) == {"robots": 1, "links": 1, "clients": 1, "log": MAX_LINES}
+        assert next(line["msg"] for name, line in events if name == "log") == "line 3"
+        assert (reader.dropped, reader.waiting_messages, reader.waiting_bytes) == (3, 0, 0)
+        await device.aclose()
+
+    with_feed(check)
+
+
+def test_what_is_no_line_is_counted_and_harms_nobody() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        reader = Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.05)
+            reader.pop()
+            hub.topics.find("/rosout").deliver(b"\x01", 0)
+            await asyncio.sleep(0.15)
+            assert (reader.pop(), reader.dropped) == ([], 1)
+
+    with_feed(check)
+
+
+def test_many_readers_are_sent_less_often_so_that_all_of_them_cost_a_bounded_share() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, first = await connected(hub), Reader(feed)
+        with contextlib.ExitStack() as stack:
+            for reader in (first, *(Reader(feed) for _ in range(10_000))):
+                stack.enter_context(feed.reading(reader))
+            async with asyncio.TaskGroup() as tasks:
+                moving = tasks.create_task(_move(device))
+                counts = await counted(first, 10.0)
+                moving.cancel()
+            assert 5 < counts["robots"] < 50
+        await device.aclose()
+
+    with_feed(check)
+
+
+def test_the_streams_end_with_the_hub() -> None:
+    async def run() -> None:
+        hub = Hub(Config(), CATALOG, reraises=True)
+        feed = StateFeed(hub, Clients(8, max_per_address=8))
+        reader = Reader(feed)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(hub.run())
+            await hub.is_running.wait()
+            with feed.reading(reader):
+                await asyncio.sleep(0.05)
+                reader.news.clear()
+                running.cancel()
+                await reader.news.wait()
+                assert not feed.is_running
+
+    run_virtual(run())
