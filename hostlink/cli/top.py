@@ -3,15 +3,15 @@
 import asyncio
 import json as json_text
 import sys
-from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Look, advice, figures, link_rows, robot_rows
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
+from hostlink.cli.live_figures import live_figures
 from hostlink.cli.output import table, write
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.client import DEFAULT_URL, connect
 from hostlink.errors import ConfigError
 
 
@@ -19,7 +19,9 @@ def command(
     *,
     once: Annotated[bool, typer.Option("--once", help="Print one look, and end.")] = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a look, for programs.")] = False,
-    interval: Annotated[float, typer.Option(min=0.1, help="Seconds between looks.")] = 1.0,
+    interval: Annotated[
+        float, typer.Option(min=0.1, help="Seconds between looks; rates are of a second at least.")
+    ] = 1.0,
     url: Url = DEFAULT_URL,
     token: Token = None,
 ) -> None:
@@ -39,26 +41,10 @@ def command(
 
 async def _print(url: str, token: str | None, interval_s: float, *, is_once: bool, as_json: bool) -> None:
     async with connect(url, token=token, reconnect=False) as host:
-        async for shown in watch(host, interval_s):
+        async for shown in live_figures(host, interval_s):
             write(*([json_text.dumps(shown)] if as_json else _lines(shown)))
             if is_once:
                 return
-
-
-async def watch(host: Host, interval_s: float) -> AsyncIterator[dict[str, Any]]:
-    """Figures, again and again; the first after one interval."""
-    before = await look(host)
-    while True:
-        await asyncio.sleep(interval_s)
-        now = await look(host)
-        yield figures(before, now)
-        before = now
-
-
-async def look(host: Host) -> Look:
-    """Ask the daemon for all that is shown."""
-    links, robots = await host.get("/api/links"), await host.get("/api/robots")
-    return Look(asyncio.get_running_loop().time(), links, robots["robots"])
 
 
 def _lines(shown: dict[str, Any]) -> list[str]:

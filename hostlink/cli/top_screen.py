@@ -10,8 +10,8 @@ from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Footer, Static
 
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
+from hostlink.cli.live_figures import live_figures
 from hostlink.cli.output import plain
-from hostlink.cli.top import watch
 from hostlink.client import connect
 from hostlink.errors import HostlinkError
 
@@ -53,7 +53,7 @@ class TopScreen(App[None]):
         """Until the app ends; a daemon that goes away ends it."""
         try:
             async with connect(self._url, token=self._token, reconnect=False) as host:
-                async for shown in watch(host, self._interval_s):
+                async for shown in live_figures(host, self._interval_s):
                     self._show(shown)
         except HostlinkError as error:
             self.failure = error

@@ -6,7 +6,7 @@ import itertools
 import random
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mapping
 from typing import Any
 
 import aiohttp
@@ -14,6 +14,7 @@ import msgspec
 from aiohttp import WSMsgType
 
 from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient
+from hostlink.client.views import Event
 from hostlink.errors import HostlinkError
 
 PING_INTERVAL_S = 0.2
@@ -96,6 +97,24 @@ class Connection:
         if answer["op"] == "status":
             raise HostlinkError(str(answer["msg"]))
         return answer
+
+    async def events(self, path: str) -> AsyncGenerator[Event, None]:
+        """The events of a stream of the REST API; one that has begun and is lost is opened again.
+
+        Raises:
+            HostlinkError: the daemon refuses it, or the connection is lost for good.
+        """
+        has_begun, pauses_s = False, waits()
+        while True:
+            try:
+                async for event in self._http.events(path):
+                    has_begun, pauses_s = True, waits()
+                    yield event
+            except HostlinkError:
+                if not has_begun:
+                    raise
+            await asyncio.sleep(next(pauses_s))
+            await self.back()
 
     async def aclose(self) -> None:
         """Close it in good order; whatever was sent before arrives before."""

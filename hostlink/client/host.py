@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import ssl
 import weakref
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Mapping
 from typing import Any, cast
 
 from hostlink.client.connection import Connection
@@ -13,7 +13,7 @@ from hostlink.client.http_client import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, Http
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
 from hostlink.client.topics import Subscription, Topics
-from hostlink.client.views import ConnectionChange, RobotState, TopicState
+from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
 
 DEFAULT_URL = "http://127.0.0.1:9090"
@@ -90,6 +90,19 @@ class Host:
     async def links(self) -> list[dict[str, Any]]:
         """Every live connection of a device, with its counters."""
         return cast(list[dict[str, Any]], (await self.get("/api/links"))["links"])
+
+    def watch(self) -> AsyncGenerator[Event, None]:
+        """What the daemon shows, as it changes: robots, links, clients, and the devices' log lines.
+
+        The newest of each first, then `robots` when one of them changes, ten times a second at most, `links` and
+        `clients` once a second, and each `log` line. It waits while the connection is gone, and goes on when it is
+        back. A reader that is slow gets fewer states, always the newest.
+
+        Raises:
+            HostlinkError: in the iteration: when it begins, hostlink refuses or is not there; with `reconnect=False`
+                also when the connection is lost.
+        """
+        return self._connection.events("/api/events")
 
     def robot(self, name: str, *, priority: int = PRIORITY) -> Robot:
         """The robot of that name; that it exists is found out by the first use.

@@ -11,11 +11,12 @@ from urllib.parse import parse_qs, urlsplit
 import aiohttp
 import msgspec
 
+from hostlink.client.event_stream import EventStream
+from hostlink.client.views import Event
 from hostlink.errors import HostlinkError
 
 REQUEST_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
-_DATA = b"data: "
 _SCHEMES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
 _ADVICE = {
     HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...)",
@@ -77,17 +78,22 @@ class HttpClient:
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 
-    async def events(self, path: str) -> AsyncIterator[dict[str, Any]]:
-        """The JSON of each server-sent event. HostlinkError: it is refused, or it broke off."""
+    async def events(self, path: str) -> AsyncIterator[Event]:
+        """The server-sent events of a path.
+
+        Raises:
+            HostlinkError: the daemon refuses it, or the connection is lost.
+        """
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=REQUEST_TIMEOUT_S)
         try:
             async with self._session.get(self.url + path, timeout=timeout) as response:
                 if response.status != HTTPStatus.OK:
                     self._read(path, response.status, await response.read())
                 self._streams.add(response)
-                async for line in response.content:
-                    if line.startswith(_DATA):
-                        yield msgspec.json.decode(line[len(_DATA) :])
+                stream = EventStream()
+                async for chunk in response.content.iter_any():
+                    for event in stream.feed(chunk):
+                        yield event
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 

@@ -1,16 +1,13 @@
 """Robot: one robot of a host, as a script drives and reads it."""
 
-import asyncio
-import contextlib
 from collections.abc import AsyncIterator
 from typing import cast
 from urllib.parse import quote
 
-from hostlink.client.connection import Connection, waits
+from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient
 from hostlink.client.views import Odometry, RobotState
-from hostlink.errors import HostlinkError
 
 PRIORITY = 50  # of a program; a person at the keys is 60
 
@@ -80,13 +77,8 @@ class Robot:
         fewer of them. HostlinkError when it begins: no robot of that name, no hostlink; with `reconnect=False` also
         when the connection is lost.
         """
-        await self.state()  # that there is such a robot is asked once: after a restart the daemon may not know it yet
-        count, pauses_s = None, waits()
-        while True:
-            with contextlib.suppress(HostlinkError):  # it is tried again
-                async for odometry in self._http.events(f"{self._path}/odometry/events"):
-                    if odometry["count"] != count:
-                        count, pauses_s = odometry["count"], waits()
-                        yield cast(Odometry, odometry)
-            await asyncio.sleep(next(pauses_s))
-            await self._connection.back()
+        count = None
+        async for event in self._connection.events(f"{self._path}/odometry/events"):
+            if event.data["count"] != count:  # else it is the one that was sent before the connection was lost
+                count = event.data["count"]
+                yield cast(Odometry, event.data)

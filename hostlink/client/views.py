@@ -1,7 +1,7 @@
-"""What the client hands to its users: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
+"""What the client returns to its users: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
 
 from dataclasses import dataclass
-from typing import NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 
 class Pose(TypedDict):
@@ -56,6 +56,14 @@ class TopicState(TypedDict):
     publishers: int
     subscribers: int
     messages: int  # that have passed
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What the daemon shows, as it is now: `robots`, `links` or `clients`; or a `log` line of a device."""
+
+    name: str
+    data: dict[str, Any]  # the JSON of GET /api/robots, /api/links, /api/clients; a rosgraph_msgs/Log
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,9 @@ from aiohttp import web
 
 from hostlink.client import Host, connect
 from hostlink.client.connection import waits
+from hostlink.config import ApiConfig, Config
 from hostlink.errors import HostlinkError
+from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
@@ -207,6 +209,34 @@ async def test_odometry_of_a_robot_that_nobody_knows_is_an_error() -> None:
     async with daemon() as host, connect(host.url) as me:
         with pytest.raises(HostlinkError, match="no robot named nobody"):
             await anext(aiter(me.robot("nobody").odometry()))
+
+
+async def test_watch_gives_what_the_daemon_shows_as_it_changes() -> None:
+    async with daemon() as host, connect(host.url) as me:
+        seen: dict[str, object] = {}
+        async with asyncio.timeout(5), contextlib.aclosing(me.watch()) as events:
+            async for event in events:
+                seen[event.name] = event.data
+                if len(seen) == 3:
+                    break
+            assert seen.keys() == {"robots", "links", "clients"}
+            async with fake_device(host.tcp, robot_topics()) as device:
+                async for event in events:
+                    if event.name == "robots" and event.data["robots"]:
+                        assert event.data["robots"][0]["name"] == "robot_0"
+                        break
+                await device.send(encode(Id.LOG, encode_log(Log(2, "warm"))))
+                async for event in events:
+                    if event.name == "log":
+                        assert event.data["msg"] == "warm"
+                        break
+        await expect(lambda: host.hub.topics.find("/rosout").subscribers == ())
+
+
+async def test_watch_that_is_refused_says_why() -> None:
+    async with daemon(Config(api=ApiConfig(max_clients=1))) as host, connect(host.url) as me:
+        with pytest.raises(HostlinkError, match="1 clients are connected"):
+            await anext(aiter(me.watch()))
 
 
 # -- topics and services ----------------------------------------------------------------------------------------------

@@ -150,8 +150,9 @@ async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_
         world.me.subscribe("/robot_0/odometry") as poses,
         world.me.advertise("/chat", "std_msgs/String"),
     ):
-        odometry = world.robot.odometry()
+        odometry, events = world.robot.odometry(), world.me.watch()
         await anext(odometry)
+        await anext(events)
         world.line.break_off()
         assert (await world.lost()).dropped == ("robot_0",)
         await world.stands()
@@ -159,6 +160,7 @@ async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_
         poses.take_all()
         await anext(poses)
         await anext(odometry)
+        await anext(events)
         await expect(lambda: world.host.hub.topics.find("/chat").publishers)
         await drive_is_dropped(world)
 
