@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import pytest
 import pytest_asyncio
 from playwright.async_api import Browser
+from playwright.async_api import expect as expect_text
 
 from hostlink.config import Config, RobotConfig
 from hostlink.robot.kinematics import Pose
@@ -23,6 +24,7 @@ from tests.support.waiting import expect
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 SEEN_S = 1.0  # so soon the page says that nobody answers
+MOST_STREAMS = 6  # that a browser opens to one address
 GAMEPAD = """
   const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
   window.pad = pad;
@@ -270,6 +272,52 @@ async def test_stop_works_without_the_websocket(scene: Scene) -> None:
         assert scene.host.hub.robots.find("robot_0").gate.lock_reason == "the stop on the page"
 
 
+async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
+    """A browser has six connections to one address: the tabs' streams of events must not use up those of a stop."""
+    async with connected(scene) as first, driven_by_a_program(scene, priority=90):
+        tabs = [await first.page.context.new_page() for _ in range(MOST_STREAMS)]
+        for tab in tabs:
+            await tab.goto(scene.host.url)
+        for tab in (first.page, *tabs[: MOST_STREAMS - 1]):
+            await expect_text(tab.locator("#robots")).to_contain_text("drives")
+        robot = scene.host.hub.robots.find("robot_0")
+        for tab in (tabs[0], tabs[-2]):
+            scene.host.hub.robots.unlock(robot)
+            await tab.get_by_role("button", name="Stop").click()
+            await expect(lambda: robot.gate.lock_reason == "the stop on the page", timeout_s=1.0)
+        scene.host.hub.robots.unlock(robot)
+        await scene.drives()
+        late = tabs[-1]  # its stream waits for one of the others to end: it knows no robot
+        await expect_text(late.locator("#notice")).to_contain_text("close other tabs")
+        await late.get_by_role("button", name="Stop").click()
+        await expect(lambda: robot.gate.counts.stops > 0, timeout_s=1.0)
+
+
+async def test_a_network_that_dies_is_seen_within_a_second_without_the_websocket(scene: Scene) -> None:
+    host, port = scene.host.url.removeprefix("http://").split(":")
+    async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
+        await tab.page.route_web_socket("**/*", lambda socket: socket.close())
+        await tab.page.goto(network.url)
+        await tab.shows("#robots", "nobody drives")
+        await tab.shows("#notice", "The stop works")
+        network.set_line(Line.STALLS)
+        await tab.shows("#notice", "hostlink does not answer", timeout_s=SEEN_S)
+        network.set_line(Line.WORKS)
+        await tab.shows("#notice", "The stop works", timeout_s=SEEN_S)
+        network.break_off()
+        scene.host.hub.robots.lock(scene.host.hub.robots.find("robot_0"), "somebody stands there")
+        await tab.shows("#lock-reason", "somebody stands there", timeout_s=2 * SEEN_S)
+
+
+async def test_it_watches_by_one_stream_and_requests_nothing_again_and_again(scene: Scene) -> None:
+    async with connected(scene) as tab:
+        await tab.shows("#clients", "client")
+        requests: list[str] = []
+        tab.page.on("request", lambda request: requests.append(request.url))
+        with pytest.raises(TimeoutError):
+            await expect(lambda: requests, timeout_s=1.5)
+
+
 @pytest.mark.parametrize("line", [Line.STALLS, Line.SWALLOWS])
 async def test_a_dead_network_is_seen_within_a_second_and_nothing_old_is_driven_after_it(
     scene: Scene, line: Line
@@ -309,6 +357,7 @@ async def test_who_drives_is_said_and_who_goes_first(scene: Scene) -> None:
     async with connected(scene) as tab:
         async with driven_by_a_program(scene, priority=50):
             await tab.shows("#drive-state", "your stick takes over")
+        await scene.stands()
         async with driven_by_a_program(scene, priority=90):
             await tab.shows("#drive-state", "goes before you")
             before = scene.wanted

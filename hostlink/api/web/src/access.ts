@@ -1,6 +1,6 @@
-/** Asks for a token when the daemon wants one, and says why. */
+/** Requests a token from the person when the daemon needs one, with the reason. */
 
-import { find, say } from "./dom";
+import { find, setText } from "./dom";
 import { keepToken } from "./token";
 
 export class Access {
@@ -18,13 +18,13 @@ export class Access {
     });
   }
 
-  get isAsking(): boolean {
+  get isShown(): boolean {
     return !this.panel.hidden;
   }
 
-  ask(title: string, reason: string): void {
-    say(find("#access-title"), title);
-    say(find("#access-reason"), reason.replace(/^[A-Z]+ \/\S*: /, "")); // what was asked for is no news here
+  show(title: string, reason: string): void {
+    setText(find("#access-title"), title);
+    setText(find("#access-reason"), reason.replace(/^[A-Z]+ \/\S*: /, "")); // the path says nothing to a person
     if (!this.panel.hidden) return;
     this.panel.hidden = false;
     find("#access-token").focus();

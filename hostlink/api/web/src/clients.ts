@@ -1,27 +1,20 @@
-/** Who else is connected, if the daemon tells. */
+/** Who else is connected. */
 
 import { find, make } from "./dom";
-import { Refused, rest } from "./rest";
 import type { ClientView } from "./views";
 
-const INTERVAL_MS = 2000;
-const BROWSERS = ["Firefox", "Edg", "Chrome", "Safari"]; // each says the names of the later ones too
+const BROWSERS = ["Firefox", "Edg", "Chrome", "Safari"]; // each has the names of the later ones in its own too
 
-export function showClients(): void {
-  const panel = find("#clients");
-  const list = find("#clients ul");
-  const look = async () => {
-    try {
-      const { clients } = await rest<{ clients: ClientView[] }>("GET", "api/clients");
-      panel.hidden = false;
-      list.replaceChildren(...clients.map(describe));
-    } catch (error) {
-      panel.hidden = true;
-      if (error instanceof Refused && error.status === 404) return; // a daemon that does not tell
-    }
-    setTimeout(look, INTERVAL_MS);
-  };
-  void look();
+/** A page is one client here, though it has a stream of events beside its WebSocket. */
+export function showClients(clients: ClientView[]): void {
+  const programs = new Set(clients.filter(({ kind }) => kind !== "events").map(programOf));
+  const shown = clients.filter((client) => client.kind !== "events" || !programs.has(programOf(client)));
+  find("#clients").hidden = false;
+  find("#clients ul").replaceChildren(...shown.map(describe));
+}
+
+function programOf({ peer, program }: ClientView): string {
+  return `${peer} ${program}`;
 }
 
 function describe(client: ClientView): HTMLElement {

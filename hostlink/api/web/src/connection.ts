@@ -1,15 +1,16 @@
 /**
- * The WebSocket: rosbridge by roslib, watched by a question every now and then, and opened again for ever.
+ * The WebSocket: rosbridge by roslib, probed by a service call three times a second, and opened again whenever it is
+ * lost.
  *
- * Each attempt is a new Ros of its own: roslib keeps what is said while it is closed and says it later, and nothing
+ * Each attempt is a new Ros of its own: roslib keeps what is sent while it is closed and sends it later, and nothing
  * that was meant before a break may reach a robot after it.
  */
 
 import { Ros, type RosbridgeMessage, Service, Topic, WebSocketTransportFactory } from "roslib";
 
-const LOOK_MS = 50;
-const ASK_MS = 300;
-const LATE_MS = 400; // with ASK_MS, and LOOK_MS twice: a dead network is seen within 0.8 s
+const CHECK_MS = 50;
+const PROBE_MS = 300;
+const LATE_MS = 400; // with PROBE_MS, and CHECK_MS twice: a dead network is noticed within 0.8 s
 const DEAD_MS = 2000;
 const OPEN_MS = 1500;
 const BACKOFF_MS = [250, 500, 1000];
@@ -34,13 +35,13 @@ export interface DriveAnswer {
   is_limited?: boolean;
 }
 
-/** late: nothing comes back, it may only be slow. */
+/** late: no answer comes; the network may only be slow. */
 export type State = "connecting" | "open" | "late" | "closed";
 
-interface Wish {
+interface Subscription {
   topic: string;
   type: string;
-  take: (message: never) => void;
+  onMessage: (message: never) => void;
 }
 
 export class Connection {
@@ -48,15 +49,15 @@ export class Connection {
   roundTripMs: number | null = null;
 
   private ros: Ros | null = null;
-  private topics = new Map<Wish, Topic<never>>();
-  private wishes = new Set<Wish>();
-  private askedAt: number | null = null;
-  private askAt = 0;
+  private topics = new Map<Subscription, Topic<never>>();
+  private subscriptions = new Set<Subscription>();
+  private probedAt: number | null = null; // null: it was answered
+  private probeAt = 0;
   private attemptAt = 0;
   private failures = 0;
   private serial = 0;
 
-  /** `address` is asked at each attempt: the token may be new. */
+  /** `address` is called at each attempt: the token may be new. */
   constructor(
     private readonly address: () => string,
     private readonly onState: (state: State) => void,
@@ -66,12 +67,12 @@ export class Connection {
 
   start(): void {
     this.open();
-    setInterval(() => this.look(), LOOK_MS);
+    setInterval(() => this.check(), CHECK_MS);
     addEventListener("online", () => this.retryNow());
     addEventListener("offline", () => this.drop());
   }
 
-  /** Try again at once: there is a new token, or the network says that it is back. */
+  /** Try again at once: there is a new token, or the network is back. */
   retryNow(): void {
     if (this.state === "open") return;
     this.drop();
@@ -80,28 +81,28 @@ export class Connection {
   }
 
   /** Holds over every break until the returned function is called. */
-  subscribe<T>(topic: string, type: string, take: (message: T) => void): () => void {
-    const wish: Wish = { topic, type, take: take as (message: never) => void };
-    this.wishes.add(wish);
-    if (this.ros?.isConnected) this.fulfil(this.ros, wish);
+  subscribe<T>(topic: string, type: string, onMessage: (message: T) => void): () => void {
+    const subscription: Subscription = { topic, type, onMessage: onMessage as (message: never) => void };
+    this.subscriptions.add(subscription);
+    if (this.ros?.isConnected) this.request(this.ros, subscription);
     return () => {
-      this.wishes.delete(wish);
-      if (this.ros?.isConnected) this.topics.get(wish)?.unsubscribe();
-      this.topics.delete(wish);
+      this.subscriptions.delete(subscription);
+      if (this.ros?.isConnected) this.topics.get(subscription)?.unsubscribe();
+      this.topics.delete(subscription);
     };
   }
 
-  /** Say it now or never: false when it was not said. */
+  /** Send it now or never: false when it was not sent. */
   publish(topic: string, msg: object): boolean {
-    return this.say({ op: "publish", id: PUBLISH_ID, topic, msg });
+    return this.send({ op: "publish", id: PUBLISH_ID, topic, msg });
   }
 
-  /** Say it now or never. */
+  /** Send it now or never. */
   drive(request: DriveRequest): boolean {
-    return this.say({ op: "drive", id: DRIVE_ID, ...request });
+    return this.send({ op: "drive", id: DRIVE_ID, ...request });
   }
 
-  private say(message: object): boolean {
+  private send(message: object): boolean {
     if (this.ros === null || (this.state !== "open" && this.state !== "late")) return false;
     this.ros.callOnConnection(message as RosbridgeMessage);
     return true;
@@ -132,15 +133,15 @@ export class Connection {
       return;
     }
     this.failures = 0;
-    this.askedAt = null;
-    this.askAt = 0;
+    this.probedAt = null;
+    this.probeAt = 0;
     ros.setStatusLevel("error");
     ros.on(`status:${PUBLISH_ID}`, (status) => this.onRefusal(textOf(status)));
     ros.on(`status:${DRIVE_ID}`, (status) => {
       this.onDriven({ result: false, kind: "NoRole", reason: textOf(status) });
     });
     this.topics.clear();
-    for (const wish of this.wishes) this.fulfil(ros, wish);
+    for (const subscription of this.subscriptions) this.request(ros, subscription);
     this.change("open");
   }
 
@@ -159,36 +160,37 @@ export class Connection {
     ros?.close();
   }
 
-  private fulfil(ros: Ros, wish: Wish): void {
-    const topic = new Topic<never>({ ros, name: wish.topic, messageType: wish.type, reconnect_on_close: false });
-    topic.subscribe(wish.take);
-    this.topics.set(wish, topic);
+  private request(ros: Ros, subscription: Subscription): void {
+    const { topic: name, type: messageType, onMessage } = subscription;
+    const topic = new Topic<never>({ ros, name, messageType, reconnect_on_close: false });
+    topic.subscribe(onMessage);
+    this.topics.set(subscription, topic);
   }
 
-  private look(): void {
+  private check(): void {
     const now = performance.now();
     if (this.state === "closed") {
       if (now >= this.attemptAt) this.open();
     } else if (this.state === "connecting") {
       if (now >= this.attemptAt + OPEN_MS) this.drop();
-    } else if (this.askedAt === null) {
-      if (now >= this.askAt) this.ask(now);
-    } else if (now >= this.askedAt + DEAD_MS) {
+    } else if (this.probedAt === null) {
+      if (now >= this.probeAt) this.probe(now);
+    } else if (now >= this.probedAt + DEAD_MS) {
       this.drop();
-    } else if (now >= this.askedAt + LATE_MS) {
+    } else if (now >= this.probedAt + LATE_MS) {
       this.change("late");
     }
   }
 
-  private ask(now: number): void {
+  private probe(now: number): void {
     const { ros, serial } = this;
     if (ros === null) return;
-    this.askedAt = now;
-    this.askAt = now + ASK_MS;
+    this.probedAt = now;
+    this.probeAt = now + PROBE_MS;
     const heard = () => {
-      if (serial !== this.serial || this.askedAt === null) return;
-      this.roundTripMs = performance.now() - this.askedAt;
-      this.askedAt = null;
+      if (serial !== this.serial || this.probedAt === null) return;
+      this.roundTripMs = performance.now() - this.probedAt;
+      this.probedAt = null;
       this.change("open");
     };
     new Service({ ros, name: "/rosapi/get_time", serviceType: "rosapi/GetTime" }).callService({}, heard, heard);

@@ -18,8 +18,8 @@ export function make<K extends keyof HTMLElementTagNameMap>(
   return element;
 }
 
-/** Set a text only when it changes: readers of the screen are told of changes only. */
-export function say(element: HTMLElement, text: string): void {
+/** Set a text only when it changes: screen readers read changes only. */
+export function setText(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 

@@ -1,7 +1,7 @@
 /** The drive panel: from what is held to commands on the robot's velocity topic, and why they do not work if so. */
 
 import type { Connection, DriveAnswer } from "./connection";
-import { digits, find, remember, remembered, say } from "./dom";
+import { digits, find, remember, remembered, setText } from "./dom";
 import { Driving, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
@@ -12,7 +12,7 @@ import type { RobotView, Velocity } from "./views";
 const TELEOP_PRIORITY = 60; // a person goes before a program, which has 50
 const UNANSWERED_MS = 250; // then nothing more is sent until an answer comes: it would only be old when it arrives
 const REFUSED_MS = 1500; // a refusal that is older is over
-const AFTERGLOW_MS = 900; // so long the daemon may still name this page as the driver
+const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 
 export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
@@ -31,8 +31,8 @@ export class Drive {
     this.connectSlider("linear", "m/s", 2, 0.2);
     this.connectSlider("angular", "rad/s", 1, 1);
     setInterval(() => this.tick(), TICK_MS);
-    for (const event of ["blur", "pagehide"]) addEventListener(event, () => this.driving.letGo());
-    document.addEventListener("visibilitychange", () => document.hidden && this.driving.letGo());
+    for (const event of ["blur", "pagehide"]) addEventListener(event, () => this.driving.releaseAll());
+    document.addEventListener("visibilitychange", () => document.hidden && this.driving.releaseAll());
   }
 
   /** `stop` is what space, escape and the gamepad's button do. */
@@ -49,32 +49,32 @@ export class Drive {
     return isMine && !this.isRefused ? "you" : robot.holder;
   }
 
-  /** Of somebody more important the stick waits for; after any other refusal it must be let go first. */
+  /** Of somebody more important the stick waits for; after any other refusal it must be released first. */
   answered(answer: DriveAnswer): void {
     this.unanswered.shift();
     if (answer.result) return;
-    if (answer.kind !== "RobotHeld") this.driving.letGo();
+    if (answer.kind !== "RobotHeld") this.driving.releaseAll();
     this.refusal = answer.reason ?? "";
     this.refusedAt = performance.now();
     this.show();
   }
 
-  /** The connection is another one, or none: what it was asked will not be answered. */
+  /** The connection is another one, or none: what was sent will not be answered. */
   forget(): void {
-    this.driving.letGo();
+    this.driving.releaseAll();
     this.unanswered = [];
   }
 
   show(): void {
     const { robot } = this.fleet;
     if (robot?.name !== this.target?.name || robot?.velocity_topic !== this.target?.velocity_topic) {
-      this.driving.letGo(); // the zeros go to the robot that was driven
+      this.driving.releaseAll(); // the zeros go to the robot that was driven
     }
     this.target = robot;
-    if (robot?.locked || robot?.connected === false) this.driving.letGo();
+    if (robot?.locked || robot?.connected === false) this.driving.releaseAll();
     const [state, text] = this.describe(robot);
     find("#drive").dataset.state = state;
-    say(find("#drive-state"), text);
+    setText(find("#drive-state"), text);
   }
 
   private get isRefused(): boolean {
@@ -96,9 +96,9 @@ export class Drive {
 
   private tick(): void {
     this.driving.tick();
-    const wish = this.driving.velocity();
-    say(find("#wish-linear"), digits(wish.linear_m_s, 2));
-    say(find("#wish-angular"), digits(wish.angular_rad_s, 2));
+    const command = this.driving.velocity();
+    setText(find("#command-linear"), digits(command.linear_m_s, 2));
+    setText(find("#command-angular"), digits(command.angular_rad_s, 2));
   }
 
   private send(velocity: Velocity): void {
@@ -107,7 +107,7 @@ export class Drive {
     const { isHeld } = this.driving;
     if (isHeld && now - (this.unanswered[0] ?? now) > UNANSWERED_MS) return;
     this.device = isHeld ? (this.device ?? this.target.link) : null; // a zero is meant for whichever there is
-    const isSaid = this.connection.drive({
+    const isSent = this.connection.drive({
       robot: this.target.name,
       linear: velocity.linear_m_s,
       angular: velocity.angular_rad_s,
@@ -115,7 +115,7 @@ export class Drive {
       link: this.device,
       sent_s: now / 1000,
     });
-    if (!isSaid) return;
+    if (!isSent) return;
     this.droveAt = now;
     this.unanswered.push(now);
   }
@@ -125,7 +125,7 @@ export class Drive {
     const slider = find<HTMLInputElement>(`#max-${part}`);
     const apply = () => {
       this.driving.limits[part === "linear" ? "linear_m_s" : "angular_rad_s"] = slider.valueAsNumber;
-      say(find(`[for=max-${part}]:is(output)`), `${digits(slider.valueAsNumber, places)} ${unit}`);
+      setText(find(`[for=max-${part}]:is(output)`), `${digits(slider.valueAsNumber, places)} ${unit}`);
     };
     slider.value = remembered(`max.${part}`, String(otherwise));
     slider.addEventListener("input", () => {

@@ -1,5 +1,5 @@
 /**
- * Hold to drive: what is held adds up, is said again and again while it is held, and ends in zeros. No element, no
+ * Hold to drive: what is held adds up, is sent again and again while it is held, and ends in zeros. No element, no
  * clock: `tick` is called by the page.
  */
 
@@ -11,7 +11,7 @@ const ZEROS = 3; // one may be lost on a radio
 export type Source = "joystick" | "keys" | "gamepad";
 
 /** Parts of the full speeds, -1 to 1: forward, and counter-clockwise. */
-export interface Wish {
+export interface Deflection {
   forward: number;
   turn: number;
 }
@@ -20,21 +20,21 @@ export class Driving {
   /** Full speeds. A new one changes what is held, and moves nothing by itself. */
   limits: Velocity = { linear_m_s: 0.2, angular_rad_s: 1 };
 
-  private held = new Map<Source, Wish>();
-  private barred = new Set<Source>(); // held when all was let go: it must be released before it drives again
+  private held = new Map<Source, Deflection>();
+  private barred = new Set<Source>(); // held at `releaseAll`: it must be released before it drives again
   private zeros = 0;
 
-  /** `send` says a velocity now or never. */
+  /** `send` sends a velocity now or never. */
   constructor(private readonly send: (velocity: Velocity) => void) {}
 
   get isHeld(): boolean {
     return this.held.size > 0;
   }
 
-  hold(source: Source, wish: Wish): void {
+  hold(source: Source, deflection: Deflection): void {
     if (this.barred.has(source)) return;
     const isNew = !this.held.has(source);
-    this.held.set(source, wish);
+    this.held.set(source, deflection);
     if (isNew) this.tick();
   }
 
@@ -46,20 +46,20 @@ export class Driving {
   }
 
   /** Everything counts as released, whatever the fingers do. */
-  letGo(): void {
+  releaseAll(): void {
     for (const source of this.held.keys()) this.barred.add(source);
     if (this.isHeld) this.zeros = ZEROS;
     this.held.clear();
     while (this.zeros > 0) this.tick(); // there may be no later
   }
 
-  /** What is wanted now, within the full speeds. */
+  /** The command of now, within the full speeds. */
   velocity(): Velocity {
     let forward = 0;
     let turn = 0;
-    for (const wish of this.held.values()) {
-      forward += wish.forward;
-      turn += wish.turn;
+    for (const deflection of this.held.values()) {
+      forward += deflection.forward;
+      turn += deflection.turn;
     }
     return {
       linear_m_s: clamp(forward) * this.limits.linear_m_s,

@@ -1,20 +1,20 @@
-/** A gamepad drives with its left stick while a shoulder button is held; one that is lost has let go. */
+/** A gamepad drives with its left stick while a shoulder button is held; one that is lost is released. */
 
-import { say } from "./dom";
+import { setText } from "./dom";
 import type { Driving } from "./driving";
 
-const LOOK_MS = 50;
+const POLL_MS = 50;
 const SHOULDERS = [4, 5]; // of the standard mapping; one of them must be held
 const STOP_BUTTON = 1; // B, or the circle
 const DEAD_ZONE = 0.12;
 
 export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => void): void {
   if (!("getGamepads" in navigator)) {
-    say(note, "Gamepad: this browser allows one only over https, or on the computer of hostlink itself.");
+    setText(note, "Gamepad: this browser allows one only over https, or on the computer of hostlink itself.");
     return;
   }
   let isStopping = false;
-  const look = () => {
+  const poll = () => {
     const pad = navigator.getGamepads().find((each) => each?.connected && each.axes.length >= 2) ?? null;
     const isEnabled = SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
     if (pad !== null && isEnabled) {
@@ -25,9 +25,9 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
     const wantsStop = pad?.buttons[STOP_BUTTON]?.pressed ?? false;
     if (wantsStop && !isStopping) stop();
     isStopping = wantsStop;
-    say(note, describe(pad, isEnabled));
+    setText(note, describe(pad, isEnabled));
   };
-  setInterval(look, LOOK_MS);
+  setInterval(poll, POLL_MS);
 }
 
 function describe(pad: Gamepad | null, isEnabled: boolean): string {

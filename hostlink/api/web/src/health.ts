@@ -1,6 +1,6 @@
 /** The link panel: how well the chosen robot and this page are reached. */
 
-import { digits, find, make, say } from "./dom";
+import { digits, find, make, setText } from "./dom";
 import type { LinkView, RobotView } from "./views";
 
 type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device";
@@ -48,7 +48,7 @@ export class Health {
   private set(tile: Tile, text: string, isBad = false): void {
     const value = this.values.get(tile);
     if (value === undefined) return;
-    say(value, text);
+    setText(value, text);
     value.classList.toggle("bad", isBad);
   }
 

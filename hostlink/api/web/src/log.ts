@@ -1,23 +1,16 @@
 /** The devices' log lines, the newest last. */
 
 import { find, make } from "./dom";
+import type { LogLine } from "./views";
 
 const MAX_LINES = 200;
 const LEVELS: Record<number, string> = { 1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal" };
-
-/** rosgraph_msgs/Log. */
-export interface LogLine {
-  header: { stamp: { secs: number } };
-  level: number;
-  name: string;
-  msg: string;
-}
 
 export class DeviceLog {
   private readonly box = find("#log [role=log]");
   private readonly list = find("#log ol");
 
-  see(line: LogLine): void {
+  add(line: LogLine): void {
     const { box, list } = this;
     const isAtEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 8;
     const level = LEVELS[line.level] ?? "info";

@@ -7,11 +7,12 @@ import "./style/sizes.css";
 import { Access } from "./access";
 import { showClients } from "./clients";
 import { Connection, type State } from "./connection";
-import { digits, find, say } from "./dom";
+import { digits, find, setText } from "./dom";
 import { Drive } from "./drive";
+import { Events } from "./events";
 import { Fleet } from "./fleet";
 import { Health } from "./health";
-import { DeviceLog, type LogLine } from "./log";
+import { DeviceLog } from "./log";
 import { RobotMap } from "./map";
 import { notice } from "./notice";
 import { Odometry } from "./odometry";
@@ -20,7 +21,7 @@ import type { Refused } from "./rest";
 import { RobotList } from "./robots";
 import { Stop } from "./stop";
 import { connectTheme } from "./theme";
-import { takeTokenFromAddress, token } from "./token";
+import { moveTokenFromAddress, token } from "./token";
 import { Tuning } from "./tuning";
 import { topicOf } from "./views";
 
@@ -31,18 +32,38 @@ const STATES: Record<State, string> = {
   closed: "no connection",
 };
 
-const LOST = "hostlink does not answer. Trying again … What this page drove stops by itself.";
-const FRESH_MS = 500;
+const SILENT = "hostlink does not answer. Trying again … What this page drove stops by itself.";
+const STARVED = "No events come from hostlink, though it is connected: close other tabs of this page. The stop works.";
+const UNDRIVABLE = "This page cannot drive: it has no WebSocket to hostlink. Trying again … The stop works.";
+const REFRESH_MS = 300; // what changes with time alone: who drove just now, why it was refused
 
-takeTokenFromAddress();
+moveTokenFromAddress();
 
-const fleet = new Fleet(show, refuse);
+const fleet = new Fleet(show);
+const events = new Events(
+  {
+    robots: (data) => {
+      fleet.robots = data.robots;
+      fleet.isKnown = true;
+      show();
+      showPoses();
+    },
+    links: (data) => {
+      fleet.links = data.links;
+      show();
+    },
+    clients: (data) => showClients(data.clients),
+    log: (line) => log.add(line),
+  },
+  show,
+  refuse,
+);
 const connection = new Connection(
   address,
   changed,
   (answer) => {
     drive.answered(answer);
-    if (answer.kind === "NoRole") access.ask("This token does not drive", answer.reason ?? "");
+    if (answer.kind === "NoRole") access.show("This token does not drive", answer.reason ?? "");
   },
   (reason) => tuning.refused(reason),
 );
@@ -55,22 +76,27 @@ const odometry = new Odometry(fleet, (name) => map.forget(name));
 const tuning = new Tuning(fleet, connection);
 const health = new Health();
 const log = new DeviceLog();
-const access = new Access(() => connection.retryNow());
+const access = new Access(() => {
+  connection.retryNow();
+  events.retryNow();
+});
 
-let watched = { odometry: "", plot: "" };
-let isLost = false;
-let unwatch: (() => void)[] = [];
-let posedAt = Number.NEGATIVE_INFINITY; // the topic told a pose; the daemon's view is up to a question behind
+let plotted = ""; // a topic
+let stopPlotting = () => {};
+let isCut = false; // the WebSocket was lost, and is not there again
 
 connectTheme(() => {
   map.redraw();
   plots.recolour();
 });
 drive.connectInputs(() => stop.press());
-connection.subscribe<LogLine>("/rosout", "rosgraph_msgs/Log", (line) => log.see(line));
 connection.start();
-fleet.start();
-showClients();
+events.start();
+setInterval(() => {
+  drive.show();
+  robots.show(events.isHeard);
+  showConnection();
+}, REFRESH_MS);
 
 function address(): string {
   const url = new URL("./", document.baseURI);
@@ -81,84 +107,65 @@ function address(): string {
 }
 
 function changed(state: State): void {
-  if (state === "late") drive.driving.letGo();
+  if (state === "late") drive.driving.releaseAll();
   else if (state !== "open") drive.forget();
-  isLost = state === "open" ? false : state !== "connecting" || isLost;
+  isCut = state === "open" ? false : state !== "connecting" || isCut;
   showConnection();
   drive.show();
 }
 
-/** Between two attempts it is still no connection. */
+/** The worse of what WebSocket and events show. Between two attempts it is still no connection. */
 function showConnection(): void {
   const { state, roundTripMs } = connection;
-  const shown = isLost && state === "connecting" ? "closed" : state;
-  const isAsking = access.isAsking && state !== "open";
-  document.body.classList.toggle("lost", isLost);
+  const isSilent = events.isHeard === false;
+  const shown = isCut && state === "connecting" ? "closed" : isSilent && state === "open" ? "late" : state;
+  const isAsking = access.isShown && state !== "open";
+  document.body.classList.toggle("lost", isCut || isSilent);
   find("#connection").dataset.state = shown;
-  say(find("#connection .text"), isAsking ? "token needed" : STATES[shown]);
-  say(find("#connection .detail"), roundTripMs === null ? "" : `${digits(roundTripMs, 0)} ms`);
-  notice("connection", isLost && !isAsking ? LOST : null);
+  setText(find("#connection .text"), isAsking ? "token needed" : STATES[shown]);
+  setText(find("#connection .detail"), roundTripMs === null ? "" : `${digits(roundTripMs, 0)} ms`);
+  notice("connection", isAsking ? null : isSilent ? (state === "open" ? STARVED : SILENT) : isCut ? UNDRIVABLE : null);
 }
 
 function refuse(refused: Refused): void {
   if (refused.status === 401) {
-    access.ask("A token is needed", token() === null ? "Whoever runs this hostlink has one." : refused.message);
-  } else if (refused.status === 403) access.ask("This is not allowed", refused.message);
+    access.show("A token is needed", token() === null ? "Whoever runs this hostlink has one." : refused.message);
+  } else if (refused.status === 403) access.show("This is not allowed", refused.message);
   else notice("refused", refused.message, 3000);
 }
 
-/** Everything that comes from the daemon's views. */
+/** Everything that comes from the daemon's events. */
 function show(): void {
   const { robot, link } = fleet;
-  watch();
-  for (const each of fleet.robots) {
-    const hasFreshPose = each === robot && performance.now() - posedAt < FRESH_MS;
-    if (each.odometry && !hasFreshPose) map.see(each.name, each.odometry.pose);
-    if (each.odometry && each === robot && !hasFreshPose) odometry.seePose(each.odometry.pose);
-  }
+  plot();
   map.show(fleet.robots, robot?.name ?? null);
   drive.show();
-  robots.show();
+  robots.show(events.isHeard);
   stop.show();
   odometry.show();
   tuning.show();
   health.show(robot, fleet.links, connection.roundTripMs);
-  find("#plots-note").hidden = !robot?.connected || !link || watched.plot !== "";
+  find("#plots-note").hidden = !robot?.connected || !link || plotted !== "";
   showConnection();
   notice("robot", robot && !robot.connected ? `${robot.name} is not connected: it stands, or will soon.` : null);
 }
 
-/** Listen to the topics of the robot that is looked at. */
-function watch(): void {
-  const { robot, link } = fleet;
-  const plot = robot ? topicOf(robot, link, "plot_data", "geometry_msgs/Twist") : null;
-  const wanted = {
-    odometry: robot?.odometry_topic ?? "",
-    plot: plot ?? (robot?.connected && link ? "" : watched.plot),
-  };
-  if (wanted.odometry === watched.odometry && wanted.plot === watched.plot) return;
-  if (wanted.plot !== watched.plot) plots.clear();
-  for (const end of unwatch) end();
-  watched = wanted;
-  unwatch = [];
-  posedAt = Number.NEGATIVE_INFINITY;
-  if (robot && wanted.odometry) unwatch.push(connection.subscribe(wanted.odometry, "", seePose));
-  if (wanted.plot) {
-    unwatch.push(connection.subscribe<PlotData>(wanted.plot, "geometry_msgs/Twist", (data) => plots.see(data)));
+function showPoses(): void {
+  for (const robot of fleet.robots) {
+    if (robot.odometry) map.add(robot.name, robot.odometry.pose);
   }
 }
 
-/** A geometry_msgs/Pose2D; of a nav_msgs/Odometry the daemon's view tells the pose. */
-function seePose(message: { x?: number; y?: number; theta?: number }): void {
-  const { robot } = fleet;
-  if (robot === undefined) return;
-  const { x, y, theta } = message;
-  const pose =
-    x !== undefined && y !== undefined && theta !== undefined
-      ? { x_m: x, y_m: y, theta_rad: theta }
-      : robot.odometry?.pose;
-  if (pose === undefined) return;
-  posedAt = performance.now();
-  odometry.seePose(pose);
-  map.see(robot.name, pose);
+/** Subscribe to the plot_data of the robot that is shown. */
+function plot(): void {
+  const { robot, link } = fleet;
+  const topic = robot ? topicOf(robot, link, "plot_data", "geometry_msgs/Twist") : null;
+  const wanted = topic ?? (robot?.connected && link ? "" : plotted);
+  if (wanted === plotted) return;
+  plots.clear();
+  stopPlotting();
+  plotted = wanted;
+  stopPlotting = wanted
+    ? connection.subscribe<PlotData>(wanted, "geometry_msgs/Twist", (data) => plots.add(data))
+    : () => {};
 }

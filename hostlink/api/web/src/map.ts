@@ -20,7 +20,7 @@ export class RobotMap {
   private readonly isCalm = matchMedia("(prefers-reduced-motion: reduce)");
   private robots: RobotView[] = [];
   private selected: string | null = null;
-  private isAsked = false;
+  private isScheduled = false;
 
   constructor() {
     new ResizeObserver(() => this.resize()).observe(this.canvas);
@@ -38,10 +38,10 @@ export class RobotMap {
     setInterval(() => this.describe(), DESCRIBE_MS);
   }
 
-  see(name: string, pose: Pose): void {
+  add(name: string, pose: Pose): void {
     const path = this.paths.get(name) ?? new Path();
     this.paths.set(name, path);
-    path.see(pose);
+    path.add(pose);
     this.redraw();
   }
 
@@ -58,10 +58,10 @@ export class RobotMap {
   }
 
   redraw(): void {
-    if (this.isAsked) return;
-    this.isAsked = true;
+    if (this.isScheduled) return;
+    this.isScheduled = true;
     requestAnimationFrame(() => {
-      this.isAsked = false;
+      this.isScheduled = false;
       if (this.view.isFitting && this.view.fit(boxAround(this.everything()), this.isCalm.matches)) this.redraw();
       this.draw();
     });

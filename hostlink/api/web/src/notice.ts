@@ -1,6 +1,6 @@
 /** The one line over everything: of all that is wrong now, the worst. */
 
-import { find, say } from "./dom";
+import { find, setText } from "./dom";
 
 /** The worst first. */
 const KINDS = ["stop", "connection", "refused", "robot", "done"] as const;
@@ -23,5 +23,5 @@ export function notice(kind: Kind, text: string | null, for_ms?: number): void {
   const box = find("#notice");
   box.hidden = worst === undefined;
   box.dataset.kind = worst ?? "";
-  say(find("#notice p"), worst === undefined ? "" : (texts.get(worst) ?? ""));
+  setText(find("#notice p"), worst === undefined ? "" : (texts.get(worst) ?? ""));
 }

@@ -1,10 +1,9 @@
 /** The chosen robot's pose in numbers, and the button that makes the present place the origin. */
 
-import { digits, find, make, say } from "./dom";
+import { digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import { notice } from "./notice";
 import { ofRobot, rest } from "./rest";
-import type { Pose } from "./views";
 
 const ROWS = ["x", "y", "heading", "speed"] as const;
 
@@ -25,19 +24,14 @@ export class Odometry {
     find("#odometry-reset").addEventListener("click", () => void this.reset());
   }
 
-  /** Ten times a second; the speed comes with the robot's view. */
-  seePose(pose: Pose): void {
-    say(this.values.x, `${digits(pose.x_m, 2)} m`);
-    say(this.values.y, `${digits(pose.y_m, 2)} m`);
-    say(this.values.heading, `${digits((pose.theta_rad * 180) / Math.PI, 0)}°`);
-  }
-
   show(): void {
     const { robot } = this.fleet;
     find<HTMLButtonElement>("#odometry-reset").disabled = !robot?.connected;
-    say(this.values.speed, robot?.odometry ? `${digits(robot.odometry.twist.linear_m_s, 2)} m/s` : "–");
-    if (robot?.odometry) return;
-    for (const row of ["x", "y", "heading"] as const) say(this.values[row], "–");
+    const { pose, twist } = robot?.odometry ?? {};
+    setText(this.values.x, pose ? `${digits(pose.x_m, 2)} m` : "–");
+    setText(this.values.y, pose ? `${digits(pose.y_m, 2)} m` : "–");
+    setText(this.values.heading, pose ? `${digits((pose.theta_rad * 180) / Math.PI, 0)}°` : "–");
+    setText(this.values.speed, twist ? `${digits(twist.linear_m_s, 2)} m/s` : "–");
   }
 
   private async reset(): Promise<void> {

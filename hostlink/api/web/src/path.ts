@@ -17,7 +17,7 @@ export class Path {
   points: Point[] = [];
   length_m = 0;
 
-  see(pose: Pose): void {
+  add(pose: Pose): void {
     this.pose = pose;
     const last = this.points.at(-1);
     const moved_m = last ? Math.hypot(pose.x_m - last.x, pose.y_m - last.y) : 0;

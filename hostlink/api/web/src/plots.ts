@@ -68,7 +68,7 @@ export class Plots {
     setInterval(() => this.draw(), DRAW_MS);
   }
 
-  see(data: PlotData): void {
+  add(data: PlotData): void {
     const now = performance.now() / 1000;
     const last = this.times.at(-1);
     if (last !== undefined && now - last > GAP_S) this.append(last + GAP_S / 2, () => null);

@@ -16,19 +16,25 @@ export class Refused extends Error {
 
 /** The answer's JSON; Refused when the daemon says no, any other error when it cannot be reached. */
 export async function rest<T>(method: string, path: string, body?: object): Promise<T> {
-  const secret = token();
-  const response = await fetch(path, {
-    method,
+  const response = await request(method, path, {
     body: body && JSON.stringify(body),
-    headers: secret ? { Authorization: `Bearer ${secret}` } : {},
     signal: AbortSignal.timeout(TIMEOUT_MS),
-    cache: "no-store",
   });
-  const answer = (await response.json().catch(() => null)) as (T & { error?: { reason?: string } }) | null;
-  if (!response.ok || answer === null) {
-    throw new Refused(response.status, answer?.error?.reason ?? `${method} ${path}: ${response.statusText}`);
-  }
-  return answer;
+  if (!response.ok) throw await refusalOf(response, `${method} ${path}`);
+  return (await response.json()) as T;
+}
+
+/** A request with the token of this session. */
+export function request(method: string, path: string, options: RequestInit): Promise<Response> {
+  const secret = token();
+  const headers: HeadersInit = secret ? { Authorization: `Bearer ${secret}` } : {};
+  return fetch(path, { method, headers, cache: "no-store", ...options });
+}
+
+/** Why a response is a refusal, in the daemon's words if it has any. */
+export async function refusalOf(response: Response, what: string): Promise<Refused> {
+  const answer = (await response.json().catch(() => null)) as { error?: { reason?: string } } | null;
+  return new Refused(response.status, answer?.error?.reason ?? `${what}: ${response.statusText}`);
 }
 
 /** The path of something that a robot has. */

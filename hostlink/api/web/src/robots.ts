@@ -1,6 +1,6 @@
 /** The robots and what each of them does; one of them is chosen. */
 
-import { digits, find, make, say } from "./dom";
+import { digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import type { RobotView } from "./views";
 
@@ -20,15 +20,16 @@ export class RobotList {
     private readonly driver: (robot: RobotView) => string | null,
   ) {}
 
-  show(): void {
+  /** `isHeard`: the daemon was; else nobody knows that there is no robot. */
+  show(isHeard: boolean | null): void {
     const { robots, robot: chosen } = this.fleet;
-    find("#robots .empty").hidden = robots.length > 0 || !this.fleet.isReached;
+    find("#robots .empty").hidden = robots.length > 0 || !isHeard;
     for (const robot of robots) {
       const card = this.cards.get(robot.name) ?? this.add(robot.name);
       card.input.checked = robot === chosen;
       card.label.dataset.state = robot.locked ? "locked" : robot.connected ? "connected" : "gone";
-      say(card.state, this.describe(robot));
-      say(card.speed, robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
+      setText(card.state, this.describe(robot));
+      setText(card.speed, robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
     }
   }
 

@@ -1,6 +1,6 @@
 /** The stop: over REST, tried until it has arrived; a daemon that can locks the robot too, until it is unlocked. */
 
-import { find, say } from "./dom";
+import { find, setText } from "./dom";
 import type { Driving } from "./driving";
 import type { Fleet } from "./fleet";
 import { notice } from "./notice";
@@ -22,29 +22,31 @@ export class Stop {
   }
 
   press(): void {
-    this.driving.letGo();
-    const name = this.fleet.robot?.name;
+    this.driving.releaseAll();
+    const { robot, isKnown } = this.fleet;
     this.button.classList.remove("pressed");
     void this.button.offsetWidth; // so that the flash begins anew
     this.button.classList.add("pressed");
-    if (name === undefined) notice("done", "There is no robot to stop.", 3000);
-    else void this.deliver(name, this.fleet.robot?.locked !== undefined);
+    if (robot?.locked !== undefined) {
+      void this.deliver(robot.name, ofRobot(robot.name, "lock"), { reason: "the stop on the page" });
+    } else if (robot !== undefined) void this.deliver(robot.name, ofRobot(robot.name, "stop"));
+    else if (!isKnown) void this.deliver("Every robot", "api/stop");
+    else notice("done", "There is no robot to stop.", 3000);
   }
 
   show(): void {
     const { robot, robots } = this.fleet;
-    say(find("#stop .label"), robots.length > 1 && robot ? `Stop ${robot.name}` : "Stop");
+    setText(find("#stop .label"), robots.length > 1 && robot ? `Stop ${robot.name}` : "Stop");
     find("#lock").hidden = !robot?.locked;
-    say(find("#lock-reason"), robot?.lock_reason ?? "");
+    setText(find("#lock-reason"), robot?.lock_reason ?? "");
   }
 
-  private async deliver(name: string, canLock: boolean): Promise<void> {
+  private async deliver(name: string, path: string, body?: object): Promise<void> {
     const press = ++this.presses;
     const until = performance.now() + GIVE_UP_MS;
     while (press === this.presses) {
       try {
-        if (canLock) await rest("POST", ofRobot(name, "lock"), { reason: "the stop on the page" });
-        else await rest("POST", ofRobot(name, "stop"));
+        await rest("POST", path, body);
         notice("stop", null);
         notice("done", `${name} is stopped.`, 2500);
         return;

@@ -1,6 +1,6 @@
 /** Light, dark, or as the system: the switch, and the colours for what is drawn on a canvas. */
 
-import { find, remember, remembered, say } from "./dom";
+import { find, remember, remembered, setText } from "./dom";
 
 const THEMES = { system: "Auto", light: "Light", dark: "Dark" };
 type Theme = keyof typeof THEMES;
@@ -32,7 +32,7 @@ export function connectTheme(onChange: () => void): void {
   const button = find<HTMLButtonElement>("#theme");
   const apply = (theme: Theme) => {
     document.documentElement.dataset.theme = theme;
-    say(find("#theme .label"), THEMES[theme]);
+    setText(find("#theme .label"), THEMES[theme]);
     button.setAttribute("aria-label", `Colours: ${THEMES[theme]}`);
     change();
   };

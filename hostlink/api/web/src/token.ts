@@ -2,8 +2,8 @@
 
 const KEY = "hostlink.token";
 
-/** Move a token from the address bar into the session's store; call it before anything is asked. */
-export function takeTokenFromAddress(): void {
+/** Move a token from the address bar into the session's store; call it before any request. */
+export function moveTokenFromAddress(): void {
   const address = new URL(location.href);
   const token = address.searchParams.get("token");
   if (token === null) return;

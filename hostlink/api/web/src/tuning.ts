@@ -1,7 +1,7 @@
 /** PID gains of both wheels, sent to the robot's tuning topics. The robot does not tell the ones that it has. */
 
 import type { Connection } from "./connection";
-import { find, make, remember, remembered, say } from "./dom";
+import { find, make, remember, remembered, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import { topicOf } from "./views";
 
@@ -51,13 +51,13 @@ export class Tuning {
           if (input) input.value = remembered(`gain.${robot.name}.${side}${gain}`, PAPER[side][gain]);
         }
       }
-      say(this.state, "");
+      setText(this.state, "");
     }
-    if (robot?.connected && this.fleet.link && !isTunable) say(this.state, "This robot takes no gains.");
+    if (robot?.connected && this.fleet.link && !isTunable) setText(this.state, "This robot takes no gains.");
   }
 
   refused(reason: string): void {
-    say(this.state, reason);
+    setText(this.state, reason);
   }
 
   private topic(side: Side): string | null {
@@ -78,6 +78,6 @@ export class Tuning {
       isSent = topic !== null && this.connection.publish(topic, gains) && isSent;
     }
     const time = new Date().toLocaleTimeString([], { hour12: false });
-    say(this.state, isSent ? `Sent at ${time}.` : "Not sent: no connection.");
+    setText(this.state, isSent ? `Sent at ${time}.` : "Not sent: no connection.");
   }
 }

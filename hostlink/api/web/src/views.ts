@@ -1,4 +1,4 @@
-/** What the daemon shows over REST; what an older daemon does not tell is optional. */
+/** What the daemon sends: the JSON of its REST API; what an older daemon does not have is optional. */
 
 export interface Pose {
   x_m: number;
@@ -57,6 +57,14 @@ export interface ClientView {
   seconds: number;
   lag_s: number;
   dropped: number;
+}
+
+/** rosgraph_msgs/Log. */
+export interface LogLine {
+  header: { stamp: { secs: number } };
+  level: number;
+  name: string;
+  msg: string;
 }
 
 /** A robot's topic of this leaf and type, on its link. */

@@ -1,0 +1,95 @@
+/**
+ * The daemon's events, by one response over HTTP that does not end; requested again whenever it is lost.
+ *
+ * It is read by fetch, because an EventSource neither sends a token in a header nor says why it is refused.
+ */
+
+import { Refused, refusalOf, request } from "./rest";
+import type { ClientView, LinkView, LogLine, RobotView } from "./views";
+
+const PATH = "api/events";
+const CHECK_MS = 50;
+const SILENT_MS = 650; // the daemon writes every 300 ms: with CHECK_MS, a dead network is noticed within 0.7 s
+const ABORT_MS = 2000;
+const RETRY_MS = 500;
+
+/** What comes, by the name of the event. */
+export interface Handlers {
+  robots: (data: { robots: RobotView[] }) => void;
+  links: (data: { links: LinkView[] }) => void;
+  clients: (data: { clients: ClientView[] }) => void;
+  log: (line: LogLine) => void;
+}
+
+export class Events {
+  /** Whether the daemon was heard just now; null: not yet. */
+  isHeard: boolean | null = null;
+
+  private heardAt = 0;
+  private attempt = new AbortController();
+
+  constructor(
+    private readonly handlers: Handlers,
+    private readonly onHeard: (isHeard: boolean) => void,
+    private readonly onRefusal: (refused: Refused) => void,
+  ) {}
+
+  start(): void {
+    void this.run();
+    setInterval(() => this.check(), CHECK_MS);
+    addEventListener("online", () => this.retryNow());
+  }
+
+  /** There is a new token, or the network is back. */
+  retryNow(): void {
+    if (!this.isHeard) this.attempt.abort();
+  }
+
+  private async run(): Promise<never> {
+    while (true) {
+      this.attempt = new AbortController();
+      this.heardAt = performance.now();
+      try {
+        await this.read();
+      } catch (error) {
+        if (error instanceof Refused) this.onRefusal(error);
+      }
+      this.change(false);
+      await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
+    }
+  }
+
+  /** A response without credentials has connections of its own in browsers: streams leave those for a stop free. */
+  private async read(): Promise<void> {
+    const response = await request("GET", PATH, { signal: this.attempt.signal, credentials: "omit" });
+    if (!response.ok || response.body === null) throw await refusalOf(response, PATH);
+    const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+    let pending = "";
+    for (let part = await reader.read(); !part.done; part = await reader.read()) {
+      this.heardAt = performance.now();
+      this.change(true);
+      pending += part.value;
+      const events = pending.split("\n\n");
+      pending = events.pop() ?? "";
+      for (const event of events) this.dispatch(event);
+    }
+  }
+
+  private dispatch(event: string): void {
+    const [, name, data] = /^event: (\w+)\ndata: (.*)$/.exec(event) ?? [];
+    if (name === undefined || data === undefined || !(name in this.handlers)) return; // a comment, or a newer daemon's
+    this.handlers[name as keyof Handlers](JSON.parse(data));
+  }
+
+  private check(): void {
+    const silence_ms = performance.now() - this.heardAt;
+    if (silence_ms > SILENT_MS) this.change(false);
+    if (silence_ms > ABORT_MS) this.attempt.abort();
+  }
+
+  private change(isHeard: boolean): void {
+    if (isHeard === this.isHeard) return;
+    this.isHeard = isHeard;
+    this.onHeard(isHeard);
+  }
+}
