@@ -37,12 +37,12 @@ class Connection:
     | connected | closed by the other side, an error  | lost      | `on_lost`; who waits for an answer gets an error |
     | connected | nothing heard for SILENCE_S         | lost      | the same; what was not sent yet is thrown away   |
     | lost      | a WebSocket is open                 | connected | `on_open`                                        |
-    | lost      | `send`, `ask`                       | lost      | HostlinkError                                    |
+    | lost      | `send`, `request`                   | lost      | HostlinkError                                    |
     """
 
     def __init__(self, http: HttpClient, *, reconnects: bool) -> None:
         self.is_connected = False
-        self.handlers: dict[str, Callable[[Message], None]] = {}  # by op, for what is no answer to `ask`
+        self.handlers: dict[str, Callable[[Message], None]] = {}  # by op, for what is no answer to `request`
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
         self._http = http
@@ -79,7 +79,7 @@ class Connection:
         except (aiohttp.ClientError, OSError) as error:  # `run` notices it too
             raise self.lost(str(error)) from error
 
-    async def ask(self, request: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Message:
+    async def request(self, request: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Message:
         """Send an operation that is answered; HostlinkError when it is refused, or no answer comes."""
         key = f"{request['op']}:{next(self._numbers)}"
         waiting: asyncio.Future[Message | None] = asyncio.get_running_loop().create_future()

@@ -1,4 +1,7 @@
-"""Driver: the velocities that this client holds, one repeater for all; a hold that is broken is never resumed."""
+"""Driver: the velocities that this client commands: held ones, which one task repeats, and single ones.
+
+A hold that is broken is never resumed.
+"""
 
 import asyncio
 import contextlib
@@ -10,9 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from hostlink.client.connection import Connection
+from hostlink.client.views import Refusal
 from hostlink.errors import HostlinkError
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
+_COMMAND = "command:"
 LEASE_S = 0.5  # after it without a command the daemon has stopped the robot
 ANSWER_TIMEOUT_S = 1.0
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while the computer sleeps, where there is one
@@ -23,7 +28,7 @@ class _Hold:
     number: int
     request: Mapping[str, Any]
     sent_s: float
-    link: int | None = None  # of the device that took it; None: not answered yet
+    link: int | None = None  # of the device that accepted it; None: not answered yet
 
 
 class Driver:
@@ -35,11 +40,12 @@ class Driver:
     """
 
     def __init__(self, connection: Connection) -> None:
+        self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self._connection = connection
         self._numbers = itertools.count(1)
         self._holds: dict[str, _Hold] = {}
         self._broken: dict[str, str] = {}
-        connection.handlers["drive_result"] = self._hear
+        connection.handlers["drive_result"] = self._receive_answer
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -47,33 +53,42 @@ class Driver:
         return tuple(self._holds)
 
     async def drive(self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> None:
-        """Command, and hold from now on; returns when the daemon has taken it. HostlinkError: nothing is held."""
-        if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
-            raise HostlinkError(f"{robot}: a velocity must be made of finite numbers")
+        """Command, and hold from now on; returns when the daemon has accepted it.
+
+        Raises:
+            HostlinkError: it was refused, and nothing is held; or what was held before is broken.
+        """
+        request = _request(robot, linear_m_s, angular_rad_s, priority)
         if (reason := self._broken.pop(robot, None)) is not None:
             raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {reason}")
-        request = {
-            "op": "drive",
-            "robot": robot,
-            "linear": float(linear_m_s),
-            "angular": float(angular_rad_s),
-            "priority": priority,
-        }
+        before = self._holds.get(robot)
         hold = self._holds[robot] = _Hold(next(self._numbers), request, _now_s())
         try:
-            hold.link = await self._command(hold)
+            hold.link = await self._command(hold, None if before is None else before.link)
             hold.sent_s = _now_s()
         except BaseException:  # a cancellation too: what nobody waits for is not held
             if self._holds.get(robot) is hold:
                 self.let_go(robot)
             raise
 
-    async def _command(self, hold: _Hold) -> int:
-        request = {**hold.request, "sent_s": hold.sent_s}
-        answer = await self._connection.ask(request, timeout_s=ANSWER_TIMEOUT_S)
+    async def _command(self, hold: _Hold, link: int | None) -> int:
+        """For the device of the hold before, if there was one: else a new one would be driven on without a word."""
+        request = {**hold.request, "sent_s": hold.sent_s, "link": link}
+        answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
             raise HostlinkError(str(answer["reason"]))
         return int(answer["link"])
+
+    async def command(
+        self, robot: str, velocity: tuple[float, float], priority: int, *, link: int | None = None
+    ) -> None:
+        """Send one command, which is not held; its answer is not waited for, and is in `refusals` if it is one.
+
+        Raises:
+            HostlinkError: the numbers are not finite, or there is no connection.
+        """
+        request = {"id": f"{_COMMAND}{robot}", "sent_s": _now_s(), "link": link}
+        await self._connection.send(_request(robot, *velocity, priority) | request)
 
     def let_go(self, robot: str) -> None:
         """Repeat it no more; the end of it is known to the caller."""
@@ -105,16 +120,27 @@ class Driver:
         with contextlib.suppress(HostlinkError):  # the connection tells everybody of its loss
             await self._connection.send({**hold.request, **request})
 
-    def _hear(self, answer: dict[str, Any]) -> None:
-        """A repeated command was answered."""
-        if not answer["result"]:
+    def _receive_answer(self, answer: dict[str, Any]) -> None:
+        """Of a command that nobody waits for."""
+        key = str(answer["id"])
+        refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]))
+        if key.startswith(_COMMAND):
+            self.refusals[key.removeprefix(_COMMAND)] = refusal
+        elif refusal is not None:
             for robot, hold in list(self._holds.items()):
-                if answer["id"] == f"hold:{hold.number}":
-                    self._break(robot, str(answer["reason"]))
+                if key == f"hold:{hold.number}":
+                    self._break(robot, refusal.reason)
 
     def _break(self, robot: str, reason: str) -> None:
         del self._holds[robot]
         self._broken[robot] = reason
+
+
+def _request(robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> dict[str, Any]:
+    if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
+        raise HostlinkError(f"{robot}: a velocity must be made of finite numbers")
+    velocity = {"linear": float(linear_m_s), "angular": float(angular_rad_s)}
+    return {"op": "drive", "robot": robot, **velocity, "priority": priority}
 
 
 def _now_s() -> float:

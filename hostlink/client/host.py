@@ -152,7 +152,7 @@ class Host:
         meanwhile: then nobody knows whether it was done, and it is not asked again.
         """
         request = {"op": "call_service", "service": service, "args": arguments, "timeout": timeout_s}
-        answer = await self._connection.ask(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
+        answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
         if not answer["result"]:
             raise HostlinkError(str(answer["values"]))
         return answer["values"]
@@ -184,7 +184,7 @@ class Host:
 
     async def settle(self) -> None:
         """Wait until the daemon has read what was sent so far; a refusal of it is known then."""
-        await self._connection.ask({"op": "call_service", "service": "/rosapi/get_time", "args": {}})
+        await self._connection.request({"op": "call_service", "service": "/rosapi/get_time", "args": {}})
 
     async def _begin(self) -> None:
         await self.send({"op": "set_level", "level": "error"})

@@ -7,7 +7,7 @@ from urllib.parse import quote
 from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient
-from hostlink.client.views import Odometry, RobotState
+from hostlink.client.views import Odometry, Refusal, RobotState
 
 PRIORITY = 50  # of a program; a person at the keys is 60
 
@@ -45,6 +45,23 @@ class Robot:
         because the robot's device connected again or this program did not run for half a second.
         """
         await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority)
+
+    async def command(self, linear_m_s: float, angular_rad_s: float, *, link: int | None = None) -> None:
+        """Send one velocity, which lasts for half a second and is not repeated: for who decides ten times a second.
+
+        It does not wait for the answer; `refusal` has it. `link` is the number of the device's connection for which it
+        is meant, as in `state()`: when the device has connected again, the command is refused. A command that the
+        network delivers too late is refused anyway.
+
+        Raises:
+            HostlinkError: the numbers are not finite, or there is no connection to hostlink.
+        """
+        await self._driver.command(self.name, (linear_m_s, angular_rad_s), self.priority, link=link)
+
+    @property
+    def refusal(self) -> Refusal | None:
+        """Why the newest `command` that was answered was refused; None: it was not."""
+        return self._driver.refusals.get(self.name)
 
     async def stop(self) -> None:
         """Stop, whoever drives, as fast as the robot's decelerations allow.

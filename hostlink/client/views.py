@@ -1,7 +1,7 @@
 """What the client returns to its users: the JSON of hostlink's REST API as typed dicts; numbers carry their unit."""
 
 from dataclasses import dataclass
-from typing import Any, NotRequired, TypedDict
+from typing import Any, NamedTuple, NotRequired, TypedDict
 
 
 class Pose(TypedDict):
@@ -56,6 +56,13 @@ class TopicState(TypedDict):
     publishers: int
     subscribers: int
     messages: int  # that have passed
+
+
+class Refusal(NamedTuple):
+    """Why a command was refused: a kind for programs (`RobotHeld`, `BadRequest`, ...), a reason for people."""
+
+    kind: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 import pytest
 from aiohttp import web
 
-from hostlink.client import Host, connect
+from hostlink.client import Host, Refusal, connect
 from hostlink.client.connection import waits
 from hostlink.config import ApiConfig, Config
 from hostlink.errors import HostlinkError
@@ -137,6 +137,55 @@ async def test_a_device_that_connects_again_is_not_driven_by_what_was_held_befor
             assert "its device has connected again since" in await refused(me)
             await robot.drive(0.1, 0.0)
             assert await new.velocity_other_than(ZERO) == (0.1, 0.0)
+
+
+async def test_a_program_that_drives_again_and_again_hears_once_that_the_device_connected_again() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        first = host.hub.robots.find("robot_0").link
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.find("robot_0").link not in (None, first))
+            refusals = []
+            for _ in range(20):
+                try:
+                    await robot.drive(0.2, 0.0)
+                except HostlinkError as error:
+                    refusals.append(str(error))
+                await asyncio.sleep(0.01)
+            assert len(refusals) == 1
+            assert "its device has connected again since" in refusals[0]
+            assert robot.is_driven
+
+
+async def test_a_command_is_not_repeated_and_its_refusal_is_known_after_its_answer() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
+        robot, gate = me.robot("robot_0"), host.hub.robots.find("robot_0").gate
+        await robot.command(0.2, 0.0)
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
+        await me.settle()
+        assert (robot.refusal, robot.is_driven, gate.counts.commands) == (None, False, 1)
+        take_over(host)
+        await robot.command(0.2, 0.0)
+        await me.settle()
+        assert robot.refusal == Refusal("RobotHeld", "robot_0: a person drives it with a higher priority")
+        with pytest.raises(HostlinkError, match="finite"):
+            await robot.command(math.inf, 0.0)
+
+
+async def test_a_command_for_a_link_is_refused_when_the_device_has_connected_again() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        link = (await robot.state())["link"]
+        await robot.command(0.2, 0.0, link=link)
+        await me.settle()
+        assert robot.refusal is None
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.find("robot_0").link.number != link)
+            await robot.command(0.2, 0.0, link=link)
+            await me.settle()
+            assert robot.refusal is not None
+            assert "its device has connected again since" in robot.refusal.reason
 
 
 async def test_a_lock_drops_what_another_script_holds_and_opening_it_moves_nothing() -> None:

@@ -12,6 +12,7 @@ from hostlink.client import ConnectionChange, Host, Robot, connect
 from hostlink.client.mailbox import Mailbox
 from hostlink.errors import HostlinkError
 from hostlink.hub.robot import Robot as RobotOfHub
+from hostlink.robot.velocity_gate import LEASE_S
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, Proxy, proxy
@@ -110,7 +111,7 @@ async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
         await world.lost()
         commands = world.seen.gate.counts.commands
         await world.stands()
-        await world.stays(0.6)  # longer than the last command holds
+        await world.stays(1.2 * LEASE_S)  # longer than the last command holds
         world.line.set_line(Line.WORKS)
         assert (await world.change()).is_connected
         await world.stays()
