@@ -42,7 +42,7 @@ LAYOUTS = {
 class Driving:
     """Which keys are held, and the velocity that they add up to.
 
-    A terminal tells presses and repeats, few tell releases: a key lives for GRACE_S after its first press and for
+    A terminal sends presses and repeats, few send releases: a key lives for GRACE_S after its first press and for
     HOLD_S after each repeat. Any key without a meaning stops.
     """
 
@@ -51,12 +51,15 @@ class Driving:
         self._directions = {key: way for key, way in directions.items() if key not in self._speed_keys}
         self.linear_m_s, self.angular_rad_s = linear_m_s, angular_rad_s
         self._max_linear_m_s = max_linear_m_s
-        self._held: dict[str, float] = {}  # key -> when it is let go
+        self._held: dict[str, float] = {}  # key -> when it counts as released
+        self._barred: dict[str, float] = {}  # key -> the same, of those that move nothing until then
         self._zeros = 0
         self._send_at_s = float("-inf")
 
-    def take(self, key: Key, now_s: float) -> None:
+    def receive(self, key: Key, now_s: float) -> None:
         """A key was pressed, repeated or released."""
+        if self._is_barred(key, now_s):
+            return
         if key.name in self._speed_keys:
             if key.action is not Action.RELEASED:
                 self._change_speed(*self._speed_keys[key.name])
@@ -68,8 +71,21 @@ class Driving:
         else:
             self.stop()
 
+    def bar(self, now_s: float) -> None:
+        """Release everything; what is held moves nothing until it was released and pressed again."""
+        self._barred |= dict.fromkeys(self._held, now_s + GRACE_S)
+        self.stop()
+
+    def _is_barred(self, key: Key, now_s: float) -> bool:
+        """A key that is silent for longer than its repeats take was released."""
+        if self._barred.get(key.name, float("-inf")) <= now_s or key.action is Action.RELEASED:
+            self._barred.pop(key.name, None)
+            return False
+        self._barred[key.name] = max(self._barred[key.name], now_s + HOLD_S)
+        return True
+
     def stop(self) -> None:
-        """Let go of everything."""
+        """Release everything."""
         self._held.clear()
         self._send_at_s = float("-inf")
 

@@ -11,14 +11,14 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.driving import LAYOUTS, Driving
+from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
 from hostlink.cli.keys import Key, KeyReader
 from hostlink.cli.terminal import Terminal, draw, key_terminal
 from hostlink.client import DEFAULT_URL, Host, RobotState, connect
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
 
 PRIORITY = 60  # a person at the keys comes before a program
-TICK_S = 0.02
-LOOK_INTERVAL_S = 0.2
+DRAW_INTERVAL_S = 0.2
 RETRY_S = 1.0
 STOP_KEYS = ("space", "k", "s")
 QUIT_KEYS = ("ctrl-c", "ctrl-d")
@@ -67,7 +67,7 @@ async def _teleop(url: str, token: str | None, name: str | None, driving: Drivin
                 async with connect(url, token=token, reconnect=False) as host:
                     await _drive(host, found, keyboard, keys)
             except HostlinkError as lost:
-                keyboard.driving.stop()  # what was held when the link went must not move the robot when it is back
+                keyboard.driving.bar(_now_s())  # what is held must not move the robot when the connection is back
                 draw([f"{found}: {lost}", "", "the robot stops by itself; trying again, Ctrl-C ends"])
                 await keyboard.wait(RETRY_S)
 
@@ -87,50 +87,30 @@ async def _choose(host: Host, name: str | None) -> str:
 
 
 async def _drive(host: Host, name: str, keyboard: "_Keyboard", keys: list[str]) -> None:
-    now_s = asyncio.get_running_loop().time
-    driving = keyboard.driving
-    state = await host.robot(name).state()
-    look_at_s, refusal = 0.0, ""
-    try:
-        while not keyboard.is_done:
-            if keyboard.take_stop():
-                refusal = await _stop(host, name)
-            if keyboard.wants_suspend:
-                await _send(host, state["velocity_topic"], (0.0, 0.0))
-                keyboard.suspend()
-            velocity = driving.due(now_s())
-            if velocity is not None:
-                refusal = await _send(host, state["velocity_topic"], velocity)
-            if now_s() >= look_at_s:
-                look_at_s = now_s() + LOOK_INTERVAL_S
-                state = await host.robot(name).state()
-                draw(_screen(state, driving, now_s(), keys, refusal))
-            await keyboard.wait(TICK_S)
-    finally:
-        driving.stop()
-        with contextlib.suppress(HostlinkError):  # with the connection gone the daemon stops the robot
-            while (velocity := driving.due(now_s())) is not None or driving.is_ending:
-                if velocity is not None:
-                    await _send(host, state["velocity_topic"], velocity)
-                await asyncio.sleep(TICK_S)
+    robot, driving = host.robot(name, priority=PRIORITY), keyboard.driving
+    draw_at_s = 0.0
+    async with watched_robot(host, await robot.state()) as watched:
+        driver = KeyDriver(robot, driving, watched)
+        try:
+            while not keyboard.is_done:
+                await _obey(keyboard, driver)
+                if _now_s() >= draw_at_s:
+                    draw_at_s = _now_s() + DRAW_INTERVAL_S
+                    draw(_screen(watched.state, driving, _now_s(), keys, driver.refusal))
+                await keyboard.wait(TICK_S)
+        finally:
+            driving.stop()
+            with contextlib.suppress(HostlinkError):  # with the connection gone the daemon stops the robot
+                await driver.finish()
 
 
-async def _stop(host: Host, name: str) -> str:
-    """Stop the robot; returns why that was refused, or an empty text. A lost connection shows by the next request."""
-    try:
-        await host.robot(name).stop()
-    except HostlinkError as error:
-        return str(error)
-    return ""
-
-
-async def _send(host: Host, topic: str, velocity: tuple[float, float]) -> str:
-    """Send a velocity; returns why the one before was refused, or an empty text."""
-    linear_m_s, angular_rad_s = velocity
-    message = {"linear": {"x": linear_m_s}, "angular": {"z": angular_rad_s}}
-    refusal = host.take_refusal(topic)
-    await host.publish(topic, message, type_name="geometry_msgs/Twist", priority=PRIORITY)
-    return refusal
+async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:
+    if keyboard.pop_stop():
+        await driver.stop()
+    if keyboard.wants_suspend:
+        await driver.send((0.0, 0.0))
+        keyboard.suspend()
+    await driver.send_what_is_due()
 
 
 def _screen(state: RobotState, driving: Driving, now_s: float, keys: list[str], refusal: str) -> list[str]:
@@ -159,7 +139,7 @@ def _screen(state: RobotState, driving: Driving, now_s: float, keys: list[str], 
 
 
 class _Keyboard:
-    """Keys and signals of the terminal, told to a Driving as they come."""
+    """Keys and signals of the terminal, passed to a Driving as they come."""
 
     def __init__(self, terminal: Terminal, driving: Driving) -> None:
         self.driving = driving
@@ -183,13 +163,13 @@ class _Keyboard:
         for number in (*QUIT_SIGNALS, signal.SIGTSTP):
             loop.remove_signal_handler(number)
 
-    def take_stop(self) -> bool:
+    def pop_stop(self) -> bool:
         """Whether a stop key was pressed since the last call."""
         wanted, self._wants_stop = self._wants_stop, False
         return wanted
 
     def suspend(self) -> None:
-        """Ctrl-Z: the shell gets its terminal back until it is told to go on."""
+        """Ctrl-Z: the shell gets its terminal back until it resumes this program."""
         self.wants_suspend = False
         self._terminal.leave()
         os.kill(os.getpid(), signal.SIGSTOP)
@@ -211,17 +191,17 @@ class _Keyboard:
             asyncio.get_running_loop().remove_reader(self._terminal.input)
             self._quit()
         for key in self._reader.feed(data):
-            self._take(key)
+            self._receive(key)
         self._news.set()
 
-    def _take(self, key: Key) -> None:
+    def _receive(self, key: Key) -> None:
         if key.name in QUIT_KEYS:
             self._quit()
         elif key.name == "ctrl-z":
             self._want_suspend()
         else:
             self._wants_stop |= key.name in STOP_KEYS
-            self.driving.take(key, asyncio.get_running_loop().time())
+            self.driving.receive(key, _now_s())
 
     def _quit(self) -> None:
         self.driving.stop()
@@ -232,3 +212,7 @@ class _Keyboard:
         self.driving.stop()
         self.wants_suspend = True
         self._news.set()
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -24,14 +24,14 @@ def driving(layout: str = "original") -> Driving:
 )  # fmt: skip
 def test_the_original_map_with_the_usual_keys_of_the_field(key: str, velocity: tuple[float, float]) -> None:
     made = driving()
-    made.take(Key(key), 0.0)
+    made.receive(Key(key), 0.0)
     assert made.velocity(0.1) == velocity
 
 
 @pytest.mark.parametrize(("key", "velocity"), [("u", (V, W)), ("i", (V, 0)), ("m", (-V, -W)), (".", (-V, W))])
 def test_the_map_of_teleop_twist_keyboard(key: str, velocity: tuple[float, float]) -> None:
     made = driving("twist")
-    made.take(Key(key), 0.0)
+    made.receive(Key(key), 0.0)
     assert made.velocity(0.1) == velocity
 
 
@@ -39,30 +39,30 @@ def test_the_map_of_teleop_twist_keyboard(key: str, velocity: tuple[float, float
 def test_a_speed_key_moves_nothing_and_holds_for_the_key_that_is_held(layout: str) -> None:
     made = driving(layout)
     speed = "t" if layout == "original" else "q"
-    made.take(Key(speed), 0.0)
+    made.receive(Key(speed), 0.0)
     assert made.velocity(0.0) == (0.0, 0.0)
-    made.take(Key("i"), 0.0)
+    made.receive(Key("i"), 0.0)
     assert made.velocity(0.1) == pytest.approx((V * 1.1, 0))
 
 
 def test_speeds_stay_within_reason() -> None:
     made = driving()
     for _ in range(100):
-        made.take(Key("t"), 0.0)
+        made.receive(Key("t"), 0.0)
     assert (made.linear_m_s, made.angular_rad_s) == (1.0, 4.0)
     for _ in range(100):
-        made.take(Key("b"), 0.0)
+        made.receive(Key("b"), 0.0)
     assert (made.linear_m_s, made.angular_rad_s) == (0.01, 0.05)
 
 
 def test_a_tap_lasts_until_a_repeat_could_have_come_and_a_held_key_as_long_as_it_repeats() -> None:
     made = driving()
-    made.take(Key("w"), 0.0)
+    made.receive(Key("w"), 0.0)
     assert made.velocity(GRACE_S - 0.01) == (V, 0)
-    made.take(Key("w"), GRACE_S - 0.01)
+    made.receive(Key("w"), GRACE_S - 0.01)
     now_s = GRACE_S
     while now_s < 3.0:
-        made.take(Key("w"), now_s)
+        made.receive(Key("w"), now_s)
         now_s += 0.033
     assert made.velocity(now_s) == (V, 0)
     assert made.velocity(now_s + HOLD_S) == (0.0, 0.0)
@@ -70,31 +70,31 @@ def test_a_tap_lasts_until_a_repeat_could_have_come_and_a_held_key_as_long_as_it
 
 def test_a_release_stops_at_once_where_the_terminal_tells() -> None:
     made = driving()
-    made.take(Key("w"), 0.0)
-    made.take(Key("w", Action.RELEASED), 0.05)
+    made.receive(Key("w"), 0.0)
+    made.receive(Key("w", Action.RELEASED), 0.05)
     assert made.velocity(0.05) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("key", ["space", "k", "s", "5", "escape", "\ufffd", "sequence 5~"])
 def test_every_key_without_a_meaning_stops(key: str) -> None:
     made = driving()
-    made.take(Key("w"), 0.0)
-    made.take(Key(key), 0.1)
+    made.receive(Key("w"), 0.0)
+    made.receive(Key(key), 0.1)
     assert made.velocity(0.1) == (0.0, 0.0)
 
 
 def test_keys_add_up() -> None:
     made = driving()
-    made.take(Key("up"), 0.0)
-    made.take(Key("left"), 0.1)
+    made.receive(Key("up"), 0.0)
+    made.receive(Key("left"), 0.1)
     assert made.velocity(0.1) == (V, W)
-    made.take(Key("down"), 0.1)
+    made.receive(Key("down"), 0.1)
     assert made.velocity(0.1) == (0.0, W)
 
 
 def test_it_sends_at_ten_hertz_then_three_zeros_then_nothing() -> None:
     made = driving()
-    made.take(Key("w"), 0.0)
+    made.receive(Key("w"), 0.0)
     sent = [(tick / 100, velocity) for tick in range(200) if (velocity := made.due(tick / 100)) is not None]
     moving = [at_s for at_s, velocity in sent if velocity == (V, 0.0)]
     zeros = [at_s for at_s, velocity in sent if velocity == (0.0, 0.0)]
@@ -109,6 +109,31 @@ def test_it_is_silent_until_a_key_is_pressed() -> None:
     assert [made.due(tick / 10) for tick in range(20)] == [None] * 20
 
 
+def test_a_barred_key_moves_nothing_while_it_repeats_and_drives_when_it_is_pressed_again() -> None:
+    made = driving()
+    made.receive(Key("w"), 0.0)
+    made.bar(0.1)
+    now_s = 0.5  # the first repeat comes late
+    while now_s < 3.0:
+        made.receive(Key("w"), now_s)
+        assert made.velocity(now_s) == (0.0, 0.0)
+        now_s += 0.033
+    made.receive(Key("a"), now_s)  # another one is not barred
+    assert made.velocity(now_s) == (0.0, W)
+    made.receive(Key("w"), now_s + HOLD_S + 0.1)
+    assert made.velocity(now_s + HOLD_S + 0.1) == (V, W)
+
+
+def test_a_barred_key_drives_at_once_after_a_release_where_the_terminal_sends_it() -> None:
+    made = driving()
+    made.receive(Key("w"), 0.0)
+    made.bar(0.1)
+    made.receive(Key("w", Action.RELEASED), 0.15)
+    assert made.velocity(0.15) == (0.0, 0.0)
+    made.receive(Key("w"), 0.2)
+    assert made.velocity(0.2) == (V, 0)
+
+
 keys = st.builds(Key, st.sampled_from([*"qweadzxctbynumijlok,.", "up", "space", "?"]), st.sampled_from(Action))
 
 
@@ -117,7 +142,7 @@ def test_after_any_keys_the_robot_stands_when_none_comes(story: list[tuple[Key, 
     made = driving(layout)
     now_s = 0.0
     for key, pause_s in story:
-        made.take(key, now_s)
+        made.receive(key, now_s)
         linear, angular = made.velocity(now_s)
         assert abs(linear) <= 1.0
         assert abs(angular) <= 4.0
