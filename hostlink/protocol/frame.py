@@ -4,6 +4,7 @@ Source of every number: the rosserial protocol (docs/protocol.md#frame, docs/pro
 """
 
 import re
+import zlib
 from enum import IntEnum
 from struct import Struct
 from typing import NamedTuple
@@ -16,7 +17,7 @@ HEADER = Struct("<HHBH")  # sync, payload length, its checksum, topic id
 OVERHEAD_BYTES = 8  # seven of header, one of checksum
 MAX_PAYLOAD_BYTES = 0xFFFF
 FIRST_TOPIC_ID = 100  # a device numbers its topics from here
-_NUMPY_PAYS_FROM_BYTES = 256
+ADLER_MAX_BYTES = 256  # so many bytes of 255 add up to less than Adler's modulus of 65521
 _PROTOCOL_1_HEAD = re.compile(rb"(?=\xff\xff..(.)\x00)", re.DOTALL)  # a length below 256, as in any frame of its time
 PROTOCOL_1_MAX_BYTES = 262  # 255 of payload, two syncs, id, length and checksum
 
@@ -44,9 +45,9 @@ class Frame(NamedTuple):
 
 
 def byte_sum(data: bytes | bytearray | memoryview) -> int:
-    """The sum of the bytes; only its lowest 8 bits mean anything."""
-    if len(data) < _NUMPY_PAYS_FROM_BYTES:
-        return sum(data)
+    """The sum of the bytes; only its lowest 8 bits mean anything. The lower half of Adler-32 is a sum, in C."""
+    if len(data) <= ADLER_MAX_BYTES:
+        return zlib.adler32(data, 0)
     return int(np.frombuffer(data, np.uint8).sum(dtype=np.uint8))
 
 

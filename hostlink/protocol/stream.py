@@ -9,6 +9,7 @@ from typing import NamedTuple
 from hostlink.protocol.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
 
 DEFAULT_LIMIT_BYTES = 1024  # twice rosserial's usual buffer: what a header may claim before topics are known
+new_frame = tuple.__new__  # twice as fast as Frame(...)
 _SUM_IS_RIGHT = 0xFF  # bytes and their checksum add up to 255 modulo 256
 
 
@@ -63,19 +64,39 @@ class FrameStream:
         return len(self._buffer)
 
     def feed(self, data: bytes) -> Iterator[Frame | Skipped]:
-        """Take bytes; what one frame changes (limit, sizes) holds for the next, so the iterator is lazy."""
-        buffer = self._buffer
+        """Add bytes. What one frame changes (limit, sizes) holds for the next, so the iterator is lazy."""
+        buffer, unpack = self._buffer, HEADER.unpack_from
+        is_short = len(data) < len(buffer)  # then a copy of all would cost more than linear work
         buffer += data
-        while True:
-            end = self._clean_frame()
-            if end:
-                frame = Frame(buffer[5] | buffer[6] << 8, bytes(buffer[7 : end - 1]))
-                self._drop(end)
-                yield frame
-            elif (event := self._contested()) is not None:
+        source = buffer if is_short else bytes(buffer)  # frames are cut from bytes faster
+        while source:
+            at, last = 0, len(source) - OVERHEAD_BYTES  # where the last frame without a payload could begin
+            try:
+                while at <= last:  # the fast way: frames at the head that are complete, right and uncontested
+                    sync, size, check, topic_id = unpack(source, at)
+                    end = at + size + OVERHEAD_BYTES
+                    if (
+                        sync != SYNC_WORD
+                        or size > last - at
+                        or size > self.limit_bytes
+                        or (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT
+                        or source.find(SYNC, at + 2, end) >= 0
+                        or byte_sum(source[at + 5 : end]) & 0xFF != _SUM_IS_RIGHT
+                        or self._fixed_bytes.get(topic_id, size) != size
+                    ):
+                        break
+                    frame = new_frame(Frame, (topic_id, bytes(source[at + 7 : end - 1])))
+                    at = end
+                    yield frame
+            finally:  # also when nobody reads on
+                if at:
+                    self._drop(at)
+            source = buffer
+            if buffer:
+                event = self._contested()
+                if event is None:
+                    return
                 yield event
-            else:
-                return
 
     def give_up(self) -> Iterator[Frame | Skipped]:
         """Stop waiting for what stands at the head: read again from the byte after it."""
@@ -86,25 +107,6 @@ class FrameStream:
                 del self._ends[bisect_left(self._ends, (end, self._base))]
             self._searched = max(self._searched, self._base + 1)
         return self.feed(b"")
-
-    def _clean_frame(self) -> int:
-        """The size of the frame at the head if it is whole, right and uncontested; else 0. The fast way."""
-        buffer = self._buffer
-        if len(buffer) < OVERHEAD_BYTES:
-            return 0
-        sync, size, check, topic_id = HEADER.unpack_from(buffer)
-        end: int = size + OVERHEAD_BYTES
-        if (
-            sync != SYNC_WORD
-            or end > len(buffer)
-            or size > self.limit_bytes
-            or (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT
-            or buffer.find(SYNC, 2, end) >= 0
-            or byte_sum(buffer[5:end]) & 0xFF != _SUM_IS_RIGHT
-            or self._fixed_bytes.get(topic_id, size) != size
-        ):
-            return 0
-        return end
 
     def _contested(self) -> Frame | Skipped | None:
         """The next event where the head is noise, incomplete or has a sync inside; None: more bytes are needed."""
@@ -177,7 +179,7 @@ class FrameStream:
         return skipped
 
     def _drop(self, size: int) -> None:
-        """Take a frame off the head; candidates that overlap it are no longer any."""
+        """Remove frames from the head; candidates that overlap them are no longer any."""
         del self._buffer[:size]
         self._base += size
         self._searched = self._base
