@@ -158,7 +158,7 @@ class Device:
         """The stamp of a header says something about the device's clock."""
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
-            self.link.session.device_clock.see(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=now_s)
+            self.link.session.device_clock.update(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=now_s)
 
     # -- to the device ------------------------------------------------------------------------------------------------
 

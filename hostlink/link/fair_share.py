@@ -25,6 +25,10 @@ class FairShare:
         self._calm: _Queue = deque()
         self._flooding: _Queue = deque()
 
+    def is_free(self, *, is_flooding: bool = False) -> bool:
+        """Whether `wait` would return at once: something of the turn is left, and nobody waits before the caller."""
+        return self._spent_s < self._turn_s and not self._calm and not (is_flooding and self._flooding)
+
     async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
         """Returns when the caller may compute for about `expected_s`: at once while something of the turn is left."""
         queue = self._flooding if is_flooding else self._calm
@@ -41,9 +45,10 @@ class FairShare:
             is_let_in = True
 
     def spend(self, seconds: float) -> None:
-        """The caller has computed for so long."""
+        """The caller has computed for this long. What is left of a turn stays until it is used up."""
         self._spent_s += seconds
-        self._expect_turn()
+        if self._is_used_up:
+            self._expect_turn()
 
     @property
     def _is_used_up(self) -> bool:
@@ -81,14 +86,27 @@ class Turns:
 
     async def take(self, work: Callable[[], None], *, is_flooding: bool) -> None:
         """Do a piece of work when it is its turn."""
-        now_s = asyncio.get_running_loop().time
-        await self._share.wait(self._cost_s, is_flooding=is_flooding)
-        began_s = now_s()
+        began_s = await self.begin(is_flooding=is_flooding)
         try:
             work()
         finally:
-            self._cost_s = now_s() - began_s
-            self._share.spend(self._cost_s)
+            self.end(began_s)
+
+    def is_free(self, *, is_flooding: bool) -> bool:
+        """Whether a piece of work may be done without waiting."""
+        return self._share.is_free(is_flooding=is_flooding)
+
+    async def begin(self, *, is_flooding: bool) -> float:
+        """Wait for the turn of a piece of work; returns when it begins."""
+        await self._share.wait(self._cost_s, is_flooding=is_flooding)
+        return asyncio.get_running_loop().time()
+
+    def end(self, began_s: float) -> float:
+        """The piece of work is done; returns the time."""
+        now_s = asyncio.get_running_loop().time()
+        self._cost_s = now_s - began_s
+        self._share.spend(self._cost_s)
+        return now_s
 
     async def wait(self, cost_s: float) -> None:
         """Returns when it is its turn, for work of about this cost that can only be begun here."""

@@ -1,9 +1,8 @@
-"""Link: one Session on one Transport, from connect to a named end. It moves bytes and tells the time, nothing else."""
+"""Link: one Session on one Transport, from connect to a named end. It moves bytes and reads the clock, nothing else."""
 
 import asyncio
 import contextlib
 import dataclasses
-import functools
 import math
 import time
 from collections.abc import Callable
@@ -25,7 +24,7 @@ from hostlink.transport.base import READ_BYTES, Transport
 
 log = structlog.get_logger()
 
-TROUBLE_INTERVAL_S = 10.0  # dirt on the wire is counted, and told this often
+TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted, and logged this often
 PIECE_BYTES = 512  # between two pieces others may have their turn; what a robot says at once is mostly less
 LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due
@@ -137,7 +136,7 @@ class Link:
     def wake(self) -> None:
         """Something was put into the session's outbox."""
         self._is_drained.clear()
-        self.session.wait_s(asyncio.get_running_loop().time())  # its age begins, also while the writer is stuck
+        self.session.begin_waiting(asyncio.get_running_loop().time())  # also while the writer is stuck
         self._wake.set()
 
     async def drained(self) -> None:
@@ -181,56 +180,60 @@ class Link:
             async with asyncio.timeout(None) as self._deadline:  # `end` sets it
                 if self._end is not None:
                     return self._end
-                self._tell(self.session.open(now_s=loop.time()))
+                now_s = loop.time()
+                self._dispatch(self.session.open(now_s=now_s), now_s)
                 while data := await self._transport.receive():
                     now_s = self.heard_at_s = loop.time()
                     self._from_device.add(data, now_s)
+                    is_flooding = len(data) >= READ_BYTES
                     for at in range(0, len(data), PIECE_BYTES):
-                        read = functools.partial(self._read_piece, data[at : at + PIECE_BYTES])
-                        await self._turns.take(read, is_flooding=len(data) >= READ_BYTES)
+                        if not self._turns.is_free(is_flooding=is_flooding):
+                            now_s = await self._turns.begin(is_flooding=is_flooding)
+                        self._dispatch(self.session.receive(data[at : at + PIECE_BYTES], now_s=now_s), now_s)
+                        now_s = self._turns.end(now_s)
                         if self._end is not None:
                             return self._end
-                    self._trouble.look(self.session, now_s)
+                    self._trouble.report(self.session, now_s)
         except TimeoutError:
             return LinkEnd.STOPPED  # never seen: `end` has set the reason
         finally:
             self._deadline = None
         return LinkEnd.PEER_CLOSED
 
-    def _read_piece(self, piece: bytes) -> None:
-        self._tell(self.session.receive(piece, now_s=asyncio.get_running_loop().time()))
-
     def _silent_at_s(self) -> float:
         """When the link ends if not a byte comes; sooner for a device that has shown that it asks for the time."""
         limit_s = self._asking_limit_s if self.session.is_asking_time else self._idle_limit_s
         return self.heard_at_s + limit_s
 
-    def _tell(self, found: list[Event]) -> None:
+    def _dispatch(self, found: list[Event], now_s: float) -> None:
         for event in found:
             self._on_event(self, event)
-        now_s = asyncio.get_running_loop().time()
-        next_s = min(self.session.deadline_s(), self._silent_at_s())
-        if self.session.wait_s(now_s) is not None or next_s < self._sleeps_until_s:
+        self.session.begin_waiting(now_s)
+        if self.session.wait_s(now_s) is not None or self._next_s() < self._sleeps_until_s:
             self._wake.set()
+
+    def _next_s(self) -> float:
+        """When something is due without a byte from the device."""
+        return min(self.session.deadline_s(), self._silent_at_s())
 
     async def _write(self) -> None:
         loop = asyncio.get_running_loop()
         while True:
             self._wake.clear()
-            while frame := self.session.take(now_s=loop.time(), wall_ns=time.time_ns()):
-                commanded_at_s = self.session.urgent_since_s
-                async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
-                    await self._transport.send(frame)
-                if commanded_at_s is not None:
-                    self.command_latency.add(loop.time() - commanded_at_s)
-                self._to_device.add(frame, loop.time())
             now_s = loop.time()
+            while taken := self.session.take(now_s=now_s, wall_ns=time.time_ns()):
+                async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
+                    await self._transport.send(taken.frame)
+                now_s = loop.time()
+                if taken.waiting_since_s is not None:
+                    self.command_latency.add(now_s - taken.waiting_since_s)
+                self._to_device.add(taken.frame, now_s)
             if self._silent_at_s() <= now_s + SOON_S:
                 self.end(LinkEnd.IDLE)
                 return
             deadline_s = self.session.deadline_s()
             if deadline_s <= now_s + SOON_S:
-                self._tell(self.session.tick(now_s=now_s + SOON_S))
+                self._dispatch(self.session.tick(now_s=now_s + SOON_S), now_s)
                 continue
             wait_s = self.session.wait_s(now_s)
             if wait_s is None:
@@ -243,25 +246,26 @@ class Link:
 
 
 class _Trouble:
-    """Tells of dirt on the wire: at most one line in TROUBLE_INTERVAL_S, with what came since the last one."""
+    """Logs damage on the wire: at most one line in TROUBLE_INTERVAL_S, with what came since the last one."""
 
     def __init__(self, now_s: float) -> None:
-        self._told_at_s = now_s
-        self._told: dict[str, int] = {}
+        self._logged_at_s = now_s
+        self._logged: dict[str, int] = {}
 
-    def look(self, session: Session, now_s: float) -> None:
-        if now_s < self._told_at_s + TROUBLE_INTERVAL_S:
+    def report(self, session: Session, now_s: float) -> None:
+        if now_s < self._logged_at_s + TROUBLE_INTERVAL_S:
             return
-        self._told_at_s = now_s
+        self._logged_at_s = now_s
         counts = session.counts
-        seen = {
+        total = {
             "skipped_bytes": counts.skipped_bytes,
             "unknown_ids": counts.unknown_ids,
             "refused_frames": counts.refused_frames,
             "malformed": counts.malformed,
             **session.rejected,
         }
-        new = {name: count - self._told.get(name, 0) for name, count in seen.items() if count > self._told.get(name, 0)}
-        self._told = seen
+        before = self._logged
+        new = {name: count - before.get(name, 0) for name, count in total.items() if count > before.get(name, 0)}
+        self._logged = total
         if new:
             log.warning("link.trouble", **new)

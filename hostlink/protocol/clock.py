@@ -1,8 +1,8 @@
-"""DeviceClock: what the header stamps of a device's messages say about its clock, and how fast it answers. Pure.
+"""DeviceClock: how far a device's clock is off, by the header stamps of its messages, and how fast it answers. Pure.
 
-A rosserial device takes the host's time from the answers to its time requests, about every 2.5 s, and adds the whole
-round trip to it. It echoes nothing. So from stamps only a sum can be known: how far its clock is off and how long its
-messages travel. The least of it, over many messages, is the offset with the shortest way; the rest is jitter.
+A rosserial device sets its clock by the answers to its time requests, about every 2.5 s, and adds the whole round trip.
+It echoes nothing. So from stamps only a sum can be known: how far its clock is off and how long its messages travel.
+The least of it, over many messages, is the offset with the shortest way; the rest is jitter.
 """
 
 from collections import deque
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 WRAP_NS = 2**32 * 1_000_000  # a device counts milliseconds in 32 bits: 49.7 days
 STEP_NS = 1_000_000_000  # further away a stamp is damaged, or its clock or the host's was set
-STEP_AFTER_S = 5.0  # so long stamps must be away to be believed: two time requests of the device
+STEP_AFTER_S = 5.0  # stamps are away for longer: believed, after two time requests of the device
 LATEST_NS = 5_000_000_000  # a message that is older on its arrival has a wrong stamp
 BUCKET_S = 10.0  # the least of some four time requests
 BUCKETS = 60  # ten minutes, for the drift
@@ -41,32 +41,32 @@ class DeviceClock:
 
     def __init__(self) -> None:
         self.answer_s: float | None = None  # from a request for topics to the first of them: network, UART and loop
-        self._asked_at_s: float | None = None
+        self._requested_at_s: float | None = None
         self._buckets: deque[_Bucket] = deque(maxlen=BUCKETS)
-        self._strange_since_s: float | None = None
+        self._away_since_s: float | None = None
 
-    def asked(self, now_s: float) -> None:
+    def topics_requested(self, now_s: float) -> None:
         """A request for topics leaves."""
-        self._asked_at_s = now_s
+        self._requested_at_s = now_s
 
-    def told(self, now_s: float) -> None:
+    def topics_answered(self, now_s: float) -> None:
         """A topic came."""
-        if self._asked_at_s is not None:
-            self.answer_s, self._asked_at_s = now_s - self._asked_at_s, None
+        if self._requested_at_s is not None:
+            self.answer_s, self._requested_at_s = now_s - self._requested_at_s, None
 
-    def see(self, stamp_ns: int, *, at_ns: int, now_s: float) -> None:
-        """A message with this header stamp arrived at `at_ns`; no stamp (zero) says nothing."""
+    def update(self, stamp_ns: int, *, at_ns: int, now_s: float) -> None:
+        """A message with this header stamp arrived at `at_ns`; zero is no stamp."""
         if stamp_ns == 0:
             return
         behind_ns = self._behind_ns(stamp_ns, at_ns)
         offset_ns = self.offset_ns
         if offset_ns is not None and abs(behind_ns - offset_ns) > STEP_NS:
-            if self._strange_since_s is None:
-                self._strange_since_s = now_s
-            if now_s < self._strange_since_s + STEP_AFTER_S:
+            if self._away_since_s is None:
+                self._away_since_s = now_s
+            if now_s < self._away_since_s + STEP_AFTER_S:
                 return
             self._buckets.clear()
-        self._strange_since_s = None
+        self._away_since_s = None
         number = int(now_s // BUCKET_S)
         if not self._buckets or self._buckets[-1].number != number:
             self._buckets.append(_Bucket(number, now_s, behind_ns))
@@ -83,7 +83,7 @@ class DeviceClock:
 
     @property
     def offset_ns(self) -> int | None:
-        """What the device's stamps lack to the host's time of arrival, on the fastest way of late."""
+        """How far the device's stamps are behind the host's time of arrival, on the fastest way of the last half minute."""
         if not self._buckets:
             return None
         newest = self._buckets[-1].number
@@ -98,9 +98,9 @@ class DeviceClock:
         times_s = [bucket.at_s - first.at_s for bucket in self._buckets]
         behinds_s = [(bucket.least_ns - first.least_ns) / _NS_PER_S for bucket in self._buckets]
         mean_time_s, mean_s = sum(times_s) / len(times_s), sum(behinds_s) / len(behinds_s)
-        spread = sum((time_s - mean_time_s) ** 2 for time_s in times_s)
+        variance = sum((time_s - mean_time_s) ** 2 for time_s in times_s)
         pairs = zip(times_s, behinds_s, strict=True)
-        return -1e6 * sum((time_s - mean_time_s) * (behind_s - mean_s) for time_s, behind_s in pairs) / spread
+        return -1e6 * sum((time_s - mean_time_s) * (behind_s - mean_s) for time_s, behind_s in pairs) / variance
 
     def reading(self, round_trip_s: float | None) -> ClockReading | None:
         """All that is known; None when nothing is. `round_trip_s` is what the network's own measurement says."""
@@ -111,7 +111,7 @@ class DeviceClock:
         return ClockReading(offset_s, self.drift_ppm, round_trip_s, self.answer_s)
 
     def _behind_ns(self, stamp_ns: int, at_ns: int) -> int:
-        """How far a stamp is behind; one whose device has just wrapped is taken as if it had not."""
+        """How far a stamp is behind, as if the device's counter had not wrapped."""
         behind_ns, offset_ns = at_ns - stamp_ns, self.offset_ns
         if offset_ns is None:
             return behind_ns

@@ -1,90 +1,162 @@
-"""NegotiationScheduler: when a session asks for topics: the wish, its limits and the times that it depends on."""
+"""NegotiationScheduler: in which state the negotiation of topics is, and when the next request for topics is due."""
 
 from collections import Counter
+from enum import Enum, auto
+from typing import Final
 
-ASK_INTERVAL_S = 1.0  # docs/protocol.md#topic-negotiation: at most one request for topics a second
+REQUEST_INTERVAL_S = 1.0  # docs/protocol.md#topic-negotiation: at most one request for topics a second
 ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
+NEGOTIATION_QUIET_S = 0.5  # a device sends its TopicInfos without a pause; WiFi may put one in
 SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
-QUIET_S = 3.5  # not a byte, one time request missed: a device that restarted behind its radio waits to be asked
+QUIET_S = 3.5  # not a byte, one time request missed: a device that restarted behind its radio waits for a request
 TIME_PERIOD_S = (1.0, 4.0)  # between two time requests: 2.5 s, a slow loop later, never two at once as in a negotiation
-MAX_SAME_ASKS = 3  # for one gap or one unknown id; a device that does not mend it never will
+MAX_SAME_REQUESTS = 3  # for one gap or one unknown id; a device that does not correct it never will
+
+
+class SessionState(Enum):
+    """What the host waits for."""
+
+    REQUESTING = auto()  # for the first TopicInfo
+    NEGOTIATING = auto()  # for the last TopicInfo
+    READY = auto()  # for messages
+
+
+class Step(Enum):
+    """What moves a session from one state to the next."""
+
+    REQUESTED = auto()  # a request for topics is queued
+    TOPIC_INFO = auto()
+    FINISHED = auto()  # another frame after the TopicInfos, or NEGOTIATION_QUIET_S without one
+
+
+TRANSITIONS: Final = {
+    SessionState.REQUESTING: {
+        Step.REQUESTED: SessionState.REQUESTING,
+        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+    },
+    SessionState.NEGOTIATING: {
+        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+        Step.FINISHED: SessionState.READY,
+    },
+    SessionState.READY: {
+        Step.REQUESTED: SessionState.REQUESTING,
+        Step.TOPIC_INFO: SessionState.NEGOTIATING,
+    },
+}
 
 
 class NegotiationScheduler:
-    """All times are of one monotonic clock, in seconds."""
+    """The state of one session. All times are of one monotonic clock, in seconds.
+
+    | state       | requests topics                                                                                   |
+    |-------------|---------------------------------------------------------------------------------------------------|
+    | REQUESTING  | at once after `open`, then after every 2 s without an answer                                      |
+    | NEGOTIATING | never                                                                                             |
+    | READY       | unknown id, gap or damage (3 times each); no time request for 5 s, or not a byte for 3.5 s from a |
+    |             | device that requests the time                                                                     |
+
+    A request waits until the last one is REQUEST_INTERVAL_S old.
+    """
 
     def __init__(self) -> None:
-        self.heard_at_s = 0.0
-        self.told_at_s = 0.0
-        self.is_answered = True
-        self.is_negotiation_damaged = False
-        self.is_asking_time = False  # at the usual period
+        self.state = SessionState.REQUESTING
+        self.heard_at_s = 0.0  # the last byte
+        self.is_regular = False  # it requests the time at the usual period
+        self._is_damaged = False  # bytes were skipped in this negotiation
+        self._topic_info_at_s = 0.0
         self._time_requested_at_s = 0.0  # or a request for topics took its place
         self._last_time_request_s = float("-inf")
-        self._asked_at_s = float("-inf")
-        self._wish: str | None = None
-        self._same_asks: Counter[object] = Counter()
+        self._requested_at_s = float("-inf")
+        self._pending: str | None = None  # why topics are to be requested
+        self._same_requests: Counter[object] = Counter()
 
     def open(self, now_s: float) -> None:
+        """The connection is open."""
         self.heard_at_s = self._time_requested_at_s = now_s
-        self._wish = "connected"
+        self._pending = "connected"
 
-    def take_time_request(self, now_s: float) -> None:
+    def time_requested(self, now_s: float) -> None:
+        """The device requested the time."""
         shortest_s, longest_s = TIME_PERIOD_S
-        self.is_asking_time |= shortest_s <= now_s - self._last_time_request_s <= longest_s
+        self.is_regular |= shortest_s <= now_s - self._last_time_request_s <= longest_s
         self._time_requested_at_s = self._last_time_request_s = now_s
 
-    def wish(self, reason: str, *, about: object) -> None:
-        """Want to ask, unless it was asked for the same cause too often already."""
-        if self._wish is None and self._same_asks[about] < MAX_SAME_ASKS:
-            self._same_asks[about] += 1
-            self._wish = reason
+    def topic_info_received(self, now_s: float) -> bool:
+        """A TopicInfo came; whether it is the first of a negotiation."""
+        is_first = self.state is not SessionState.NEGOTIATING
+        self._topic_info_at_s = now_s
+        self._step(Step.TOPIC_INFO)
+        return is_first
+
+    def mark_damaged(self) -> None:
+        """Bytes were lost: in a negotiation they may have been a TopicInfo."""
+        self._is_damaged |= self.state is SessionState.NEGOTIATING
 
     def request(self, reason: str) -> None:
-        """Want to ask, whatever was asked before."""
-        self._wish = self._wish or reason
+        """Request the topics, whatever was requested before."""
+        self._pending = self._pending or reason
 
-    def forget_same_asks(self) -> None:
-        self._same_asks.clear()
+    def request_about(self, cause: object, reason: str) -> None:
+        """Request the topics, unless that was done too often for the same cause."""
+        if self._pending is None and self._same_requests[cause] < MAX_SAME_REQUESTS:
+            self._same_requests[cause] += 1
+            self._pending = reason
+
+    def forget_causes(self) -> None:
+        """The topics are others now: count anew."""
+        self._same_requests.clear()
 
     def finish(self, gap_at: int | None, *, is_short: bool = False) -> None:
-        """A negotiation ended: earlier wishes are granted, what was lost in it is a new one."""
-        self._wish = None
+        """The negotiation ended: it grants earlier requests, and what was lost in it is the cause of a new one."""
+        self._step(Step.FINISHED)
+        self._pending = None
         if gap_at is not None:
-            self.wish("gap", about="loss")
-        elif self.is_negotiation_damaged:
-            self.wish("damaged", about="loss")
+            self.request_about("loss", "gap")
+        elif self._is_damaged:
+            self.request_about("loss", "damaged")
         elif is_short:
-            self.wish("missing", about="loss")
+            self.request_about("loss", "missing")
         else:
-            self._same_asks.pop("loss", None)
-        self.is_negotiation_damaged = False
+            self._same_requests.pop("loss", None)
+        self._is_damaged = False
+
+    def is_quiet(self, now_s: float) -> bool:
+        """Whether a negotiation ends because no TopicInfo came for long enough."""
+        return self.state is SessionState.NEGOTIATING and now_s >= self._topic_info_at_s + NEGOTIATION_QUIET_S
 
     def tick(self, now_s: float) -> None:
-        if not self.is_answered:
-            if now_s >= self._asked_at_s + ANSWER_TIMEOUT_S:
-                self._wish = self._wish or "no_answer"
-        elif now_s >= self._silent_at_s():
+        """Request the topics of a device that does not answer, or is silent."""
+        if self.state is SessionState.REQUESTING and now_s >= self._requested_at_s + ANSWER_TIMEOUT_S:
+            self.request("no_answer")
+        elif self.state is SessionState.READY and now_s >= self._silent_at_s():
             self._time_requested_at_s = now_s
-            self._wish = self._wish or "no_time_requests"
+            self.request("no_time_requests")
 
-    def take_wish(self, now_s: float) -> str | None:
-        """The reason to ask now; None: nothing to ask, or asked less than a second ago."""
-        if self._wish is None or now_s < self._asked_at_s + ASK_INTERVAL_S:
+    def pop_request(self, now_s: float) -> str | None:
+        """The reason to request topics now; None: there is none, or the last request is too young."""
+        if self._pending is None or self.state is SessionState.NEGOTIATING:
             return None
-        reason, self._wish = self._wish, None
-        self._asked_at_s = now_s
-        self.is_answered = False
+        if now_s < self._requested_at_s + REQUEST_INTERVAL_S:
+            return None
+        reason, self._pending = self._pending, None
+        self._requested_at_s = now_s
+        self._step(Step.REQUESTED)
         return reason
 
     def deadline_s(self) -> float:
-        if self._wish is not None:
-            return self._asked_at_s + ASK_INTERVAL_S
-        if not self.is_answered:
-            return self._asked_at_s + ANSWER_TIMEOUT_S
+        """When something is due if nothing comes before."""
+        if self.state is SessionState.NEGOTIATING:
+            return self._topic_info_at_s + NEGOTIATION_QUIET_S
+        if self._pending is not None:
+            return self._requested_at_s + REQUEST_INTERVAL_S
+        if self.state is SessionState.REQUESTING:
+            return self._requested_at_s + ANSWER_TIMEOUT_S
         return self._silent_at_s()
 
+    def _step(self, step: Step) -> None:
+        self.state = TRANSITIONS[self.state][step]
+
     def _silent_at_s(self) -> float:
-        """When its silence is a reason to ask."""
+        """When its silence is a reason to request the topics."""
         silent_at_s = self._time_requested_at_s + SILENCE_S
-        return min(silent_at_s, self.heard_at_s + QUIET_S) if self.is_asking_time else silent_at_s
+        return min(silent_at_s, self.heard_at_s + QUIET_S) if self.is_regular else silent_at_s

@@ -12,7 +12,7 @@ class NonRosserialBytes:
         self.is_protocol_1 = False
         self.tail = b""
 
-    def take(self, data: bytes) -> bool:
+    def add(self, data: bytes) -> bool:
         """Keep skipped bytes; True the first time that they hold a frame of protocol version 1."""
         watched = self.tail[1 - PROTOCOL_1_MAX_BYTES :] + data
         self.tail = (self.tail + data)[-KEPT_BYTES:]

@@ -1,18 +1,26 @@
-"""Outbox: what waits for one device, in which order it leaves, and when its UART can take it."""
+"""Outbox: what waits for one device, in which order it leaves, and when its UART is free for it."""
 
 from collections import deque
 from collections.abc import Hashable, Iterator
+from typing import NamedTuple
 
 from hostlink.errors import DeviceBusy
 from hostlink.protocol.control import encode_time
 from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, STOP_REQUEST, TOPICS_REQUEST, Id, encode
 
 LOOP_S = 1 / 30  # docs/robot.md#numbers: one turn of the robot's loop, the longest that a stop may wait
-RING_BYTES = 128  # docs/robot.md#numbers: the receive ring of the Due's UART, so the largest burst that it takes
+RING_BYTES = 128  # docs/robot.md#numbers: the receive ring of the Due's UART, so the largest burst that it accepts
 TIME_BYTES = 16
 CONTROL_BYTES = TIME_BYTES + len(TOPICS_REQUEST)  # what may go ahead of a velocity
 VELOCITY_BYTES = 56
 MAX_REPLIES = 32
+
+
+class Taken(NamedTuple):
+    """A frame to write now, and since when it waits if it is a velocity."""
+
+    frame: bytes
+    waiting_since_s: float | None = None
 
 
 class _Waiting:
@@ -37,15 +45,14 @@ class Outbox:
     A command replaces the one of its topic that has not left yet. A frame leaves when the device's UART has so little
     left of earlier ones that a velocity put after it is on the wire within one LOOP_S. A frame on the wire cannot be
     interrupted, and in pieces a device would drop it (its rule of 20 ms): so one that alone takes longer waits while
-    the robot moves. Only an answer to the device's own question does not: the device asks, and waits for it spinning.
+    the robot moves. Only an answer to the device's own request does not: the device waits for it in a loop.
 
-    Age counts from the first `wait_s` or `take` after a frame was put; the link calls it at once.
+    Age counts from the first `begin_waiting` or `take` after a frame was put; the link calls it at once.
     """
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
         self.slowest_wait_s = 0.0  # of all frames that left
-        self.urgent_since_s: float | None = None  # when the frame that was taken last was put, if it is an urgent one
         self.robot_moves = False
         self._uart = _Uart(uart_bytes_s)
         self._is_time_due = self._is_request_due = self._is_stop_due = self._is_stopped = False
@@ -69,11 +76,11 @@ class Outbox:
         self._is_time_due = True
 
     def put_topics_request(self) -> None:
-        """Ask the device for its topics."""
+        """Request the topics of the device."""
         self._is_request_due = True
 
     def put_stop(self) -> None:
-        """Tell the device to fall silent, after the urgent commands; nothing else is sent any more."""
+        """Request silence of the device, after the urgent commands; nothing else is sent any more."""
         self._is_stop_due = self._is_stopped = True
 
     def put_urgent(self, topic_id: int, frame: bytes, *, is_kept: bool = False) -> None:
@@ -87,11 +94,19 @@ class Outbox:
             self._put(self._urgent, topic_id, _Waiting(frame, is_kept=is_kept), depth=depth)
 
     def put_reply(self, name: str, frame: bytes) -> None:
-        """Queue an answer to a question of the device's; DeviceBusy when too many wait."""
+        """Queue an answer to a request of the device.
+
+        Raises:
+            DeviceBusy: too many requests and answers wait.
+        """
         self._put_reply(name, _Waiting(frame, is_awaited=True))
 
     def put_call(self, name: str, frame: bytes) -> None:
-        """Queue a call of a service of the device's; DeviceBusy when too many wait."""
+        """Queue a call of a service of the device.
+
+        Raises:
+            DeviceBusy: too many requests and answers wait.
+        """
         self._put_reply(name, _Waiting(frame))
 
     def put_command(self, topic_id: int, frame: bytes, *, depth: int = 1) -> None:
@@ -110,20 +125,23 @@ class Outbox:
             else:
                 del self._replies[name]
 
-    def take(self, *, now_s: float, wall_ns: int) -> bytes | None:
-        """The next frame to write, or None: nothing waits, or the UART is still busy with the last ones."""
-        if self.wait_s(now_s) != 0:
-            return None
-        self.urgent_since_s = None
-        frame = self._next(now_s, wall_ns)
-        self._uart.add(len(frame), now_s)
-        return frame
-
-    def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `take` gives a frame; None when nothing waits, or only for the robot to stand."""
+    def begin_waiting(self, now_s: float) -> None:
+        """What was put since the last call waits from now on."""
         for waiting in self._new:
             waiting.since_s = now_s
         self._new.clear()
+
+    def take(self, *, now_s: float, wall_ns: int) -> Taken | None:
+        """Remove the next frame to write; None: nothing waits, or the UART is still busy with the last ones."""
+        self.begin_waiting(now_s)
+        if self.wait_s(now_s) != 0:
+            return None
+        taken = self._next(now_s, wall_ns)
+        self._uart.add(len(taken.frame), now_s)
+        return taken
+
+    def wait_s(self, now_s: float) -> float | None:
+        """Seconds until `take` gives a frame; None when nothing waits, or only for the robot to stand."""
         if not self._is_stopped and (self._is_time_due or self._is_request_due):
             return self._uart.wait_s(TIME_BYTES, now_s)
         found = self._head()
@@ -169,25 +187,24 @@ class Outbox:
     def _is_held(self, waiting: _Waiting) -> bool:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
 
-    def _next(self, now_s: float, wall_ns: int) -> bytes:
+    def _next(self, now_s: float, wall_ns: int) -> Taken:
         if self._is_time_due and not self._is_stopped:
             self._is_time_due = False
-            return encode(Id.TIME, encode_time(wall_ns))
+            return Taken(encode(Id.TIME, encode_time(wall_ns)))
         if self._is_request_due and not self._is_stopped:
             self._is_request_due = False
-            return TOPICS_REQUEST
+            return Taken(TOPICS_REQUEST)
         found = self._head()
         if found is None:
             self._is_stop_due = False
-            return STOP_REQUEST
+            return Taken(STOP_REQUEST)
         queues, key = found
         waiting = queues.pop(key)
         one = waiting.popleft()
         if waiting:
             queues[key] = waiting  # behind the others
         self.slowest_wait_s = max(self.slowest_wait_s, one.age_s(now_s))
-        self.urgent_since_s = one.since_s if queues is self._urgent else None
-        return one.frame
+        return Taken(one.frame, one.since_s if queues is self._urgent else None)
 
 
 class _Uart:

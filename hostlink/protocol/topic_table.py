@@ -11,39 +11,39 @@ MAX_TOPICS = 256  # ten times what rosserial's own library allows by default
 
 
 class TopicTable:
-    """The topics of the last complete negotiation, and those that the present one has told so far.
+    """The topics of the last complete negotiation, and those that the present one has announced so far.
 
-    One that tells only a part of what was told before, and nothing else, has most likely lost a TopicInfo on the way: a
-    topic to the device that it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose velocity topic
-    went at once could not be stopped any more.
+    One that announces only a part of what was announced before, and nothing else, has most likely lost a TopicInfo on
+    the way: a topic to the device that it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose
+    velocity topic went at once could not be stopped any more.
 
     `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have. What is over
-    `max_topics` is not taken: `excess` counts it, in the present negotiation.
+    `max_topics` is not added: `excess` counts it, in the present negotiation.
     """
 
     def __init__(self, max_topics: int = MAX_TOPICS) -> None:
         self.fixed_bytes: dict[int, int] = {}
-        self.is_negotiating = False
         self.max_topics = max_topics
         self.excess = 0
         self._by_name: dict[tuple[str, int], TopicInfo] = {}
-        self._told: dict[int, TopicInfo] = {}  # by the present negotiation
+        self._announced: dict[int, TopicInfo] = {}  # by the present negotiation
         self._complete: dict[int, TopicInfo] = {}  # what the negotiation before it left
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked an id
-        self._topics: dict[int, TopicInfo] = {}  # told so far, then those of the negotiation before
+        self._topics: dict[int, TopicInfo] = {}  # announced so far, then those of the negotiation before
+
+    def begin(self) -> None:
+        """A new negotiation: the device announces all of its topics again."""
+        self.excess = 0
+        self._announced, self._complete = {}, dict(self._topics)
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
-        """Take one TopicInfo for which there `is_room`; the first one after a `finish` begins a new negotiation."""
-        if not self.is_negotiating:
-            self.is_negotiating = True
-            self.excess = 0
-            self._told, self._complete = {}, dict(self._topics)
+        """Add one TopicInfo of the present negotiation, for which there `is_room`."""
         before = self._topics.get(info.topic_id)
         if before is not None and self._by_name.get((before.name, before.kind)) == before:
             del self._by_name[before.name, before.kind]
-        self._told[info.topic_id] = self._topics[info.topic_id] = info
+        self._announced[info.topic_id] = self._topics[info.topic_id] = info
         known = self._by_name.get((info.name, info.kind))
-        if known is None or self._told.get(known.topic_id) != known:  # the first of a negotiation has the name
+        if known is None or self._announced.get(known.topic_id) != known:  # the first of a negotiation has the name
             self._by_name[info.name, info.kind] = info
         if fixed_bytes is None:
             self.fixed_bytes.pop(info.topic_id, None)
@@ -51,20 +51,19 @@ class TopicTable:
             self.fixed_bytes[info.topic_id] = fixed_bytes
 
     def is_room(self, topic_id: int) -> bool:
-        """Whether one more TopicInfo may be taken."""
-        return not self.is_negotiating or topic_id in self._told or len(self._told) < self.max_topics
+        """Whether one more TopicInfo of the present negotiation can be added."""
+        return topic_id in self._announced or len(self._announced) < self.max_topics
 
     def finish(self, *, refused: Container[int] = ()) -> None:
-        """The device has told all: what it did not name again is gone, or lost for now; `refused` is never used."""
-        self.is_negotiating = False
-        is_part = self._told.items() <= self._complete.items()
+        """The device has announced all: what is not among it is gone, or lost for now; `refused` is never used."""
+        is_part = self._announced.items() <= self._complete.items()
         usable = [each for each, info in self._complete.items() if info.kind is Id.SUBSCRIBER and each not in refused]
-        lacked = [each for each in usable if is_part and each not in self._told]
+        lacked = [each for each in usable if is_part and each not in self._announced]
         self._missed = Counter({each: self._missed[each] + 1 for each in lacked})
         kept = {each: self._complete[each] for each in self.missing}
-        for gone in self._topics.keys() - self._told.keys() - kept.keys():
+        for gone in self._topics.keys() - self._announced.keys() - kept.keys():
             self.fixed_bytes.pop(gone, None)
-        self._topics = kept | self._told
+        self._topics = kept | self._announced
         self._by_name = {(info.name, info.kind): info for info in reversed(self._topics.values())}
 
     @property
@@ -96,11 +95,11 @@ class TopicTable:
     def gap(self) -> int | None:
         """The lowest id that is missing, which means that a TopicInfo was lost.
 
-        A device numbers what it takes from 100 and what it sends from a higher number that depends on its build, both
+        A device numbers what it receives from 100 and what it sends from a higher number that depends on its build, both
         without gaps; so the first of what it sends cannot be missed here.
         """
-        to_device = [info.topic_id for info in self._told.values() if info.kind in IS_TO_DEVICE]
-        from_device = [info.topic_id for info in self._told.values() if info.kind not in IS_TO_DEVICE]
+        to_device = [info.topic_id for info in self._announced.values() if info.kind in IS_TO_DEVICE]
+        from_device = [info.topic_id for info in self._announced.values() if info.kind not in IS_TO_DEVICE]
         missing = _missing(to_device, FIRST_TOPIC_ID)
         return missing if missing is not None else _missing(from_device, min(from_device, default=0))
 

@@ -71,7 +71,8 @@ def sends_only_what_the_device_can_take(session: Session, info: TopicInfo, now_s
     known = {known.topic_id: known for known in session.topics}
     with contextlib.suppress(HostlinkError):  # refused, or sent: then it must fit
         session.publish(info.name, bytes(SIZES.get(info.type, 5)))
-    while (frame := session.take(now_s=now_s, wall_ns=0)) is not None:
+    while (taken := session.take(now_s=now_s, wall_ns=0)) is not None:
+        frame = taken.frame
         topic_id = int.from_bytes(frame[5:7], "little")
         if topic_id >= 100:
             assert known[topic_id].is_to_device
@@ -83,8 +84,8 @@ def comes_back(session: Session, now_s: float) -> None:
     asked = False
     for _ in range(2000):
         now_s += 0.01
-        while (frame := session.take(now_s=now_s, wall_ns=0)) is not None:
-            asked = asked or frame == TOPICS_REQUEST
+        while (taken := session.take(now_s=now_s, wall_ns=0)) is not None:
+            asked = asked or taken.frame == TOPICS_REQUEST
         if asked:
             break
         session.tick(now_s=now_s)

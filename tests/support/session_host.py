@@ -53,8 +53,8 @@ class Host:
 
     def sent(self) -> list[Frame]:
         stream, found = FrameStream(), []
-        while (data := self.session.take(now_s=self.now_s, wall_ns=5)) is not None:
-            found += [item for item in stream.feed(data) if isinstance(item, Frame)]
+        while (taken := self.session.take(now_s=self.now_s, wall_ns=5)) is not None:
+            found += [item for item in stream.feed(taken.frame) if isinstance(item, Frame)]
         return found
 
     def asks(self) -> list[str]:

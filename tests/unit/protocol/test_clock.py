@@ -31,7 +31,7 @@ class Run:
             self.now_s += 0.1
             stamp_ns = self._device_ns(self.now_s)
             arrival_s = self.now_s + self._latency_s()
-            self.clock.see(stamp_ns, at_ns=host_ns(arrival_s), now_s=arrival_s)
+            self.clock.update(stamp_ns, at_ns=host_ns(arrival_s), now_s=arrival_s)
             self.stamps.append(self.clock.to_host_ns(stamp_ns, host_ns(arrival_s)))
         return self
 
@@ -45,7 +45,7 @@ def test_nothing_is_known_at_first() -> None:
     clock = DeviceClock()
     assert clock.reading(None) is None
     assert clock.to_host_ns(5, 7) == 7
-    clock.see(0, at_ns=WALL_NS, now_s=0.0)  # no stamp
+    clock.update(0, at_ns=WALL_NS, now_s=0.0)  # no stamp
     assert clock.reading(None) is None
 
 
@@ -118,18 +118,18 @@ def test_one_damaged_stamp_changes_nothing_and_its_message_has_the_time_of_its_a
 def test_what_a_stalled_network_delivers_at_once_keeps_its_times() -> None:
     clock = DeviceClock()
     for tenth in range(100):
-        clock.see(host_ns(tenth / 10), at_ns=host_ns(tenth / 10 + 0.002), now_s=tenth / 10)
+        clock.update(host_ns(tenth / 10), at_ns=host_ns(tenth / 10 + 0.002), now_s=tenth / 10)
     stamps = [clock.to_host_ns(host_ns(10 + tenth / 10), host_ns(12.0)) for tenth in range(20)]
     assert stamps == pytest.approx([host_ns(10 + tenth / 10 + 0.002) for tenth in range(20)], abs=1000)
 
 
 def test_the_answer_of_a_device_is_timed_once_a_request() -> None:
     clock = DeviceClock()
-    clock.told(1.0)
+    clock.topics_answered(1.0)
     assert clock.answer_s is None
-    clock.asked(2.0)
-    clock.told(2.06)
-    clock.told(2.1)
+    clock.topics_requested(2.0)
+    clock.topics_answered(2.06)
+    clock.topics_answered(2.1)
     assert clock.answer_s == pytest.approx(0.06)
     assert clock.reading(0.004) == ClockReading(None, None, round_trip_s=0.004, answer_s=clock.answer_s)
 
@@ -148,7 +148,7 @@ def test_a_steady_device_is_never_stamped_backwards_nor_into_the_future(
         now_s += pause_s
         arrival_s = max(arrival_s, now_s + latency_s)
         stamp_ns = host_ns(now_s * (1 + ppm / 1e6)) + offset_s * S
-        clock.see(stamp_ns, at_ns=host_ns(arrival_s), now_s=arrival_s)
+        clock.update(stamp_ns, at_ns=host_ns(arrival_s), now_s=arrival_s)
         given_ns = clock.to_host_ns(stamp_ns, host_ns(arrival_s))
         assert given_ns <= host_ns(arrival_s)
         shown_ns = max(shown_ns, given_ns)  # as the odometry holds it
@@ -160,7 +160,7 @@ def test_any_stamps_are_survived(messages: list[tuple[int, float]]) -> None:
     clock, now_s = DeviceClock(), 0.0
     for stamp_ns, pause_s in messages:
         now_s += pause_s
-        clock.see(stamp_ns, at_ns=host_ns(now_s), now_s=now_s)
+        clock.update(stamp_ns, at_ns=host_ns(now_s), now_s=now_s)
         given_ns = clock.to_host_ns(stamp_ns, host_ns(now_s))
         assert host_ns(now_s) - 5 * S <= given_ns <= host_ns(now_s)
         assert clock.reading(None) is None or clock.offset_ns is not None

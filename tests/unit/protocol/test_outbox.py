@@ -14,8 +14,8 @@ WALL_NS = 1_000_000_002
 
 def drain(outbox: Outbox) -> list[bytes]:
     taken = []
-    while (frame := outbox.take(now_s=0.0, wall_ns=WALL_NS)) is not None:
-        taken.append(frame)
+    while (one := outbox.take(now_s=0.0, wall_ns=WALL_NS)) is not None:
+        taken.append(one.frame)
     return taken
 
 
@@ -127,8 +127,8 @@ def test_never_faster_than_the_uart_but_for_one_ring(puts: list[tuple[float, int
         if (wait_s := outbox.wait_s(now_s)) is not None:
             assert wait_s <= 201 / uart_bytes_s  # a frame may leave a byte too early
         outbox.put_command(100, bytes(size))
-        frame = outbox.take(now_s=now_s, wall_ns=0)
-        sent_bytes += 0 if frame is None else len(frame)
+        taken = outbox.take(now_s=now_s, wall_ns=0)
+        sent_bytes += 0 if taken is None else len(taken.frame)
         assert sent_bytes <= RING_BYTES + now_s * uart_bytes_s + 200
 
 
@@ -191,16 +191,17 @@ class Line:
         self.begun_at_s: dict[bytes, float] = {}  # the newest frame with these bytes
 
     def drain(self, until_s: float) -> None:
-        """Take whatever leaves by then, as the link does."""
+        """Whatever leaves by then, as the link does it."""
+        self.outbox.begin_waiting(self.now_s)
         while True:
             wait_s = self.outbox.wait_s(self.now_s)
             if wait_s is None or self.now_s + wait_s > until_s:
                 break
             self.now_s += wait_s
-            frame = self.outbox.take(now_s=self.now_s, wall_ns=0)
-            if frame is not None:
-                self.begun_at_s[frame] = max(self.now_s, self.free_at_s)
-                self.free_at_s = self.begun_at_s[frame] + len(frame) * self.byte_s
+            taken = self.outbox.take(now_s=self.now_s, wall_ns=0)
+            if taken is not None:
+                self.begun_at_s[taken.frame] = max(self.now_s, self.free_at_s)
+                self.free_at_s = self.begun_at_s[taken.frame] + len(taken.frame) * self.byte_s
         self.now_s = until_s
 
     @property
@@ -306,9 +307,9 @@ def test_the_age_of_the_oldest_frame_is_that_of_what_really_waits() -> None:
     assert outbox.oldest_s(0.0) == 0.0
     outbox.put_command(100, bytes(100))
     outbox.put_command(101, bytes(100))
-    outbox.wait_s(1.0)
+    outbox.begin_waiting(1.0)
     assert outbox.take(now_s=1.0, wall_ns=0) is not None
     outbox.put_command(101, bytes(90))  # in the place of the one that waits
-    outbox.wait_s(1.05)
+    outbox.begin_waiting(1.05)
     assert outbox.oldest_s(1.1) == pytest.approx(0.05)
     assert outbox.slowest_wait_s == 0.0

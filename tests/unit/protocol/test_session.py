@@ -8,15 +8,17 @@ from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from hostlink.protocol import events
 from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, encode_parameter_request
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
-from hostlink.protocol.negotiation import MAX_SAME_ASKS
-from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
+from hostlink.protocol.negotiation import MAX_SAME_REQUESTS
+from hostlink.protocol.outbox import Taken
+from hostlink.protocol.session import Session
+from hostlink.protocol.to_device import DEFAULT_BUFFER_BYTES
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
 def test_it_asks_for_topics_at_once() -> None:
     host = Host()
     assert host.asks() == ["connected"]
-    assert host.session.take(now_s=host.now_s, wall_ns=0) == TOPICS_REQUEST
+    assert host.session.take(now_s=host.now_s, wall_ns=0) == Taken(TOPICS_REQUEST)
 
 
 def test_without_an_answer_it_asks_again_every_two_seconds() -> None:
@@ -61,7 +63,7 @@ def test_an_unknown_id_is_asked_about_at_most_once_a_second_and_three_times() ->
         if host.asks():
             asked_at_s.append(host.now_s)
             host.hear(TIME + wire(ODOMETRY) + TIME)
-    assert len(asked_at_s) == MAX_SAME_ASKS
+    assert len(asked_at_s) == MAX_SAME_REQUESTS
     assert all(later - earlier >= 1.0 for earlier, later in itertools.pairwise(asked_at_s))
     assert host.session.counts.unknown_ids == 1000
 
@@ -92,7 +94,7 @@ def test_a_gap_in_the_ids_is_asked_about_until_it_is_clear_that_it_stays(infos: 
         if "gap" in host.asks():
             asks += 1
             host.hear(TIME + wire(*infos) + TIME)
-    assert asks == MAX_SAME_ASKS
+    assert asks == MAX_SAME_REQUESTS
 
 
 def test_damage_during_a_negotiation_is_asked_about() -> None:
@@ -254,7 +256,7 @@ def test_a_paced_device_is_waited_for() -> None:
     session = Session(check=check, uart_bytes_s=960)
     session.open(now_s=0.0)
     assert session.wait_s(0.0) == 0.0
-    assert session.take(now_s=0.0, wall_ns=0) == TOPICS_REQUEST
+    assert session.take(now_s=0.0, wall_ns=0) == Taken(TOPICS_REQUEST)
     assert session.wait_s(0.0) is None
 
 

@@ -14,6 +14,7 @@ def info(topic_id: int, name: str, kind: Id = Id.PUBLISHER) -> TopicInfo:
 
 def table(*infos: TopicInfo) -> TopicTable:
     made = TopicTable()
+    made.begin()
     for each in infos:
         made.add(each, None)
     return made
@@ -38,6 +39,7 @@ def test_the_first_of_two_with_one_name_has_it() -> None:
 def test_a_name_that_has_another_id_now_is_found_by_the_new_one() -> None:
     made = table(info(125, "/a"))
     made.finish()
+    made.begin()
     made.add(info(126, "/a"), None)
     assert made.find("/a", Id.PUBLISHER) == info(126, "/a")
     made.finish()

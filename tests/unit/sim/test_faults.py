@@ -51,7 +51,7 @@ def test_what_the_faults_change_in_a_topic() -> None:
 
 
 def test_protocol_1_is_what_a_session_recognises() -> None:
-    assert NonRosserialBytes().take(FaultyLine(FAULTS["protocol_1"]).pass_on(SAID))
+    assert NonRosserialBytes().add(FaultyLine(FAULTS["protocol_1"]).pass_on(SAID))
 
 
 def test_the_boot_message_comes_once_and_first() -> None:
