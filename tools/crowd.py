@@ -2,6 +2,7 @@
 say nothing.
 
     python tools/crowd.py devices 1000 HOST:PORT SECONDS     # each with 10 poses a second, and driven if anybody drives
+    python tools/crowd.py fleet 30 HOST:PORT SECONDS         # the same, each with two topics, 10 messages a second on each
     python tools/crowd.py vanish 200 HOST:PORT SECONDS       # so many a second connect, and reset at once
     python tools/crowd.py silent 10000 HOST:PORT SECONDS     # so many connections, kept open as long as the host does
     python tools/crowd.py flood 1 HOST:PORT SECONDS          # so many devices that publish poses as fast as they can
@@ -35,6 +36,7 @@ ARRIVAL_S = 0.002
 AT_ONCE = 50  # connections that are being opened
 TIME = encode(Id.TIME, bytes(8))
 POSE = encode(125, struct.pack("<3d", 1.0, 2.0, 0.5))
+VOLTAGE = encode(126, struct.pack("<f", 12.1))
 CONNECT_TIMEOUT_S = 10.0
 FLOOD_BYTES = 65536  # of one write
 
@@ -66,13 +68,17 @@ class Device(asyncio.Protocol):
             self._counts["sent"] += 1
 
 
-def hello(name: str) -> bytes:
+def hello(name: str, *, has_battery: bool = False) -> bytes:
     """What a robot of this name answers to a request for topics."""
-    infos = []
-    for kind, topic_id, topic, type_name in (
+    topics = [
         (Id.PUBLISHER, 125, "odometry", "geometry_msgs/Pose2D"),
+        (Id.PUBLISHER, 126, "battery", "std_msgs/Float32"),
         (Id.SUBSCRIBER, 100, "velocity_commands", "geometry_msgs/Twist"),
-    ):
+    ]
+    if not has_battery:
+        del topics[1]
+    infos = []
+    for kind, topic_id, topic, type_name in topics:
         found = CATALOG.message(type_name)
         assert found is not None  # noqa: S101 - of the store that the project is built on
         infos.append(
@@ -81,12 +87,14 @@ def hello(name: str) -> bytes:
     return TIME + b"".join(infos) + TIME
 
 
-async def devices(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+async def devices(
+    count: int, host: str, port: int, seconds: float, counts: Counter[str], *, has_battery: bool = False
+) -> None:
     """A fleet, distributed over the period so that the host has no bursts but its own."""
     loop = asyncio.get_running_loop()
     fleet: list[Device] = []
     for number in range(count):
-        made = Device(hello(f"crowd_{number}"), counts)
+        made = Device(hello(f"crowd_{number}", has_battery=has_battery), counts)
         await loop.create_connection(lambda made=made: made, host, port, local_addr=(source(number), 0))  # type: ignore[misc]
         fleet.append(made)
         await asyncio.sleep(ARRIVAL_S)
@@ -100,11 +108,18 @@ async def devices(count: int, host: str, port: int, seconds: float, counts: Coun
     while turn < seconds * turns_a_second:
         for made in fleet[turn % TURNS_A_PERIOD :: TURNS_A_PERIOD]:
             made.send(POSE)
+        for made in fleet[(turn + TURNS_A_PERIOD // 2) % TURNS_A_PERIOD :: TURNS_A_PERIOD] if has_battery else ():
+            made.send(VOLTAGE)
         for made in fleet[turn % time_turns :: time_turns]:
             made.send(TIME)
         turn += 1
         await asyncio.sleep(max(0.0, began_s + turn / turns_a_second - loop.time()))
     counts["behind_ms"] = round(1000 * (loop.time() - began_s - seconds))
+
+
+async def fleet(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """Robots that tell the voltage of their batteries, too."""
+    await devices(count, host, port, seconds, counts, has_battery=True)
 
 
 async def vanish(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
@@ -229,7 +244,7 @@ def ready() -> None:
 
 
 CATALOG = Catalog()
-CROWDS = {"devices": devices, "vanish": vanish, "silent": silent, "flood": flood, "mixed": mixed}
+CROWDS = {"devices": devices, "fleet": fleet, "vanish": vanish, "silent": silent, "flood": flood, "mixed": mixed}
 KINDS = (
     POSE,
     logs(1),

@@ -26,6 +26,7 @@ class MessageType:
         layouts |= {"time": TIME, "duration": DURATION}
         self.layout: Layout = Layout(definition.name, definition.fields, layouts)
         self.nested: Mapping[str, MessageType] = nested
+        self.fallbacks = 0  # messages and payloads that the compiled codec left to the validating one
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -66,23 +67,34 @@ class MessageType:
         )
 
     def encode(self, message: Mapping[str, object]) -> bytes:
-        """Missing fields are zero; BadRequest names the field that is unknown or has a wrong value."""
+        """The payload; missing fields are zero.
+
+        Raises:
+            BadRequest: a field is unknown or has a wrong value, or the message is too long.
+        """
+        encode = self._encoder  # compiled before the fallback is near: a compiler that fails is no uncommon message
         try:
-            payload = self._encoder(message)
+            payload = encode(message)
         except UNCOMMON_LAYOUT:
+            self.fallbacks += 1
             return validating_codec.encode(self.layout, message)
         validating_codec.check_size(len(payload), self.name)
         return payload
 
     def decode(self, payload: bytes | memoryview) -> dict[str, object]:
-        """A dict in field order; BadPayload where the payload is not exactly one message.
+        """A dict in field order.
 
         Text that is not UTF-8 gets replacement characters, so that every decoded message can become JSON.
+
+        Raises:
+            BadPayload: the payload is not exactly one message.
         """
+        decode = self._decoder
         data = bytes(payload)
         try:
-            return self._decoder(data)
+            return decode(data)
         except UNCOMMON_LAYOUT:
+            self.fallbacks += 1
             return validating_codec.decode(self.layout, data)
 
     @cached_property

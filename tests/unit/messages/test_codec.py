@@ -1,0 +1,148 @@
+"""The compiled codec, without the validating one behind it: every type of the catalogue, and what it leaves to that."""
+
+import struct
+
+import pytest
+
+from hostlink.messages import validating_codec
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.codec import UNCOMMON_LAYOUT, compile_decoder, compile_encoder
+from hostlink.messages.fields import EMPTY_ELEMENTS_MAX, FORMATS, SCALAR, VARIABLE, Field, Layout
+from hostlink.messages.message_type import MessageType
+
+CATALOG = Catalog()
+EMPTY = Layout("t/Empty", (), {})
+PAIR = Layout("t/Pair", (Field("a", "uint8"), Field("b", "uint16")), {})
+NAMED = Layout("t/Named", (Field("name", "string"),), {})
+NESTED = {"t/Empty": EMPTY, "t/Pair": PAIR, "t/Named": NAMED}
+
+
+def layout(*fields: Field) -> Layout:
+    return Layout("t/Tried", fields, NESTED)
+
+
+def every_type() -> list[MessageType]:
+    names = sorted({*CATALOG._store, *CATALOG._message_files})
+    services = [CATALOG.service(name) for name in sorted(CATALOG._service_files)]
+    found = [CATALOG.message(name) for name in names]
+    found += [part for service in services if service is not None for part in (service.request, service.response)]
+    return [type_ for type_ in found if type_ is not None]
+
+
+def plain(layout: Layout, *, elements: int) -> dict[str, object]:
+    """A complete message whose arrays of variable length have so many elements, no two numbers side by side equal."""
+    return {
+        field.name: _field(layout, field, number, elements=elements) for number, field in enumerate(layout.fields, 1)
+    }
+
+
+def _field(layout: Layout, field: Field, number: int, *, elements: int) -> object:
+    if field.array_length == SCALAR:
+        return _one(layout, field, number, elements=elements)
+    count = elements if field.array_length == VARIABLE else field.array_length
+    if field.is_octets:
+        return bytes(index % 251 for index in range(count))
+    return [_one(layout, field, number + index, elements=elements) for index in range(count)]
+
+
+def _one(layout: Layout, field: Field, number: int, *, elements: int) -> object:
+    if field.type == "string":
+        return f"text {number}"
+    if field.type == "bool":
+        return number % 2 == 1
+    if field.type in FORMATS:
+        return number / 2 if field.type.startswith("float") else number % 100
+    return plain(layout.nested[field.type], elements=elements)
+
+
+@pytest.mark.parametrize("elements", [0, 1, 3])
+def test_plain_messages_of_every_type_take_the_compiled_codec(elements: int) -> None:
+    types = every_type()
+    assert len(types) > 250
+    for type_ in types:
+        message = plain(type_.layout, elements=elements)
+        payload = type_.encode(message)
+        assert type_.decode(payload) == message, type_.name
+        assert type_.fallbacks == 0, type_.name
+        assert payload == validating_codec.encode(type_.layout, message), type_.name
+
+
+def test_what_is_left_to_the_validating_codec_is_counted() -> None:
+    type_ = Catalog().message("geometry_msgs/Pose2D")
+    assert type_ is not None
+    assert type_.encode({"x": 1.0}) == struct.pack("<3d", 1.0, 0.0, 0.0)
+    assert type_.fallbacks == 1
+
+
+def test_a_compiler_that_fails_is_no_uncommon_message() -> None:
+    """Else the validating codec would do its work, slowly, and nobody would know."""
+    type_ = Catalog().message("geometry_msgs/Pose2D")
+    assert type_ is not None
+    type_.layout = Layout("t/Broken", (Field("x", "no such type"),), {})
+    with pytest.raises(KeyError):
+        type_.encode({"x": 1.0})
+    with pytest.raises(KeyError):
+        type_.decode(bytes(24))
+
+
+LEFT_TO_DECODE = [
+    (layout(Field("a", "uint8")), b"\x01\x02"),  # longer than the message
+    (layout(Field("a", "uint16")), b"\x01"),
+    (layout(Field("a", "string")), b"\x03\0\0\0ab"),
+    (layout(Field("a", "string", VARIABLE)), b"\x01\0\0\0\x03\0\0\0ab"),
+    (layout(Field("a", "string", VARIABLE)), b"\x02\0\0\0\x01\0\0\0abc"),
+    (layout(Field("a", "string", VARIABLE)), b"\xff\xff\xff\xff"),
+    (layout(Field("a", "uint8", VARIABLE)), b"\x03\0\0\0ab"),
+    (layout(Field("a", "uint16", VARIABLE)), b"\x02\0\0\0abc"),
+    (layout(Field("a", "t/Pair", VARIABLE)), b"\x02\0\0\0abcde"),
+    (layout(Field("a", "t/Named", VARIABLE)), b"\xff\xff\xff\xff"),
+    (layout(Field("a", "t/Empty", VARIABLE)), struct.pack("<I", EMPTY_ELEMENTS_MAX + 1)),
+]
+LEFT_TO_ENCODE = [
+    (layout(Field("a", "uint8"), Field("b", "uint8")), {"a": 1}),
+    (layout(Field("a", "uint8")), {"a": 1, "b": 2}),
+    (layout(Field("a", "bool")), {"a": 1}),
+    (layout(Field("a", "bool", VARIABLE)), {"a": [True, 1]}),
+    (layout(Field("a", "bool", 2)), {"a": [True, 1]}),
+    (layout(Field("a", "uint8", VARIABLE)), {"a": [1, 2]}),
+    (layout(Field("a", "uint8", 2)), {"a": b"abc"}),
+    (layout(Field("a", "uint16", 2)), {"a": [1, 2, 3]}),
+    (layout(Field("a", "uint16", VARIABLE)), {"a": (1, 2)}),
+    (layout(Field("a", "t/Pair", 2)), {"a": [{"a": 1, "b": 2}]}),
+    (layout(Field("a", "t/Empty", VARIABLE)), {"a": [{}] * (EMPTY_ELEMENTS_MAX + 1)}),
+    (layout(Field("a", "uint8")), {"a": 256}),
+]
+
+
+@pytest.mark.parametrize(("layout", "payload"), LEFT_TO_DECODE)
+def test_what_the_compiled_decoder_leaves(layout: Layout, payload: bytes) -> None:
+    decode = compile_decoder(layout)
+    with pytest.raises(UNCOMMON_LAYOUT):
+        decode(payload)
+
+
+@pytest.mark.parametrize(("layout", "message"), LEFT_TO_ENCODE)
+def test_what_the_compiled_encoder_leaves(layout: Layout, message: dict[str, object]) -> None:
+    encode = compile_encoder(layout)
+    with pytest.raises(UNCOMMON_LAYOUT):
+        encode(message)
+
+
+def test_the_most_that_the_compiled_codec_does_itself() -> None:
+    """One more of each is left to the validating codec."""
+    many = layout(Field("a", "t/Empty", VARIABLE))
+    message = {"a": [{}] * EMPTY_ELEMENTS_MAX}
+    payload = struct.pack("<I", EMPTY_ELEMENTS_MAX)
+    assert compile_encoder(many)(message) == payload
+    assert compile_decoder(many)(payload) == message
+    endless = layout(Field("a", "string"), Field("b", "string", VARIABLE), Field("c", "t/Named", VARIABLE))
+    full = {"a": "", "b": ["", "x"], "c": [{"name": "y"}, {"name": ""}]}
+    assert compile_decoder(endless)(compile_encoder(endless)(full)) == full
+
+
+def test_one_struct_reads_every_run_of_fixed_fields() -> None:
+    """The source is what is fast: a list of flat messages is one loop in C, and one struct packs all numbers."""
+    flat = layout(Field("a", "t/Pair", VARIABLE), Field("b", "uint8"), Field("c", "t/Pair"))
+    message = {"a": [{"a": 1, "b": 2}, {"a": 3, "b": 4}], "b": 5, "c": {"a": 6, "b": 7}}
+    assert "iter_unpack" not in message  # the names of the module are its own
+    assert compile_decoder(flat)(compile_encoder(flat)(message)) == message
