@@ -4,9 +4,10 @@ import asyncio
 import contextlib
 import dataclasses
 import gc
+import importlib
 import os
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -122,6 +123,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
     ] = None,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
+    loop: Annotated[str, typer.Option(help="The event loop: asyncio, or uvloop for crowds of robots.")] = "asyncio",
     check_config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Say what FILE would serve, or what is wrong with it.")
     ] = None,
@@ -148,7 +150,25 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         return
     for warning in warnings:
         log.warning("config.suspicious", reason=warning)
-    asyncio.run(_serve(fitted(settings, limit()), Notifier(os.environ)))
+    with asyncio.Runner(loop_factory=loop_factory(loop)) as runner:
+        runner.run(_serve(fitted(settings, limit()), Notifier(os.environ)))
+
+
+def loop_factory(name: str) -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """Of what `--loop` names; None is asyncio's own.
+
+    Raises:
+        ConfigError: there is no such loop, or it is not installed.
+    """
+    if name == "asyncio":
+        return None
+    if name != "uvloop":
+        raise ConfigError("--loop", f"{name} is none of asyncio, uvloop")
+    try:
+        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("uvloop").new_event_loop
+    except ImportError as error:
+        raise ConfigError("--loop", 'uvloop is not installed: pip install "hostlink[uvloop]"') from error
+    return factory
 
 
 def shorten_pauses() -> None:

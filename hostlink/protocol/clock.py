@@ -83,7 +83,7 @@ class DeviceClock:
 
     @property
     def offset_ns(self) -> int | None:
-        """How far the device's stamps are behind the host's time of arrival, on the fastest way of the last half minute."""
+        """How far the device's stamps are behind the host's time of arrival, on the fastest way of the last 30 s."""
         if not self._buckets:
             return None
         newest = self._buckets[-1].number

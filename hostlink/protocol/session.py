@@ -125,7 +125,7 @@ class Session(MessagesToDevice):
 
     @property
     def is_asking_time(self) -> bool:
-        """Whether the device requests the time as often as a rosserial client does; then its silence means something."""
+        """Whether it requests the time as often as a rosserial client does: then its silence means something."""
         return self._negotiation.is_regular
 
     @property

@@ -1,25 +1,37 @@
-"""The daemon on uvloop, for those who want it: its transports answer differently once a connection is gone."""
+"""The daemon on uvloop: its transports, readers and sockets differ from those of asyncio."""
 
 import asyncio
 import signal
-import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
 
 import aiohttp
 import pytest
 
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.process import serve
+from tests.support.fork_server import ForkServer, fork_server
+from tests.support.killing import LIMIT_S, driving, end_at, killer
+from tests.support.process import run, serve
 from tests.support.pty_pair import pty_pair
+from tests.support.unwatched_robot import Reading
+from tests.support.waiting import expect
 
-ON_UVLOOP = (sys.executable, "-c", "import uvloop; uvloop.install(); from hostlink.cli.main import main; main()")
+ON_UVLOOP = ("--loop", "uvloop")
 ZERO = (0.0, 0.0)
 
 pytestmark = pytest.mark.filterwarnings("default::DeprecationWarning")
 
 
+@pytest.fixture
+async def server(tmp_path: Path) -> AsyncIterator[ForkServer]:
+    async with fork_server(tmp_path) as ready:
+        yield ready
+
+
 async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
     with pty_pair() as (_, path):
-        async with serve("--serial", path, program=ON_UVLOOP) as daemon, aiohttp.ClientSession() as session:
+        async with serve("--serial", path, *ON_UVLOOP) as daemon, aiohttp.ClientSession() as session:
+            assert "uvloop" in Path(f"/proc/{daemon.child.pid}/maps").read_text()
             for _ in range(3):
                 async with fake_device(daemon.tcp, robot_topics()) as device:
                     await device.send(pose(1.0))
@@ -39,3 +51,19 @@ async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
                 async with asyncio.timeout(5):
                     assert await daemon.child.wait() == 0
         assert not [line for line in daemon.log if str(line["event"]).endswith(".crashed")]
+
+
+async def test_a_killed_daemon_leaves_no_robot_moving(server: ForkServer) -> None:
+    """The guardian has duplicates of the descriptors of uvloop's transports."""
+    async with driving(server, Reading(), *ON_UVLOOP) as drive:
+        guardian = int(drive.daemon.log("guardian.started")[-1]["pid"])
+        await expect(lambda: len(list(Path(f"/proc/{guardian}/fd").iterdir())) == 6)  # two robots, stdio, its channel
+        assert await end_at(drive, 0.1, killer(signal.SIGKILL)) < LIMIT_S
+
+
+async def test_a_loop_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert await run("serve", "--loop", "trio") == (2, "", "hostlink: --loop: trio is none of asyncio, uvloop\n")
+    (tmp_path / "uvloop.py").write_text("raise ImportError")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    message = 'hostlink: --loop: uvloop is not installed: pip install "hostlink[uvloop]"\n'
+    assert await run("serve", *ON_UVLOOP) == (2, "", message)
