@@ -1,7 +1,7 @@
 """`make bench`, fourth part: what a message costs the daemon. Daemon, devices and program are processes of their own.
 
-Each robot sends a pose and a battery's voltage and is driven by a program on the WebSocket, all at the same rate. Writes
-build/bench_messages.json and prints a table; ends with status 1 when a message costs more than its bound.
+Each of 30 robots sends a pose and a voltage and is driven by a program on the WebSocket; the others send poses.
+Writes build/bench_messages.json and prints a table; ends with status 1 when the daemon uses more than its bound.
 """
 
 import argparse
@@ -112,7 +112,8 @@ async def crowd(fleet: Fleet, daemon: Process) -> AsyncIterator[None]:
             await child.stdout.readline()
         yield
     finally:
-        child.kill()
+        if child.returncode is None:
+            child.kill()
         await child.wait()
 
 

@@ -2,7 +2,7 @@
 say nothing.
 
     python tools/crowd.py devices 1000 HOST:PORT SECONDS     # each with 10 poses a second, and driven if anybody drives
-    python tools/crowd.py fleet 30 HOST:PORT SECONDS         # the same, each with two topics, 10 messages a second on each
+    python tools/crowd.py fleet 30 HOST:PORT SECONDS         # the same, each with 10 voltages a second, too
     python tools/crowd.py vanish 200 HOST:PORT SECONDS       # so many a second connect, and reset at once
     python tools/crowd.py silent 10000 HOST:PORT SECONDS     # so many connections, kept open as long as the host does
     python tools/crowd.py flood 1 HOST:PORT SECONDS          # so many devices that publish poses as fast as they can
