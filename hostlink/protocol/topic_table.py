@@ -95,8 +95,8 @@ class TopicTable:
     def gap(self) -> int | None:
         """The lowest id that is missing, which means that a TopicInfo was lost.
 
-        A device numbers what it receives from 100 and what it sends from a higher number that depends on its build, both
-        without gaps; so the first of what it sends cannot be missed here.
+        A device numbers what it receives from 100, what it sends from a higher number that depends on its build, both
+        without gaps: so the first of what it sends cannot be missed here.
         """
         to_device = [info.topic_id for info in self._announced.values() if info.kind in IS_TO_DEVICE]
         from_device = [info.topic_id for info in self._announced.values() if info.kind not in IS_TO_DEVICE]

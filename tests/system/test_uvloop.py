@@ -22,6 +22,10 @@ ZERO = (0.0, 0.0)
 pytestmark = pytest.mark.filterwarnings("default::DeprecationWarning")
 
 
+def is_loaded(library: str, pid: int) -> bool:
+    return library in Path(f"/proc/{pid}/maps").read_text()
+
+
 @pytest.fixture
 async def server(tmp_path: Path) -> AsyncIterator[ForkServer]:
     async with fork_server(tmp_path) as ready:
@@ -31,7 +35,7 @@ async def server(tmp_path: Path) -> AsyncIterator[ForkServer]:
 async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
     with pty_pair() as (_, path):
         async with serve("--serial", path, *ON_UVLOOP) as daemon, aiohttp.ClientSession() as session:
-            assert "uvloop" in Path(f"/proc/{daemon.child.pid}/maps").read_text()
+            assert is_loaded("uvloop", daemon.child.pid)
             for _ in range(3):
                 async with fake_device(daemon.tcp, robot_topics()) as device:
                     await device.send(pose(1.0))
