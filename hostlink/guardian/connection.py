@@ -80,7 +80,7 @@ class Connection:
             while waiting := self._writer.take_due(now_s):
                 self._writer.written(os.write(self.descriptor, waiting))
         except BlockingIOError:
-            return  # poll() says when there is room
+            return  # poll() returns when there is room
 
     def _discard(self) -> None:
         """A device whose bytes nobody takes may stop reading; closing a connection with unread bytes resets it."""
@@ -104,7 +104,7 @@ class Connection:
             self.close()
 
     def _unsent_bytes(self) -> int:
-        """What a serial port still holds; 0 where the driver does not say."""
+        """What a serial port has not sent yet; 0 where the driver has no such figure."""
         try:
             count = fcntl.ioctl(self.descriptor, termios.TIOCOUTQ, bytes(4))
         except OSError:

@@ -1,4 +1,4 @@
-"""Guardian: the daemon's side of the guardian's process. It starts it, hands it the robots' connections, replaces it.
+"""Guardian: the daemon's side of the guardian's process. It starts it, passes it the robots' connections, replaces it.
 
 Everything happens in callbacks of the event loop that do not wait: a guardian that is stuck, gone or cannot be started
 delays nothing and ends nothing.
@@ -28,7 +28,7 @@ REAP_S = 0.02
 GOODBYE_S = 0.2  # a guardian that does not end by itself is killed; it has nothing to do any more
 WRITING_S = 1.0  # longer than a guardian stops robots
 SHORTEST_PAUSE_S, LONGEST_PAUSE_S = 0.25, 30.0  # before another is started; doubled each time that one ends at once
-SETTLED_S = 60.0  # one that has lived so long did not end at once
+SETTLED_S = 60.0  # one that has lived longer did not end at once
 _STDERR = 2
 ROOT = Path(__file__).resolve().parents[2]
 CODE = (  # -I and -S leave no other way to find it; behind the standard library, so that nothing shadows that
@@ -65,7 +65,7 @@ class Guardian:
 
     | state    | entered by                                             | left by                                |
     |----------|--------------------------------------------------------|----------------------------------------|
-    | running  | `start`: the process is there; it is told all links     | its end, or no answer for ANSWER_S     |
+    | running  | `start`: the process is there; it is sent all links     | its end, or no answer for ANSWER_S     |
     | ending   | the above; it is killed                                | the process is reaped                  |
     | waiting  | the above, or a start that failed                      | a pause                                |
     | over     | `goodbye`, `abandon`                                   |                                        |
@@ -84,7 +84,7 @@ class Guardian:
         self._missing = ""  # why the last start failed
         self._is_incomplete = False
 
-    # -- what the daemon tells ----------------------------------------------------------------------------------------
+    # -- what the daemon reports --------------------------------------------------------------------------------------
 
     def watch(
         self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
@@ -142,7 +142,7 @@ class Guardian:
             except OSError as error:
                 self._lose(error.strerror or str(error))
                 return
-            self._roster.told(is_held=descriptor is not None)
+            self._roster.confirm(is_held=descriptor is not None)
         loop.remove_writer(self._channel)
 
     def _hear(self) -> None:
@@ -160,13 +160,13 @@ class Guardian:
             self._compare(decode_answer(answer), self._asked[1])
         self._asked = None
 
-    def _compare(self, held: int, told: int) -> None:
-        if held < told and not self._is_incomplete:
-            log.warning("guardian.incomplete", held=held, robots=told)
-        self._is_incomplete = held < told
+    def _compare(self, held: int, sent: int) -> None:
+        if held < sent and not self._is_incomplete:
+            log.warning("guardian.incomplete", held=held, robots=sent)
+        self._is_incomplete = held < sent
 
     def _check(self) -> None:
-        """Ask whether it lives; replace it when it has not answered the last time."""
+        """Request a sign of life; replace it when it has not answered the last request."""
         assert self._channel is not None  # noqa: S101 - the timer is replaced with the channel
         now_s = asyncio.get_running_loop().time()
         if self._asked is not None and now_s >= self._asked[0] + self._answer_s:
@@ -222,7 +222,7 @@ class Guardian:
             self._channel = None
 
     def _end(self, wait_s: float) -> None:
-        """Give the process so long to end by itself, then end it."""
+        """Wait a moment for the process to end by itself, then end it."""
         if self._timer is not None:
             self._timer.cancel()
         if self._process is not None:

@@ -24,14 +24,14 @@ from hostlink.guardian.records import (
 
 LINGER_S = 0.5  # after the last byte: a device may take all of it before its connection is closed
 END_S = ZEROS * INTERVAL_S + LINGER_S
-LOOK_S = 0.01  # whether a serial port has sent all: the kernel tells nobody
+LOOK_S = 0.01  # whether a serial port has sent all: the kernel sends no event
 OOM_SCORE = b"-1000"  # the kernel ends others first; needs a privilege
 NAME = b"guardian"  # in ps and top
 _ANCILLARY_BYTES = _socket.CMSG_SPACE(DESCRIPTOR_BYTES)
 
 
 def main(descriptor: int) -> None:
-    """Serve the daemon at the other end of this socket until it says goodbye or is gone."""
+    """Serve the daemon at the other end of this socket until it sends its goodbye or is gone."""
     prepare()
     channel = _socket.socket(fileno=descriptor)
     connections: dict[int, Connection] = {}
@@ -67,11 +67,11 @@ def write(path: str, text: bytes) -> None:
 
 
 def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
-    """Hold what the daemon hands over until its end of the channel closes; whether it said goodbye before."""
+    """Keep what the daemon passes until its end of the channel closes; whether a goodbye came before."""
     while True:
         try:
             record, ancillary, _, _ = channel.recvmsg(RECORD_BYTES, _ANCILLARY_BYTES)
-        except ConnectionResetError:  # it ended with answers unread; what it said before is still here
+        except ConnectionResetError:  # it ended with answers unread; what it sent before is still here
             continue
         if not record:
             return False
@@ -84,7 +84,7 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
         old = connections.pop(number, None)
         if old is not None:
             old.close()
-        if kind != RELEASE and ancillary:  # without a descriptor: this process has none left; the answers tell
+        if kind != RELEASE and ancillary:  # without a descriptor: this process has none left; the answers show it
             descriptor = int.from_bytes(ancillary[0][2][:DESCRIPTOR_BYTES], sys.byteorder)
             connections[number] = Connection(descriptor, topic_ids, claim_bytes)
 
@@ -94,7 +94,7 @@ def answer(channel: _socket.socket, held: int) -> None:
     try:
         channel.send(encode_answer(held), _socket.MSG_DONTWAIT)
     except OSError:
-        return  # the next record, or its end, says what to do
+        return  # the next record, or its end, decides what to do
 
 
 def stop(connections: list[Connection]) -> None:

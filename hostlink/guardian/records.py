@@ -1,4 +1,4 @@
-"""What the daemon says to its guardian, and what it answers: packets on a pair of sockets. Pure; imports little."""
+"""What the daemon sends to its guardian, and what it answers: packets on a pair of sockets. Pure; imports little."""
 
 import struct
 

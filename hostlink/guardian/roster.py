@@ -1,4 +1,4 @@
-"""Roster: which connections the guardian should hold, and what it must still be told. Pure.
+"""Roster: which connections the guardian should hold, and what must still be sent to it. Pure.
 
 It is bounded by the daemon's own links: one entry each, and one for each that the guardian holds without need.
 """
@@ -19,12 +19,12 @@ class Watched:
 
 
 class Roster:
-    """Links by number. What changes twice before it was told is told once."""
+    """Links by number. What changes twice before it was sent is sent once."""
 
     def __init__(self) -> None:
         self._wanted: dict[int, Watched] = {}
-        self._held: set[int] = set()  # as far as the guardian was told
-        self._untold: dict[int, None] = {}  # the oldest first
+        self._held: set[int] = set()  # as far as the guardian knows
+        self._unsent: dict[int, None] = {}  # the oldest first
 
     @property
     def held(self) -> int:
@@ -34,38 +34,38 @@ class Roster:
     def watch(self, number: int, watched: Watched) -> None:
         """Give the guardian this link, or this link's new velocity topics."""
         self._wanted[number] = watched
-        self._untold[number] = None
+        self._unsent[number] = None
 
     def release(self, number: int) -> None:
         """The guardian needs this link no more."""
         self._wanted.pop(number, None)
-        self._untold.pop(number, None)
+        self._unsent.pop(number, None)
         if number in self._held:
-            self._untold[number] = None
+            self._unsent[number] = None
 
     def next(self) -> tuple[bytes, int | None] | None:
         """The record to send next, and the descriptor to go with it; None: the guardian knows all."""
-        while self._untold:
-            number = next(iter(self._untold))
+        while self._unsent:
+            number = next(iter(self._unsent))
             watched = self._wanted.get(number)
             descriptor = None if watched is None else watched.connection()
             if watched is not None and descriptor is not None:
                 return encode_watch(number, watched.topic_ids, watched.claim_bytes), descriptor
             if number in self._held:
                 return encode_release(number), None
-            del self._untold[number]  # it closed before it was handed over
+            del self._unsent[number]  # it closed before it was passed on
         return None
 
-    def told(self, *, is_held: bool) -> None:
+    def confirm(self, *, is_held: bool) -> None:
         """The record that `next` gave was sent; `is_held`: with a descriptor."""
-        number = next(iter(self._untold))
-        del self._untold[number]
+        number = next(iter(self._unsent))
+        del self._unsent[number]
         if is_held:
             self._held.add(number)
         else:
             self._held.discard(number)
 
     def forget(self) -> None:
-        """The guardian has ended: another will have to be told everything."""
+        """The guardian has ended: everything will have to be sent to another."""
         self._held.clear()
-        self._untold = dict.fromkeys(self._wanted)
+        self._unsent = dict.fromkeys(self._wanted)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-TAPE_BYTES = 65536  # 17 s of a full 38400 baud line, minutes of a robot's usual traffic
-_SLACK_BYTES = TAPE_BYTES // 4  # what may be too much, so that trimming costs next to nothing a byte
+CAPTURE_BYTES = 65536  # 17 s of a full 38400 baud line, minutes of a robot's usual traffic
+_SLACK_BYTES = CAPTURE_BYTES // 4  # more than that is trimmed at once, so that it costs next to nothing a byte
 _MAX_PIECES = 4096  # the times then take as much memory as the bytes
 _JOINED_BYTES = 64  # what neighbours may share a time for: at most 2560 pieces are left then
 
@@ -22,7 +22,7 @@ class Piece(NamedTuple):
 
 
 class CaptureBuffer:
-    """Holds the last TAPE_BYTES and a little more. Of very many pieces, small neighbours share the earlier time."""
+    """The last CAPTURE_BYTES and a little more. Of very many pieces, small neighbours share the earlier time."""
 
     def __init__(self) -> None:
         self.total_bytes = 0
@@ -31,14 +31,14 @@ class CaptureBuffer:
         self._ends = array("Q")
 
     def add(self, data: bytes, now_s: float) -> None:
-        """Take what passed just now."""
+        """Add what passed just now."""
         if not data:
             return
         self.total_bytes += len(data)
         self._data += data
         self._times.append(now_s)
         self._ends.append(self.total_bytes)
-        if len(self._data) > TAPE_BYTES + _SLACK_BYTES:
+        if len(self._data) > CAPTURE_BYTES + _SLACK_BYTES:
             self._trim()
         if len(self._times) >= _MAX_PIECES:
             self._join()
@@ -70,8 +70,8 @@ class CaptureBuffer:
         self._times, self._ends = times, ends
 
     def _trim(self) -> None:
-        del self._data[:-TAPE_BYTES]
-        gone = bisect_right(self._ends, self.total_bytes - TAPE_BYTES)
+        del self._data[:-CAPTURE_BYTES]
+        gone = bisect_right(self._ends, self.total_bytes - CAPTURE_BYTES)
         del self._times[:gone]
         del self._ends[:gone]
 

@@ -25,7 +25,7 @@ from hostlink.transport.base import READ_BYTES, Transport
 log = structlog.get_logger()
 
 TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted, and logged this often
-PIECE_BYTES = 512  # between two pieces others may have their turn; what a robot says at once is mostly less
+PIECE_BYTES = 512  # between two pieces others may have their turn; what a robot sends at once is mostly less
 LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due
 
@@ -127,7 +127,7 @@ class Link:
                     await self._transport.send(self.last_frame)
 
     def end(self, reason: LinkEnd) -> None:
-        """Ask the link to end; `run` returns the reason."""
+        """End the link soon; `run` returns the reason."""
         if self._end is None:
             self._end = reason
             if self._deadline is not None:
@@ -158,7 +158,7 @@ class Link:
         return asyncio.get_running_loop().time() - self.heard_at_s
 
     def facts(self) -> LinkFacts:
-        """What the link has seen so far."""
+        """The counts and times of the link: for its last log line and for the API."""
         now_s = asyncio.get_running_loop().time()
         return LinkFacts(
             seconds=now_s - self.opened_at_s,
@@ -201,7 +201,7 @@ class Link:
         return LinkEnd.PEER_CLOSED
 
     def _silent_at_s(self) -> float:
-        """When the link ends if not a byte comes; sooner for a device that has shown that it asks for the time."""
+        """When the link ends if not a byte comes; sooner for a device that requests the time regularly."""
         limit_s = self._asking_limit_s if self.session.is_asking_time else self._idle_limit_s
         return self.heard_at_s + limit_s
 

@@ -14,18 +14,18 @@ from hostlink.transport.serial import SerialTransport, open_serial
 log = structlog.get_logger()
 
 BITS_A_BYTE = 10  # 8N1
-RETRY_S = 1.0  # a port that vanished is looked for this often
+RETRY_S = 1.0  # a port that vanished is searched this often
 
 
 async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
     """Serve until cancelled."""
-    said = ""
+    logged = ""
     while True:
         with hub.isolation.around("task", task=f"serial port {config.name}"):
             reason = await _serve_once(hub, config)
-            if reason and reason != said:
+            if reason and reason != logged:
                 log.warning("serial.waiting", port=config.name, reason=reason)
-            said = reason
+            logged = reason
         await asyncio.sleep(retry_s)
 
 
@@ -47,7 +47,7 @@ async def _serve_once(hub: Hub, config: SerialConfig) -> str:
 
 
 def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
-    """Silence ends no link here: a port says by itself when it is gone, and opening one may reset a board."""
+    """Silence ends no link here: a port that is gone raises an error, and opening one may reset a board."""
     uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
     return dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s)
 

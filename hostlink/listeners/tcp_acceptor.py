@@ -16,21 +16,25 @@ from hostlink.transport.keyed import KeyedTransport, read_key
 log = structlog.get_logger()
 
 PAUSE_S = 5.0  # a device for which there is no room comes again at once, and nothing will have changed
-TELL_INTERVAL_S = 10.0  # whoever is refused comes again at once
+LOG_INTERVAL_S = 10.0  # whoever is refused comes again at once
 
 
 class TcpAcceptor:
     """Owns the connections that came over TCP."""
 
     def __init__(self, hub: Hub, config: TcpConfig) -> None:
-        """ConfigError when there should be a key and is none."""
+        """Starts without connections.
+
+        Raises:
+            ConfigError: the key file cannot be used.
+        """
         self._hub = hub
         self._admission = Admission(config)
         self._key = None if config.key_file is None else read_key(config.key_file)
         self._links: dict[int, Link] = {}  # oldest first
         self._paused_until_s: dict[str, float] = {}
-        self._tell_at_s = float("-inf")
-        self._untold: Counter[str] = Counter()
+        self._log_at_s = float("-inf")
+        self._unlogged: Counter[str] = Counter()
 
     def accept(self, transport: Transport) -> None:
         """A device has connected."""
@@ -70,11 +74,11 @@ class TcpAcceptor:
         return address in self._paused_until_s
 
     def _count(self, cause: str, peer: str) -> None:
-        """Count it; tell the first, then at most one in TELL_INTERVAL_S, with what came since."""
+        """Count it; log the first, then at most one in LOG_INTERVAL_S, with what came since."""
         self._hub.refused[cause] += 1
-        self._untold[cause] += 1
+        self._unlogged[cause] += 1
         now_s = asyncio.get_running_loop().time()
-        if now_s >= self._tell_at_s:
-            self._tell_at_s = now_s + TELL_INTERVAL_S
-            log.warning("connection.refused", cause=cause, peer=printable(peer), **self._untold)
-            self._untold.clear()
+        if now_s >= self._log_at_s:
+            self._log_at_s = now_s + LOG_INTERVAL_S
+            log.warning("connection.refused", cause=cause, peer=printable(peer), **self._unlogged)
+            self._unlogged.clear()

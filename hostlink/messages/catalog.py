@@ -1,7 +1,7 @@
 """Every type by its name: the Noetic typestore of rosbags, the definitions beside this file, and the user's own.
 
-A user's definition goes before a built-in one of the same name. Built-in types are parsed when they are first asked
-for; with folders of the user's, all are at once, so that a broken file stops the start and nothing later.
+A user's definition goes before a built-in one of the same name. Built-in types are parsed when they are first
+requested; with folders of the user's, all are at once, so that a broken file stops the start and nothing later.
 """
 
 from collections.abc import Sequence

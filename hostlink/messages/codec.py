@@ -1,8 +1,8 @@
 """Payload <-> dict, compiled once a type: Python source with one struct for each run of fixed fields.
 
-What is compiled is fast and picky: it takes whole messages of plain values and intact payloads, and raises one of
-UNCOMMON_LAYOUT for everything else. `validating_codec` then does the same slowly, with all that is allowed, or says
-what is wrong.
+What is compiled is fast and strict: it accepts whole messages of plain values and intact payloads, and raises one of
+UNCOMMON_LAYOUT for everything else. `validating_codec` then does the same slowly, with all that is allowed, or
+names what is wrong.
 """
 
 import struct
@@ -211,7 +211,7 @@ class _EncoderBody:
         return [f" {line}" for line in [*self._lines, f"return {payload}"]]
 
     def write_message(self, layout: Layout, message: str) -> None:
-        """All fields of the message that the expression names; more or fewer fields are odd."""
+        """All fields of the message that the expression names; more or fewer are an UncommonLayout."""
         self._lines.append(f"if len({message}) != {len(layout.fields)}: raise UncommonLayout")
         for field in layout.fields:
             self._write_field(layout, field, f"{message}[{field.name!r}]")

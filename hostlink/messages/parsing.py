@@ -78,7 +78,7 @@ def parse_service(name: str, text: str, where: str) -> tuple[Definition, Definit
 
 
 def _lines(text: str, first_line: int) -> Iterator[tuple[int, str, str]]:
-    """Number, line, and the line without its comment, of every line that says something."""
+    """Number, line, and the line without its comment, of every line that is not empty."""
     for number, line in enumerate(text.splitlines(), first_line):
         if code := line.partition("#")[0].strip():
             yield number, line, code

@@ -1,4 +1,4 @@
-"""The codec that takes its time: for messages with gaps and unusual values, and to say what is wrong with bad ones.
+"""The slow codec: for messages with missing fields and unusual values, and to name what is wrong with bad ones.
 
 It accepts all that the compiled codec accepts, with the same result, and more.
 """
@@ -32,12 +32,20 @@ ROS2_TIME: Final = {"sec": "secs", "nanosec": "nsecs"}
 
 
 def encode(layout: Layout, message: object) -> bytes:
-    """Bytes of a message whose missing fields are zero; BadRequest names the first bad field by its path."""
+    """Bytes of a message whose missing fields are zero.
+
+    Raises:
+        BadRequest: a field is unknown or has a wrong value; the first one is named by its path.
+    """
     return _encode_message(layout, message, layout.name)
 
 
 def decode(layout: Layout, payload: bytes) -> dict[str, object]:
-    """A dict of a whole payload; BadPayload names the field that the payload has no room for."""
+    """A dict of a whole payload.
+
+    Raises:
+        BadPayload: the payload ends before a field, or after the last one.
+    """
     reader = _Reader(layout.name, payload)
     message = reader.read_message(layout, "")
     if reader.offset != len(payload):
@@ -81,13 +89,17 @@ def _encode_field(layout: Layout, field: Field, value: object, path: str) -> byt
         return count + elements
     if field.type in FORMATS and field.type != "bool":
         return count + _numbers(field.type, elements, path)
-    check_size(len(elements) * layout.element_minimum_bytes(field), path)  # before any of them is looked at
+    check_size(len(elements) * layout.element_minimum_bytes(field), path)  # before any of them is encoded
     encoded = (_encode_one(layout, field, element, f"{path}[{index}]") for index, element in enumerate(elements))
     return count + _joined(path, encoded)
 
 
 def check_size(size_bytes: int, path: str) -> None:
-    """BadRequest where a message takes more than any receiver is asked to take."""
+    """Bound the size of a message.
+
+    Raises:
+        BadRequest: it is larger than any receiver has to accept.
+    """
     if size_bytes > ENCODED_BYTES_MAX:
         raise BadRequest(f"{path}: more than {ENCODED_BYTES_MAX} bytes")
 

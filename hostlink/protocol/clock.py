@@ -15,7 +15,7 @@ LATEST_NS = 5_000_000_000  # a message that is older on its arrival has a wrong 
 BUCKET_S = 10.0  # the least of some four time requests
 BUCKETS = 60  # ten minutes, for the drift
 RECENT_BUCKETS = 3  # for the offset
-DRIFT_SPAN_S = 60.0  # over less, jitter of milliseconds would look like drift
+DRIFT_SPAN_S = 60.0  # over less, jitter of milliseconds would appear as drift
 _NS_PER_S = 1e9
 
 

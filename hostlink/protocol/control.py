@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 
 
 class TopicInfo(NamedTuple):
-    """What a device says of one of its endpoints; `kind` is one of the ids 0 to 5."""
+    """One endpoint as a device announces it; `kind` is one of the ids 0 to 5."""
 
     kind: Id
     topic_id: int
@@ -71,12 +71,12 @@ def decode_topic_info(kind: Id, payload: bytes) -> TopicInfo | None:
 
 
 def encode_parameter_request(name: str) -> bytes:
-    """The payload of a device's question for a parameter."""
+    """The payload of a device's request for a parameter."""
     return _encode_string(name)
 
 
 def decode_parameter_request(payload: bytes) -> str | None:
-    """The name of the parameter that the device asks for."""
+    """The name of the parameter that the device requests."""
     return _decode(payload, lambda reader: reader.string().decode(errors="replace"))
 
 
@@ -132,7 +132,11 @@ def decode_time(payload: bytes) -> int | None:
 
 
 class _Reader:
-    """Walks over a payload; ValueError when it asks for more than is there."""
+    """Reads a payload from its begin to its end.
+
+    Raises:
+        ValueError: the payload ends before the value.
+    """
 
     def __init__(self, payload: bytes) -> None:
         self._payload, self._at = payload, 0

@@ -7,7 +7,7 @@ from hostlink.protocol.control import TopicInfo
 
 
 class TopicsNegotiated(NamedTuple):
-    """The device has told its topics; `gap_at` is an id whose TopicInfo was lost, and is asked for again."""
+    """The device has announced its topics; `gap_at` is an id whose TopicInfo was lost, and is requested again."""
 
     topics: tuple[TopicInfo, ...]
     is_changed: bool
@@ -22,7 +22,7 @@ class TopicRefused(NamedTuple):
 
 
 class TopicsAsked(NamedTuple):
-    """The session asks the device for its topics."""
+    """The session requests the topics of the device."""
 
     reason: str
 
@@ -35,7 +35,7 @@ class MessageReceived(NamedTuple):
 
 
 class ServiceRequested(NamedTuple):
-    """The device calls a service of the host's side."""
+    """The device calls a service of the host."""
 
     service: TopicInfo
     payload: bytes
@@ -49,7 +49,7 @@ class ServiceResponded(NamedTuple):
 
 
 class TimeRequested(NamedTuple):
-    """The device asked for the time; the answer is on its way already."""
+    """The device requested the time; the answer is queued."""
 
 
 class ParameterRequested(NamedTuple):
@@ -72,7 +72,7 @@ class UnknownTopicUsed(NamedTuple):
 
 
 class Protocol1Recognised(NamedTuple):
-    """The device speaks rosserial of before 2013; told once."""
+    """The device speaks rosserial of before 2013; one event a session."""
 
 
 Event = (

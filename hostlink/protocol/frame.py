@@ -52,7 +52,11 @@ def byte_sum(data: bytes | bytearray | memoryview) -> int:
 
 
 def encode(topic_id: int, payload: bytes) -> bytes:
-    """The bytes of one frame; ValueError for a payload that no length field can tell."""
+    """The bytes of one frame.
+
+    Raises:
+        ValueError: the payload is longer than a length field can carry.
+    """
     size = len(payload)
     if size > MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload of {size} bytes, a frame takes {MAX_PAYLOAD_BYTES}")

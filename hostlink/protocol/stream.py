@@ -30,7 +30,7 @@ class Rejection(Enum):
 
 
 class FrameStream:
-    """Reads frames from a stream in which bytes may be damaged, missing or foreign.
+    """Reads frames from a stream in which bytes may be damaged, missing or not rosserial's.
 
     Every sync with a good length checksum and a claim within the limit is a *candidate*. The candidate that is
     first complete and right wins, whatever began before it: so a damaged header that claims a kilobyte costs
@@ -56,7 +56,7 @@ class FrameStream:
             OrderedDict()
         )  # start -> end of what is not decided yet, first at front
         self._ends: list[tuple[int, int]] = []  # (end, start) of the same, sorted: the first to be complete at front
-        self._searched = 0  # up to here every sync was looked at
+        self._searched = 0  # up to here every sync was checked
 
     @property
     def pending_bytes(self) -> int:

@@ -205,5 +205,5 @@ def response_bytes(response: TopicInfo) -> int:
 
 
 def _buffer_bytes(info: TopicInfo) -> int:
-    """The device's buffer, as far as a frame can be so long; old clients announce none."""
+    """The device's buffer, no longer than the longest frame; old clients announce none."""
     return min(info.buffer_bytes, MAX_PAYLOAD_BYTES + OVERHEAD_BYTES) if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES

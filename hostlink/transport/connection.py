@@ -12,8 +12,8 @@ _VIEW = memoryview(_INTO)
 class Connection(asyncio.BufferedProtocol):
     """The protocol of one connection.
 
-    A turn of the loop reads READ_BYTES at most, and nothing more before somebody took that: so the system holds back
-    whoever sends more.
+    A turn of the loop reads READ_BYTES at most, and nothing more before that was received: so the system slows the
+    sender.
     """
 
     def __init__(self, on_made: Callable[["Connection"], None] | None = None) -> None:
@@ -33,7 +33,11 @@ class Connection(asyncio.BufferedProtocol):
         return self._lost.done()
 
     async def receive(self) -> bytes:
-        """What has come; b"" at the end, an OSError when the connection broke."""
+        """What has come; b"" at the end.
+
+        Raises:
+            OSError: the connection broke.
+        """
         while not self._received:
             if self._error is not None:
                 raise self._error
@@ -53,7 +57,11 @@ class Connection(asyncio.BufferedProtocol):
         return data
 
     async def drain(self) -> None:
-        """Wait until the system has taken what was written; an OSError when it never will."""
+        """Wait until the system has what was written.
+
+        Raises:
+            OSError: the connection is gone.
+        """
         if self._lost.done() or self.transport.is_closing():
             raise self._error or ConnectionResetError("connection lost")
         if self._is_writing_paused:

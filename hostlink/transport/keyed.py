@@ -4,7 +4,7 @@
     device -> host   "HLK1", 16 random bytes, HMAC-SHA256(key, "device", both randoms)
     host -> device   HMAC-SHA256(key, "host", both randoms)
 
-It says who is there at the start: what comes later is neither encrypted nor protected.
+It proves who is there at the start: what comes later is neither encrypted nor protected.
 """
 
 import asyncio
@@ -25,7 +25,11 @@ SHORTEST_KEY_BYTES = 16
 
 
 def read_key(file: Path) -> bytes:
-    """The key, without the white space around it. ConfigError when there is none."""
+    """The key, without the white space around it.
+
+    Raises:
+        ConfigError: the file cannot be read, or the key is too short.
+    """
     where = "tcp.key_file"
     try:
         key = file.read_bytes().strip()
@@ -39,15 +43,15 @@ def read_key(file: Path) -> bytes:
 
 
 def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> bytes:
-    """What only somebody with the key can say; `side` keeps one's from being said again by the other."""
+    """What only an owner of the key can compute; `side` keeps one end from repeating the other's."""
     return hmac.digest(key, side + host_random + device_random, "sha256")
 
 
 class KeyedTransport:
-    """A transport that gives and takes nothing before both sides have proven the key."""
+    """A transport that sends and receives nothing before both ends have proven the key."""
 
     def __init__(self, transport: Transport, key: bytes, *, on_refused: Callable[[str], None]) -> None:
-        """`on_refused`: told why, "no_key" or "wrong_key", before `receive` raises."""
+        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `receive` raises."""
         self.peer, self.address = transport.peer, transport.address
         self._transport = transport
         self._key = key
@@ -55,7 +59,11 @@ class KeyedTransport:
         self._is_proven = asyncio.Event()
 
     async def receive(self) -> bytes:
-        """What has come; the first call proves the key. ConnectionRefusedError when the device cannot."""
+        """What has come; the first call proves the key.
+
+        Raises:
+            ConnectionRefusedError: the device cannot prove it.
+        """
         if not self._is_proven.is_set():
             refusal = await self._prove()
             if refusal is not None:
@@ -93,8 +101,8 @@ class KeyedTransport:
             return "no_key"
         if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):  # a device waits for the host's proof
             return "no_key"
-        device_random, said = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
-        if not hmac.compare_digest(said, proof(self._key, b"device", host_random, device_random)):
+        device_random, claimed = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
+        if not hmac.compare_digest(claimed, proof(self._key, b"device", host_random, device_random)):
             return "wrong_key"
         await self._transport.send(proof(self._key, b"host", host_random, device_random))
         return None

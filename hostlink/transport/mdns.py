@@ -1,4 +1,4 @@
-"""The device port's name in the local network, for those who look for `_rosserial._tcp` by mDNS (Bonjour, Avahi)."""
+"""The device port's name in the local network, for programs that browse `_rosserial._tcp` by mDNS (Bonjour, Avahi)."""
 
 import contextlib
 import ipaddress
@@ -13,7 +13,7 @@ SERVICE = "_rosserial._tcp.local."
 
 @contextlib.asynccontextmanager
 async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterator[None]:
-    """Tell the network of the port until the block is left, if that is wanted."""
+    """Announce the port in the network until the block is left, if configured."""
     if not config.mdns:
         yield
         return

@@ -13,7 +13,11 @@ BY_ID = Path("/dev/serial/by-id")
 
 
 def find_port(config: SerialConfig) -> str:
-    """The path to open; an OSError says what there is instead."""
+    """The path to open.
+
+    Raises:
+        OSError: there is none, or more than one; its text names the ports that there are.
+    """
     if config.usb_serial is not None:
         found = {port.device: port.serial_number for port in list_ports.comports() if port.serial_number}
         return choose_by_serial(config.usb_serial, found)

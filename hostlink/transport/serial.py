@@ -30,7 +30,11 @@ _ADVICE = {
 
 
 async def open_serial(config: SerialConfig) -> "SerialTransport":
-    """Find the port and open it, for this program alone; an OSError says what to do."""
+    """Find the port and open it, for this program alone.
+
+    Raises:
+        OSError: it cannot be opened; its text advises what to do.
+    """
     loop = asyncio.get_running_loop()
     opening = loop.run_in_executor(None, _open, config)
     try:
@@ -50,7 +54,7 @@ async def open_serial(config: SerialConfig) -> "SerialTransport":
 async def _streams(port: "_Port", path: str, address: str) -> "SerialTransport":
     loop = asyncio.get_running_loop()
     transport, connection = await serial_asyncio.connection_for_serial(loop, Connection, port)
-    connection.transport = transport  # it is told to the connection only in the loop's next turn
+    connection.transport = transport  # asyncio sets it only in the loop's next turn
     return SerialTransport(port, connection, peer=path, address=address)
 
 
@@ -87,7 +91,7 @@ class DtrLine(Protocol):
 
 
 async def pulse(port: DtrLine) -> None:
-    """Let DTR go and take it again: the reset of most boards. A port without that line has nothing to reset."""
+    """Release DTR and set it again: the reset of most boards. A port without that line has nothing to reset."""
     with contextlib.suppress(OSError):
         port.set_dtr(is_on=False)
         await asyncio.sleep(DTR_PULSE_S)
@@ -116,7 +120,7 @@ class SerialTransport(StreamTransport):
 
     async def _leave(self) -> None:
         await self._connection.drain()
-        while self._port.is_open and self._port.waiting_bytes():  # noqa: ASYNC110 - the kernel tells nobody
+        while self._port.is_open and self._port.waiting_bytes():  # noqa: ASYNC110 - the kernel sends no event
             await asyncio.sleep(LEAVE_CHECK_S)
 
     def _abort(self) -> None:

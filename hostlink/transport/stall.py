@@ -1,14 +1,14 @@
 """Stall: whether what was sent is still on its way because the network stands still. Pure.
 
-What the kernel has taken cannot be taken back: commands that pile up there reach the device when the network moves
-again, after the stop that came later. So nothing more is given to a connection that makes no progress.
+What the kernel has cannot be replaced: commands that pile up there reach the device when the network moves
+again, after the stop that came later. So nothing more is sent on a connection that makes no progress.
 """
 
 STALL_S = 0.4  # longer than a peer may hold an acknowledgement back (lwIP, so an ESP8266: 0.25 s)
 
 
 class Stall:
-    """Tell it how much was sent in all, and how much of that the peer has not acknowledged."""
+    """Compares how much was sent in all with how much of that the peer has not acknowledged."""
 
     def __init__(self) -> None:
         self._is_waiting = False

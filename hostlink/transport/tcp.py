@@ -25,7 +25,7 @@ RECEIVE_BUFFER_BYTES = 65536  # of a flood, in the kernel: by so much a device's
 BACKLOG = 1024  # connections that may wait to be accepted
 ACCEPTED_AT_ONCE = 4  # before others have their turn: a hundred, as is usual, take 30 ms
 STALL_LOOK_S = 0.01
-USER_TIMEOUT_MS = 5000  # sent and not acknowledged for so long: the peer is gone
+USER_TIMEOUT_MS = 5000  # sent and not acknowledged after that: the peer is gone
 KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # seconds, seconds, probes: found within 11 s
 
 
@@ -37,7 +37,7 @@ class Listener:
 
 
 class TcpTransport(StreamTransport):
-    """A connection whose system measures the way, and is given nothing more while the network stands still."""
+    """A connection whose system measures the way, and is sent nothing more while the network stands still."""
 
     def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
         super().__init__(connection, peer=peer, address=address)
@@ -48,7 +48,7 @@ class TcpTransport(StreamTransport):
         """Returns when the peer keeps up with what was sent, so that what is next is chosen as late as can be."""
         await super().send(data)
         self._sent_bytes += len(data)
-        while self._is_stalled():  # noqa: ASYNC110 - the kernel tells nobody of an acknowledgement
+        while self._is_stalled():  # noqa: ASYNC110 - the kernel sends no event
             await asyncio.sleep(STALL_LOOK_S)
 
     def _is_stalled(self) -> bool:
@@ -57,7 +57,7 @@ class TcpTransport(StreamTransport):
         return self._stall.is_stalled(sent_bytes=self._sent_bytes, unacknowledged_bytes=waiting, now_s=now_s)
 
     def _unacknowledged_bytes(self) -> int:
-        """0 where the system does not say, or the connection is gone."""
+        """0 where the system has no such figure, or the connection is gone."""
         connection = self._open_socket()
         if connection is None or sys.platform != "linux":
             return 0
@@ -72,7 +72,7 @@ class TcpTransport(StreamTransport):
         super()._abort()
 
     def _shut_down(self) -> None:
-        """Tell the peer of the end, also while another process holds a duplicate: closing this one would not."""
+        """End the connection for the peer, also while another process holds a duplicate: closing this one would not."""
         number = None if self._connection.transport.is_closing() else self._open_descriptor()
         if number is None:
             return
@@ -105,7 +105,11 @@ class TcpTransport(StreamTransport):
 
 @contextlib.asynccontextmanager
 async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None]) -> AsyncIterator[Listener]:
-    """Accept devices until the block is left. ConfigError when the port is taken."""
+    """Accept devices until the block is left.
+
+    Raises:
+        ConfigError: the address cannot be listened on.
+    """
 
     def accept(connection: Connection) -> None:
         peername = connection.transport.get_extra_info("peername")

@@ -213,7 +213,7 @@ async def test_a_guardian_that_does_not_answer_is_replaced() -> None:
     assert next(line for line in lines if line["event"] == "guardian.ended")["reason"] == "stuck"
 
 
-async def test_a_stopped_guardian_delays_no_hand_over_and_no_goodbye() -> None:
+async def test_a_stopped_guardian_delays_no_link_and_no_goodbye() -> None:
     with connections() as (peer,):
         async with guardian() as ours:
             number = pid(ours)

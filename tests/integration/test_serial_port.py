@@ -103,7 +103,7 @@ async def test_the_rates_are_tried_until_frames_come() -> None:
     board.unplug()
 
 
-async def test_a_port_that_vanishes_while_its_rate_is_looked_for_is_waited_for() -> None:
+async def test_a_port_that_vanishes_during_the_search_for_its_rate_is_waited_for() -> None:
     board = Board(baud=9600)
     with capture_logs() as lines:
         async with served(SerialConfig(path=board.path, baud=(57600, 115200), baud_try_s=0.01)) as host:

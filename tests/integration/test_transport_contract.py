@@ -323,7 +323,7 @@ async def test_addresses_are_spelled_as_usual(host: str, prefix: str) -> None:
         await peer.close()
 
 
-async def test_a_taken_port_says_so() -> None:
+async def test_a_port_in_use_is_named_in_the_error() -> None:
     async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), lambda _: None) as listener:
         with pytest.raises(ConfigError, match="is in use: another host for rosserial runs; stop it, or choose another"):
             async with serve_tcp(TcpConfig(host="127.0.0.1", port=listener.address[1]), lambda _: None):

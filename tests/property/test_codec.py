@@ -161,7 +161,7 @@ def test_bytes_are_those_of_rosbags_and_come_back(name: str, data: st.DataObject
 
 @PATIENT
 @given(messages, st.data())
-def test_the_careful_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
+def test_the_validating_codec_agrees_with_the_compiled_one(ours: MessageType, data: st.DataObject) -> None:
     value = draw_message(data, ours.layout)
     payload = ours.encode(value)
     assert validating_codec.encode(ours.layout, value) == payload

@@ -57,5 +57,5 @@ class Host:
             found += [item for item in stream.feed(taken.frame) if isinstance(item, Frame)]
         return found
 
-    def asks(self) -> list[str]:
+    def requests(self) -> list[str]:
         return [event.reason for event in self.events if isinstance(event, events.TopicsAsked)]

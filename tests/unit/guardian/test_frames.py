@@ -126,7 +126,7 @@ def test_without_the_repetition_a_long_claim_would_swallow_every_zero() -> None:
     assert device.zero_at_s() == math.inf
 
 
-def test_what_a_connection_does_not_take_is_kept_in_order() -> None:
+def test_what_a_connection_does_not_accept_is_kept_in_order() -> None:
     writer, sent = StopWriter((100,), BUFFER_BYTES), b""
     for step in range(1000):
         part = writer.take_due(step / 1000)[:3]

@@ -29,7 +29,7 @@ class Guardian:
         else:
             assert descriptor is None
             del self.held[number]
-        self.roster.told(is_held=descriptor is not None)
+        self.roster.confirm(is_held=descriptor is not None)
         self.told += 1
         return True
 
@@ -42,26 +42,26 @@ def watched(topic_id: int = 100, descriptor: int | None = 7) -> Watched:
     return Watched(lambda: descriptor, (topic_id,), 512)
 
 
-def test_a_link_is_told_with_its_descriptor_then_released() -> None:
+def test_a_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = Roster()
     roster.watch(3, watched())
     assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
-    roster.told(is_held=True)
+    roster.confirm(is_held=True)
     assert (roster.next(), roster.held) == (None, 1)
     roster.release(3)
     assert roster.next() == (records.encode_release(3), None)
-    roster.told(is_held=False)
+    roster.confirm(is_held=False)
     assert (roster.next(), roster.held) == (None, 0)
 
 
-def test_a_link_that_came_and_went_before_it_was_told_is_not_told() -> None:
+def test_a_link_that_came_and_went_before_it_was_sent_is_not_sent() -> None:
     roster = Roster()
     roster.watch(3, watched())
     roster.release(3)
     assert roster.next() is None
 
 
-def test_a_connection_that_closed_meanwhile_is_not_handed_over() -> None:
+def test_a_connection_that_closed_meanwhile_is_not_passed() -> None:
     roster = Roster()
     roster.watch(3, watched(descriptor=None))
     assert roster.next() is None
@@ -78,7 +78,7 @@ def test_a_new_velocity_topic_replaces_the_old_one() -> None:
     assert guardian.held == {3: 104}
 
 
-def test_a_new_guardian_is_told_everything() -> None:
+def test_everything_is_sent_to_a_new_guardian() -> None:
     roster = Roster()
     first = Guardian(roster)
     for number in (1, 2, 3):
@@ -96,10 +96,10 @@ def test_nothing_piles_up_for_a_guardian_that_does_not_listen() -> None:
     for number in range(10_000):
         roster.watch(number, watched())
         roster.release(number)
-    assert len(roster._untold) == 0
+    assert len(roster._unsent) == 0
     for _ in range(10_000):
         roster.watch(1, watched())
-    assert len(roster._untold) == 1
+    assert len(roster._unsent) == 1
 
 
 @given(STEPS)

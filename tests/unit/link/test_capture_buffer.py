@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.link.capture_buffer import TAPE_BYTES, CaptureBuffer
+from hostlink.link.capture_buffer import CAPTURE_BYTES, CaptureBuffer
 
 
 def contents(buffer: CaptureBuffer, since: int = 0) -> bytes:
@@ -21,7 +21,7 @@ def test_it_gives_back_what_passed_with_the_times() -> None:
     assert buffer.lost_bytes() == 0
 
 
-@given(st.lists(st.integers(0, 3 * TAPE_BYTES), max_size=6), st.integers(0, 9 * TAPE_BYTES))
+@given(st.lists(st.integers(0, 3 * CAPTURE_BYTES), max_size=6), st.integers(0, 9 * CAPTURE_BYTES))
 def test_what_it_keeps_is_the_end_of_what_passed(sizes: list[int], since: int) -> None:
     buffer, passed = CaptureBuffer(), b""
     for number, size in enumerate(sizes):
@@ -29,8 +29,8 @@ def test_what_it_keeps_is_the_end_of_what_passed(sizes: list[int], since: int) -
         buffer.add(data, float(number))
         passed += data
     kept = contents(buffer)
-    assert len(kept) >= min(len(passed), TAPE_BYTES)
-    assert len(kept) <= 1.25 * TAPE_BYTES
+    assert len(kept) >= min(len(passed), CAPTURE_BYTES)
+    assert len(kept) <= 1.25 * CAPTURE_BYTES
     assert passed.endswith(kept)
     assert buffer.total_bytes == len(passed)
     assert contents(buffer, since) == passed[max(since, len(passed) - len(kept)) :]
@@ -39,10 +39,10 @@ def test_what_it_keeps_is_the_end_of_what_passed(sizes: list[int], since: int) -
 
 def test_single_bytes_are_all_kept_and_their_times_stay_in_order_and_few() -> None:
     buffer = CaptureBuffer()
-    for number in range(3 * TAPE_BYTES):
+    for number in range(3 * CAPTURE_BYTES):
         buffer.add(bytes([number & 0xFF]), number / 1000)
     pieces = list(buffer.pieces())
-    assert len(contents(buffer)) >= TAPE_BYTES
+    assert len(contents(buffer)) >= CAPTURE_BYTES
     assert len(pieces) <= 4096
     times = [piece.time_s for piece in pieces]
     assert times == sorted(times)

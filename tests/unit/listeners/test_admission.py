@@ -39,7 +39,7 @@ def test_one_address_may_have_so_many_connections() -> None:
     assert admission.judge(OTHER, there) == Verdict()
 
 
-def test_the_oldest_stranger_of_the_address_with_the_most_of_them_gives_way() -> None:
+def test_the_oldest_unidentified_connection_of_the_fullest_address_is_evicted() -> None:
     admission = Admission(TcpConfig(max_connections=6))
     there = connections((CROWD, True), (OTHER, False), (CROWD, False), (CROWD, False), (ROBOT, True), (CROWD, False))
     assert admission.judge(ROBOT, there) == Verdict(evicts=2)
@@ -58,7 +58,7 @@ def test_a_crowd_does_not_push_itself_out() -> None:
     assert admission.judge(ROBOT, connections(*[(f"10.0.0.{last}", False) for last in range(4)])) == Verdict(evicts=0)
 
 
-def test_nobody_who_told_topics_gives_way() -> None:
+def test_no_identified_connection_is_evicted() -> None:
     admission = Admission(TcpConfig(max_connections=2))
     assert admission.judge(CROWD, connections((ROBOT, True), (OTHER, True))) == Verdict(refusal="too_many")
 

@@ -157,7 +157,7 @@ def test_unknown_names(catalog: Catalog, name: str) -> None:
     assert catalog.service(name) is None
 
 
-def test_a_type_tells_its_fields_constants_and_size(catalog: Catalog) -> None:
+def test_a_type_has_its_fields_constants_and_size(catalog: Catalog) -> None:
     info = message(catalog, "rosserial_msgs/Log")
     assert [(field.name, field.type, field.array_length) for field in info.fields] == [
         ("level", "uint8", -1),

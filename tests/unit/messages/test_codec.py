@@ -56,7 +56,7 @@ def _one(layout: Layout, field: Field, number: int, *, elements: int) -> object:
 
 
 @pytest.mark.parametrize("elements", [0, 1, 3])
-def test_plain_messages_of_every_type_take_the_compiled_codec(elements: int) -> None:
+def test_plain_messages_of_every_type_use_the_compiled_codec(elements: int) -> None:
     types = every_type()
     assert len(types) > 250
     for type_ in types:
@@ -140,9 +140,24 @@ def test_the_most_that_the_compiled_codec_does_itself() -> None:
     assert compile_decoder(endless)(compile_encoder(endless)(full)) == full
 
 
-def test_one_struct_reads_every_run_of_fixed_fields() -> None:
-    """The source is what is fast: a list of flat messages is one loop in C, and one struct packs all numbers."""
-    flat = layout(Field("a", "t/Pair", VARIABLE), Field("b", "uint8"), Field("c", "t/Pair"))
-    message = {"a": [{"a": 1, "b": 2}, {"a": 3, "b": 4}], "b": 5, "c": {"a": 6, "b": 7}}
-    assert "iter_unpack" not in message  # the names of the module are its own
-    assert compile_decoder(flat)(compile_encoder(flat)(message)) == message
+def calls_a_reader(layout: Layout) -> bool:
+    """Whether elements of a list are read one by one, by a function, instead of by one struct."""
+    code = compile_decoder(layout).__code__
+    return any(name.startswith("read_") for name in code.co_names)
+
+
+def test_a_list_of_flat_messages_is_read_by_one_struct() -> None:
+    deep = Layout("t/Deep", (Field("pair", "t/Pair"), Field("c", "uint8", 3)), NESTED)
+    twice = Layout("t/Twice", (Field("pairs", "t/Pair", 2), Field("c", "uint8")), NESTED)
+    nested = {**NESTED, "t/Deep": deep, "t/Twice": twice}
+    pair = {"a": 1, "b": 2}
+    for element, message in (
+        ("t/Pair", pair),
+        ("t/Deep", {"pair": pair, "c": b"xyz"}),
+        ("t/Twice", {"pairs": [pair, {"a": 3, "b": 4}], "c": 5}),
+        ("t/Named", {"name": "x"}),
+    ):
+        several = Layout("t/Tried", (Field("before", "uint16"), Field("them", element, VARIABLE)), nested)
+        assert calls_a_reader(several) == (element in ("t/Twice", "t/Named"))
+        value = {"before": 7, "them": [message, message]}
+        assert compile_decoder(several)(compile_encoder(several)(value)) == value

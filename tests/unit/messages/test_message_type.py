@@ -228,7 +228,7 @@ def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: di
         ("t/Arrays", struct.pack("<I", 9) + b"ab", "t/Arrays: blob: 9 bytes announced, 2 left"),
     ],
 )
-def test_a_bad_payload_is_told_with_its_numbers(catalog: Catalog, name: str, payload: bytes, problem: str) -> None:
+def test_a_bad_payload_is_refused_with_its_numbers(catalog: Catalog, name: str, payload: bytes, problem: str) -> None:
     with pytest.raises(BadPayload) as error:
         message(catalog, name).decode(payload)
     assert str(error.value) == problem

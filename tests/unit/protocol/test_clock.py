@@ -55,7 +55,7 @@ def test_the_offset_is_that_of_the_fastest_way() -> None:
     assert run.offset_s == pytest.approx(-0.25 + 0.002, abs=0.002)
 
 
-def test_jitter_is_taken_out_of_the_stamps() -> None:
+def test_jitter_is_removed_from_the_stamps() -> None:
     chance = random.Random(2)
     run = Run(lambda s: host_ns(s) - 3 * S, lambda: 0.002 + chance.expovariate(50)).until(60)
     steps_s = [(after - before) / S for before, after in zip(run.stamps[200:], run.stamps[201:], strict=False)]
@@ -69,7 +69,7 @@ def test_the_drift_of_a_clock_that_nobody_sets(ppm: float) -> None:
     assert run.clock.drift_ppm == pytest.approx(ppm, abs=5)
 
 
-def test_over_a_short_time_no_drift_is_told() -> None:
+def test_over_a_short_time_there_is_no_drift() -> None:
     assert Run(host_ns).until(30).clock.drift_ppm is None
 
 

@@ -24,7 +24,7 @@ def test_the_two_requests_of_a_host() -> None:
     assert bytes.fromhex("fffe0000ff0b00f4") == STOP_REQUEST
 
 
-def test_a_payload_that_no_length_can_tell() -> None:
+def test_a_payload_longer_than_a_length_field_can_carry() -> None:
     with pytest.raises(ValueError, match="payload of 65536 bytes, a frame takes 65535"):
         encode(125, bytes(65536))
 

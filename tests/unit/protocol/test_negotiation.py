@@ -1,7 +1,11 @@
 """A device that falls silent is asked for its topics: soon, if it has shown that it asks for the time regularly."""
 
+import itertools
+
 import pytest
 
+from hostlink.protocol.frame import encode
+from hostlink.protocol.negotiation import TRANSITIONS, NegotiationScheduler, SessionState, Step
 from tests.support.session_host import LED, ODOMETRY, TIME, Host, wire
 
 
@@ -28,16 +32,16 @@ def test_time_requests_at_any_other_period_are_not(period_s: float) -> None:
     assert not host.session.is_asking_time
 
 
-def test_a_silent_device_that_asked_regularly_is_asked_before_its_link_is_given_up() -> None:
+def test_a_silent_regular_device_hears_a_request_before_its_link_ends() -> None:
     """It may have restarted behind a radio that keeps the connection: then it waits for exactly this."""
     host = regular_device()
     host.wait(3.4)
-    assert host.asks() == []
+    assert host.requests() == []
     host.wait(0.2)
-    assert host.asks() == ["no_time_requests"]
+    assert host.requests() == ["no_time_requests"]
     host.hear(TIME + wire(ODOMETRY, LED) + TIME)
     host.wait(3.4)
-    assert host.asks() == []
+    assert host.requests() == []
 
 
 def test_a_device_that_goes_on_talking_has_five_seconds_for_its_next_time_request() -> None:
@@ -45,14 +49,58 @@ def test_a_device_that_goes_on_talking_has_five_seconds_for_its_next_time_reques
     for _ in range(49):
         host.wait(0.09)
         host.hear(wire())
-        assert host.asks() == []
+        assert host.requests() == []
     host.wait(0.6)
-    assert host.asks() == ["no_time_requests"]
+    assert host.requests() == ["no_time_requests"]
 
 
-def test_a_device_that_never_asks_for_the_time_is_asked_after_five_seconds() -> None:
+def test_a_device_that_never_requests_the_time_hears_a_request_after_five_seconds() -> None:
     host = Host(ODOMETRY)
     host.wait(4.9)
-    assert host.asks() == []
+    assert host.requests() == []
     host.wait(0.2)
-    assert host.asks() == ["no_time_requests"]
+    assert host.requests() == ["no_time_requests"]
+
+
+def advance(scheduler: NegotiationScheduler, step: Step, now_s: float) -> None:
+    if step is Step.REQUESTED:
+        scheduler.request("test")
+        assert scheduler.pop_request(now_s) == "test"
+    elif step is Step.TOPIC_INFO:
+        scheduler.topic_info_received(now_s)
+    else:
+        scheduler.finish(None)
+
+
+def test_the_transition_table_is_what_happens() -> None:
+    """Every path of four steps that the table allows, from the start."""
+    paths = 0
+    for steps in itertools.product(Step, repeat=4):
+        scheduler, state = NegotiationScheduler(), SessionState.REQUESTING
+        for number, step in enumerate(steps):
+            if step not in TRANSITIONS[state]:
+                break
+            advance(scheduler, step, number * 10.0)
+            state = TRANSITIONS[state][step]
+            assert scheduler.state is state
+        else:
+            paths += 1
+    assert paths == 16  # two steps are possible in each state
+
+
+def test_no_request_leaves_while_the_device_answers_and_the_answer_grants_it() -> None:
+    host = Host(ODOMETRY)
+    host.wait(2.0)
+    host.hear(wire(ODOMETRY))
+    host.session.request_topics("claimed_twice")
+    assert host.wait(0.45) == []
+    host.wait(1.0)
+    assert host.requests() == []
+
+
+def test_an_unknown_id_is_no_reason_once_the_topics_came() -> None:
+    host = Host(ODOMETRY)
+    host.hear(encode(140, b"?"))  # the last request is too young
+    host.hear(wire(ODOMETRY) + TIME)
+    host.wait(1.5)
+    assert host.requests() == []

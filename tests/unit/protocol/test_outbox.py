@@ -142,8 +142,18 @@ def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
     assert outbox.take(now_s=wait_s + 1e-9, wall_ns=0) is not None
 
 
+def test_a_paced_frame_leaves_less_than_a_byte_too_early() -> None:
+    outbox = Outbox(uart_bytes_s=3840)
+    for number in range(3):
+        outbox.put_command(100 + number, bytes(40))
+    assert [outbox.take(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
+    allowed_bytes = 128 - 24 - 40
+    assert outbox.take(now_s=(80 - allowed_bytes - 1.1) / 3840, wall_ns=0) is None
+    assert outbox.take(now_s=(80 - allowed_bytes - 0.9) / 3840, wall_ns=0) is not None
+
+
 @given(st.floats(0.0, 1e6), st.integers(100, 1_000_000), st.lists(st.integers(8, 520), min_size=1, max_size=40))
-def test_a_clock_that_waits_exactly_as_long_as_it_is_told_gets_a_frame(
+def test_a_clock_that_waits_exactly_as_long_as_wait_s_returns_gets_a_frame(
     now_s: float, uart_bytes_s: int, sizes: list[int]
 ) -> None:
     """Virtual time has no spare microsecond: a wait too short to move the clock would be waited for without end."""
@@ -294,7 +304,7 @@ def test_an_answer_to_a_device_that_spins_for_it_does_not_wait() -> None:
     assert b"P" * 300 in line.begun_at_s
 
 
-def test_a_line_of_unknown_speed_takes_all_at_once() -> None:
+def test_a_line_of_unknown_speed_accepts_all_at_once() -> None:
     outbox = Outbox()
     outbox.robot_moves = True
     outbox.put_command(100, bytes(10_000))

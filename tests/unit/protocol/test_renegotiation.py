@@ -58,14 +58,14 @@ def test_the_same_topics_again_cost_no_command() -> None:
     assert host.sent()[-1] == Frame(100, b"\x01")
 
 
-def test_an_id_that_is_told_for_the_first_time_costs_no_command_yet() -> None:
+def test_an_id_that_is_announced_for_the_first_time_drops_no_command() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
     host.hear(wire(ODOMETRY, TEXT))
     assert host.sent() == [Frame(100, b"\x01")]
 
 
-def test_a_refused_topic_stays_refused_until_it_is_told_anew() -> None:
+def test_a_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
     host = Host(ODOMETRY, WRONG_LED)
     host.hear(wire(ODOMETRY))
     with pytest.raises(WrongType, match="/led: wanted md5 right, got md5 wrong"):
@@ -75,7 +75,7 @@ def test_a_refused_topic_stays_refused_until_it_is_told_anew() -> None:
     assert host.sent() == [Frame(100, b"\x01")]
 
 
-def test_a_refused_topic_that_is_told_no_more_is_unknown() -> None:
+def test_a_refused_topic_that_is_announced_no_more_is_unknown() -> None:
     host = Host(ODOMETRY, WRONG_LED)
     host.hear(wire(ODOMETRY) + TIME)
     with pytest.raises(UnknownTopic, match="no topic named /led"):
@@ -100,12 +100,12 @@ def test_a_refusal_keeps_no_callers_alive() -> None:
     assert len(set(lengths)) == 1
 
 
-def test_a_last_topic_info_that_was_cut_off_is_asked_for() -> None:
+def test_a_last_topic_info_that_was_cut_off_is_requested() -> None:
     """Nothing but the bytes that wait tells that there was one: a lost last id leaves no gap."""
     host = Host()
     host.hear(TIME + wire(ODOMETRY, LED, TEXT)[:-20])
     host.wait(1.1)
-    assert host.asks() == ["damaged"]
+    assert host.requests() == ["damaged"]
 
 
 def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_than_it_is_announced() -> None:

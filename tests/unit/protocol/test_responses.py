@@ -18,7 +18,7 @@ def second(info: TopicInfo) -> TopicInfo:
     return info._replace(topic_id=info.topic_id + 1)
 
 
-def test_several_clients_of_one_service_are_told_apart_by_their_order() -> None:
+def test_several_clients_of_one_service_are_distinguished_by_their_order() -> None:
     host = Host(second(REQUESTS), RESPONSES, REQUESTS, second(RESPONSES))
     assert host.session.response_endpoint(REQUESTS) == RESPONSES
     assert host.session.response_endpoint(second(REQUESTS)) == second(RESPONSES)

@@ -15,16 +15,16 @@ from hostlink.protocol.to_device import DEFAULT_BUFFER_BYTES
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
-def test_it_asks_for_topics_at_once() -> None:
+def test_it_requests_topics_at_once() -> None:
     host = Host()
-    assert host.asks() == ["connected"]
+    assert host.requests() == ["connected"]
     assert host.session.take(now_s=host.now_s, wall_ns=0) == Taken(TOPICS_REQUEST)
 
 
-def test_without_an_answer_it_asks_again_every_two_seconds() -> None:
+def test_without_an_answer_it_requests_again_every_two_seconds() -> None:
     host = Host()
     host.wait(10.0)
-    assert host.asks() == ["no_answer"] * 5
+    assert host.requests() == ["no_answer"] * 5
 
 
 def test_topics_are_known_after_a_frame_of_another_kind_or_half_a_second() -> None:
@@ -55,12 +55,12 @@ def test_the_time_is_answered_first_with_the_clock_of_the_moment_of_sending() ->
     assert host.sent() == [Frame(Id.TIME, bytes.fromhex("00000000 05000000")), Frame(100, b"\x01")]
 
 
-def test_an_unknown_id_is_asked_about_at_most_once_a_second_and_three_times() -> None:
+def test_an_unknown_id_causes_at_most_one_request_a_second_and_three_in_all() -> None:
     host = Host(ODOMETRY)
     asked_at_s = []
     for _ in range(1000):
         host.hear(encode(140, b"?"))
-        if host.asks():
+        if host.requests():
             asked_at_s.append(host.now_s)
             host.hear(TIME + wire(ODOMETRY) + TIME)
     assert len(asked_at_s) == MAX_SAME_REQUESTS
@@ -68,7 +68,7 @@ def test_an_unknown_id_is_asked_about_at_most_once_a_second_and_three_times() ->
     assert host.session.counts.unknown_ids == 1000
 
 
-def test_frames_before_the_answer_do_not_ask_twice() -> None:
+def test_frames_before_the_answer_cause_no_second_request() -> None:
     host = Host()
     for _ in range(20):
         host.hear(encode(125, bytes(24)))
@@ -85,36 +85,36 @@ def test_frames_before_the_answer_do_not_ask_twice() -> None:
         ([ODOMETRY, ODOMETRY._replace(topic_id=127, name="/b")], 126),
     ],
 )
-def test_a_gap_in_the_ids_is_asked_about_until_it_is_clear_that_it_stays(infos: list[TopicInfo], gap_at: int) -> None:
+def test_a_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: int) -> None:
     host = Host(*infos)
     assert [event.gap_at for event in host.events if isinstance(event, events.TopicsNegotiated)] == [gap_at]
     asks = 0
     for _ in range(10):
         host.wait(1.2)
-        if "gap" in host.asks():
+        if "gap" in host.requests():
             asks += 1
             host.hear(TIME + wire(*infos) + TIME)
     assert asks == MAX_SAME_REQUESTS
 
 
-def test_damage_during_a_negotiation_is_asked_about() -> None:
+def test_damage_during_a_negotiation_causes_a_request() -> None:
     host = Host()
     host.hear(wire(ODOMETRY) + b"junk" + wire(LED) + TIME)
     host.wait(1.1)
-    assert host.asks() == ["damaged"]
+    assert host.requests() == ["damaged"]
     host.hear(wire(ODOMETRY, LED) + TIME)
     host.wait(1.1)
-    assert host.asks() == []
+    assert host.requests() == []
 
 
-def test_five_seconds_without_a_time_request_are_asked_about() -> None:
+def test_five_seconds_without_a_time_request_cause_a_request() -> None:
     host = Host(ODOMETRY)
     for _ in range(3):
         host.wait(2.5)
-        assert host.asks() == []
+        assert host.requests() == []
         host.hear(TIME)
     host.wait(5.1)
-    assert host.asks() == ["no_time_requests"]
+    assert host.requests() == ["no_time_requests"]
 
 
 def test_a_second_negotiation_replaces_the_first() -> None:
@@ -149,7 +149,7 @@ def test_the_same_topics_again_change_nothing() -> None:
         ("/text", bytes(57), FrameTooLarge, "/text: frame of 65 bytes, the device takes 64"),
     ],
 )
-def test_what_a_device_could_not_take_is_refused_before_it_is_queued(
+def test_what_a_device_cannot_receive_is_refused_before_it_is_queued(
     topic: str, payload: bytes, error: type[Exception], text: str
 ) -> None:
     host = Host(ODOMETRY, LED, TEXT)
@@ -166,7 +166,7 @@ def test_a_device_that_announces_no_buffer_has_the_usual_one() -> None:
         host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 7))
 
 
-def test_a_refused_topic_is_told_and_its_messages_are_nobodys() -> None:
+def test_a_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> None:
     host = Host()
     wrong = LED._replace(md5="wrong")
     found = host.hear(wire(ODOMETRY, wrong, TEXT) + TIME)
@@ -244,6 +244,15 @@ def test_a_frame_that_stalls_is_given_up() -> None:
     host.wait(2.5)
     assert host.session.counts.skipped_bytes == 11
     assert host.hear(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+
+
+def test_a_frame_may_pause_for_two_seconds() -> None:
+    host = Host(ODOMETRY)
+    frame = encode(125, bytes(24))
+    host.hear(frame[:20])
+    host.session.tick(now_s=host.now_s + 1.9)
+    assert host.hear(frame[20:], after_s=1.95) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    assert host.session.counts.skipped_bytes == 0
 
 
 def test_a_larger_announced_buffer_lets_larger_frames_in() -> None:

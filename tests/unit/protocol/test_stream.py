@@ -56,7 +56,7 @@ def test_a_good_frame_is_not_lost_to_what_stands_before_it(junk: bytes) -> None:
 
 
 @pytest.mark.parametrize("payload", [b"ab\xff\xfecd", b"\xff\xfe\x01\x00\xfe\x7d\x00x?", b"\xff\xfe\x00\x10\xef"])
-def test_a_payload_may_hold_what_looks_like_the_start_of_a_frame(payload: bytes) -> None:
+def test_a_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
     assert events(FrameStream(), encode(125, payload) + WIRE_B) == [Frame(125, payload), B]
 
 
@@ -87,6 +87,21 @@ def test_false_headers_in_one_another() -> None:
     stream = FrameStream()
     liar = b"\xff\xfe\x20\x00\xdf"
     assert frames(stream, liar * 5 + WIRE_A + liar + WIRE_B) == [A, B]
+
+
+def test_the_largest_claim_before_topics_are_known() -> None:
+    largest = Frame(125, bytes(1024))
+    stream = FrameStream()
+    assert frames(stream, encode(*largest), encode(125, bytes(1025)), WIRE_A) == [largest, A]
+    assert stream.rejected[Rejection.TOO_LONG] == 1
+
+
+def test_nothing_is_lost_where_nobody_reads_on() -> None:
+    """Whoever waits for one frame leaves the rest of a read to the next call."""
+    stream = FrameStream()
+    assert next(stream.feed(WIRE_A + WIRE_B + WIRE_A)) == A
+    assert stream.pending_bytes == len(WIRE_B + WIRE_A)
+    assert frames(stream, WIRE_B) == [B, A, B]
 
 
 def test_a_claim_over_the_limit_is_no_header() -> None:

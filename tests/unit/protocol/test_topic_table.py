@@ -20,7 +20,7 @@ def table(*infos: TopicInfo) -> TopicTable:
     return made
 
 
-def test_a_name_is_found_while_it_is_told_and_afterwards() -> None:
+def test_a_name_is_found_while_it_is_announced_and_afterwards() -> None:
     made = table(info(125, "/a"), info(100, "/a", Id.SUBSCRIBER))
     for _ in range(2):
         assert made.find("/a", Id.PUBLISHER) == info(125, "/a")
@@ -57,7 +57,7 @@ def many(count: int) -> bytes:
     return wire(*(info(125 + number, f"/t{number}") for number in range(count)))
 
 
-def test_topics_over_the_bound_are_counted_and_told_once() -> None:
+def test_topics_over_the_bound_are_counted_and_are_one_event() -> None:
     host = Host()
     found = host.hear(TIME + many(MAX_TOPICS + 50) + TIME)
     assert len(host.session.topics) == MAX_TOPICS
@@ -68,7 +68,7 @@ def test_topics_over_the_bound_are_counted_and_told_once() -> None:
     ]
 
 
-def test_a_topic_that_is_told_again_is_none_too_many() -> None:
+def test_a_topic_that_is_announced_again_is_not_over_the_bound() -> None:
     host = Host()
     host.hear(TIME + many(MAX_TOPICS) + many(MAX_TOPICS) + TIME)
     host.hear(many(MAX_TOPICS) + TIME)
@@ -82,7 +82,7 @@ def test_the_bound_is_a_setting() -> None:
     assert session.topics == (LED,)
 
 
-def test_a_device_is_asked_for_its_topics_when_the_host_wants_to_know_whether_it_lives() -> None:
+def test_the_host_requests_topics_to_learn_whether_a_device_lives() -> None:
     host = Host(LED)
     host.wait(2.0)
     host.session.request_topics("claimed_twice")

@@ -1,4 +1,4 @@
-"""The port for devices under people who should not be there: robots come in, and are counted in."""
+"""The port for devices among connections that are no robots: robots are admitted, and counted."""
 
 import asyncio
 import contextlib
@@ -15,8 +15,8 @@ ROBOT, CROWD = "127.0.0.2", "127.0.0.3"
 
 
 @contextlib.asynccontextmanager
-async def strangers(address: tuple[str, int], count: int, *, local_host: str) -> AsyncIterator[None]:
-    """So many connections that never say a word."""
+async def silent_connections(address: tuple[str, int], count: int, *, local_host: str) -> AsyncIterator[None]:
+    """This many connections that never send a byte."""
     writers = []
     for _ in range(count):
         _, writer = await asyncio.open_connection(*address, local_addr=(local_host, 0))
@@ -43,9 +43,9 @@ async def test_a_crowd_that_says_nothing_does_not_keep_a_robot_out() -> None:
     """Neither one that comes from a single address, nor one from many."""
     config = Config(tcp=TcpConfig(max_connections=20, max_connections_per_address=15))
     with capture_logs() as lines:
-        async with daemon(config) as host, strangers(host.tcp, 300, local_host=CROWD):
+        async with daemon(config) as host, silent_connections(host.tcp, 300, local_host=CROWD):
             await expect(lambda: host.hub.refused["too_many_of_address"] == 285)
-            async with strangers(host.tcp, 15, local_host="127.0.0.4"):
+            async with silent_connections(host.tcp, 15, local_host="127.0.0.4"):
                 await expect(lambda: host.hub.refused["too_many"] == 5)
                 async with fake_device(host.tcp, robot_topics(), local_host=ROBOT) as device:
                     await device.send(pose(1.0))
