@@ -128,7 +128,7 @@ def test_a_change_of_a_robot_that_stands_still_comes_at_once() -> None:
         with feed.reading(reader):
             await asyncio.sleep(0.05)
             reader.pop()
-            hub.robots.lock(hub.robots.find("robot_0"), "somebody stands there")
+            hub.emergency_stop.stop(hub.robots.find("robot_0"), "somebody stands there")
             await asyncio.sleep(0.15)
             name, data = parsed(reader.pop())[0]
             assert (name, data["robots"][0]["lock_reason"]) == ("robots", "somebody stands there")
@@ -162,7 +162,7 @@ def test_what_is_no_line_is_counted_and_harms_nobody() -> None:
         with feed.reading(reader):
             await asyncio.sleep(0.05)
             reader.pop()
-            hub.topics.find("/rosout").deliver(b"\x01", 0)
+            hub.topics.find("/rosout").deliver(b"\x01", source="a test", at_s=asyncio.get_running_loop().time())
             await asyncio.sleep(0.15)
             assert (reader.pop(), reader.dropped) == ([], 1)
 
