@@ -6,6 +6,7 @@ import itertools
 import random
 import socket
 import struct
+from collections import defaultdict
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mapping
 from typing import Any
 
@@ -20,7 +21,7 @@ from hostlink.errors import HostlinkError
 PING_INTERVAL_S = 0.2
 SILENCE_S = 0.6  # three pings without an answer; the robot's lease is 0.5 s, so it stands by then
 SECOND_CHANCE_S = 0.25  # for a pong when it was this program that did not run
-LATE_S = 0.1  # a timer that is so late tells of this program, not of the network
+LATE_S = 0.1  # a timer that is later: this program did not run
 FIRST_WAIT_S = 0.05
 LONGEST_WAIT_S = 1.0
 ATTEMPT_TIMEOUT_S = 1.0
@@ -42,7 +43,9 @@ class Connection:
 
     def __init__(self, http: HttpClient, *, reconnects: bool) -> None:
         self.is_connected = False
-        self.handlers: dict[str, Callable[[Message], None]] = {}  # by op, for what is no answer to `request`
+        self.handlers: defaultdict[str, list[Callable[[Message], None]]] = defaultdict(
+            list
+        )  # by op, for what is no answer to `request`
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
         self._http = http
@@ -54,7 +57,11 @@ class Connection:
         self._is_open = asyncio.Event()
 
     async def open(self) -> None:
-        """Connect. HostlinkError when that cannot be done."""
+        """Connect.
+
+        Raises:
+            HostlinkError: that cannot be done.
+        """
         self._socket = await self._http.open_socket()
         self.is_connected = True
         for restore in self.on_open:
@@ -71,7 +78,11 @@ class Connection:
             await self._reopen()
 
     async def send(self, request: Mapping[str, Any]) -> None:
-        """Send one operation; HostlinkError while there is no connection."""
+        """Send one operation.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
         if self._socket is None or not self.is_connected:
             raise self.lost()
         try:
@@ -80,7 +91,11 @@ class Connection:
             raise self.lost(str(error)) from error
 
     async def request(self, request: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Message:
-        """Send an operation that is answered; HostlinkError when it is refused, or no answer comes."""
+        """Send an operation that is answered.
+
+        Raises:
+            HostlinkError: it is refused, or no answer comes.
+        """
         key = f"{request['op']}:{next(self._numbers)}"
         waiting: asyncio.Future[Message | None] = asyncio.get_running_loop().create_future()
         self._answers[key] = waiting
@@ -123,7 +138,11 @@ class Connection:
             await self._socket.close()
 
     async def back(self) -> None:
-        """Wait until it is there; HostlinkError when it is lost for good."""
+        """Wait until it is there.
+
+        Raises:
+            HostlinkError: it is lost for good.
+        """
         if not self._reconnects and not self.is_connected:
             raise self.lost()
         await self._is_open.wait()
@@ -161,20 +180,21 @@ class Connection:
             except (aiohttp.ClientError, OSError) as error:
                 return str(error)
             if message.type is WSMsgType.TEXT:
-                self._take(msgspec.json.decode(message.data))
+                self._dispatch(msgspec.json.decode(message.data))
             elif message.type is WSMsgType.PING:
                 with contextlib.suppress(aiohttp.ClientError, OSError):
                     await socket_.pong(message.data)
             elif message.type not in (WSMsgType.PONG, WSMsgType.BINARY):
                 return _closing_words(socket_, message)
 
-    def _take(self, message: Message) -> None:
+    def _dispatch(self, message: Message) -> None:
         waiting = self._answers.get(str(message.get("id")))
         if waiting is not None:
             if not waiting.done():
                 waiting.set_result(message)
-        elif (handler := self.handlers.get(str(message.get("op")))) is not None:
-            handler(message)
+        else:
+            for handler in self.handlers.get(str(message.get("op")), ()):
+                handler(message)
 
     # -- losing it and coming back ------------------------------------------------------------------------------------
 
@@ -186,8 +206,8 @@ class Connection:
         for waiting in self._answers.values():
             if not waiting.done():
                 waiting.set_result(None)
-        for tell in self.on_lost:
-            tell(self.lost())
+        for notify in self.on_lost:
+            notify(self.lost())
         await self._discard()
 
     async def _discard(self) -> None:

@@ -1,6 +1,6 @@
-"""Driver: the velocities that this client commands: held ones, which one task repeats, and single ones.
+"""Driver: the velocities that this client commands: those that one task repeats, and single ones.
 
-A hold that is broken is never resumed.
+What is broken off is never resumed.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while 
 
 
 @dataclass(slots=True)
-class _Hold:
+class _Repeated:
     number: int
     request: Mapping[str, Any]
     sent_s: float
@@ -34,46 +34,47 @@ class _Hold:
 class Driver:
     """Who is driven how.
 
-    A hold ends by the next `drive` or `stop`; it is broken by a refusal, by the loss of the connection, by a new
-    connection of the robot's device, and when this program did not run for longer than a command holds. Then the
-    robot stands, and the next `drive` raises why, once, instead of driving.
+    A repeated command ends by the next `drive` or `stop`; it is broken off by a refusal, by the loss of the connection,
+    by a new connection of the robot's device, and when this program did not run for longer than a command holds. Then
+    the robot stands, and the next `drive` raises why, once, instead of driving.
     """
 
     def __init__(self, connection: Connection) -> None:
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self._connection = connection
         self._numbers = itertools.count(1)
-        self._holds: dict[str, _Hold] = {}
+        self._repeated: dict[str, _Repeated] = {}
         self._broken: dict[str, str] = {}
-        connection.handlers["drive_result"] = self._receive_answer
+        connection.handlers["drive_result"].append(self._receive_answer)
+        connection.handlers["status"].append(self._receive_status)
 
     @property
     def robots(self) -> tuple[str, ...]:
         """The names of the robots that are driven."""
-        return tuple(self._holds)
+        return tuple(self._repeated)
 
     async def drive(self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> None:
-        """Command, and hold from now on; returns when the daemon has accepted it.
+        """Command, and repeat it from now on; returns when the daemon has accepted it.
 
         Raises:
-            HostlinkError: it was refused, and nothing is held; or what was held before is broken.
+            HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
         """
         request = _request(robot, linear_m_s, angular_rad_s, priority)
         if (reason := self._broken.pop(robot, None)) is not None:
             raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {reason}")
-        before = self._holds.get(robot)
-        hold = self._holds[robot] = _Hold(next(self._numbers), request, _now_s())
+        before = self._repeated.get(robot)
+        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, _now_s())
         try:
-            hold.link = await self._command(hold, None if before is None else before.link)
-            hold.sent_s = _now_s()
-        except BaseException:  # a cancellation too: what nobody waits for is not held
-            if self._holds.get(robot) is hold:
+            repeated.link = await self._command(repeated, None if before is None else before.link)
+            repeated.sent_s = _now_s()
+        except BaseException:  # a cancellation too: what nobody waits for is not repeated
+            if self._repeated.get(robot) is repeated:
                 self.let_go(robot)
             raise
 
-    async def _command(self, hold: _Hold, link: int | None) -> int:
-        """For the device of the hold before, if there was one: else a new one would be driven on without a word."""
-        request = {**hold.request, "sent_s": hold.sent_s, "link": link}
+    async def _command(self, repeated: _Repeated, link: int | None) -> int:
+        """For the device that was driven before, if one was: else a new one would be driven on without notice."""
+        request = {**repeated.request, "sent_s": repeated.sent_s, "link": link}
         answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
             raise HostlinkError(str(answer["reason"]))
@@ -82,7 +83,7 @@ class Driver:
     async def command(
         self, robot: str, velocity: tuple[float, float], priority: int, *, link: int | None = None
     ) -> None:
-        """Send one command, which is not held; its answer is not waited for, and is in `refusals` if it is one.
+        """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection.
@@ -92,7 +93,7 @@ class Driver:
 
     def let_go(self, robot: str) -> None:
         """Repeat it no more; the end of it is known to the caller."""
-        self._holds.pop(robot, None)
+        self._repeated.pop(robot, None)
         self._broken.pop(robot, None)
 
     def break_all(self, reason: str) -> tuple[str, ...]:
@@ -106,19 +107,19 @@ class Driver:
         """Keep the commands alive, until cancelled."""
         while True:
             await asyncio.sleep(REPEAT_INTERVAL_S)
-            for robot, hold in list(self._holds.items()):
-                if hold.link is not None:
-                    await self._repeat(robot, hold)
+            for robot, repeated in list(self._repeated.items()):
+                if repeated.link is not None:
+                    await self._repeat(robot, repeated)
 
-    async def _repeat(self, robot: str, hold: _Hold) -> None:
+    async def _repeat(self, robot: str, repeated: _Repeated) -> None:
         now_s = _now_s()
-        if now_s > hold.sent_s + LEASE_S:
-            self._break(robot, f"this program did not run for {now_s - hold.sent_s:.1f} s")
+        if now_s > repeated.sent_s + LEASE_S:
+            self._break(robot, f"this program did not run for {now_s - repeated.sent_s:.1f} s")
             return
-        hold.sent_s = now_s
-        request = {"id": f"hold:{hold.number}", "sent_s": now_s, "link": hold.link}
-        with contextlib.suppress(HostlinkError):  # the connection tells everybody of its loss
-            await self._connection.send({**hold.request, **request})
+        repeated.sent_s = now_s
+        request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "link": repeated.link}
+        with contextlib.suppress(HostlinkError):  # the connection reports its loss to everybody
+            await self._connection.send({**repeated.request, **request})
 
     def _receive_answer(self, answer: dict[str, Any]) -> None:
         """Of a command that nobody waits for."""
@@ -127,12 +128,18 @@ class Driver:
         if key.startswith(_COMMAND):
             self.refusals[key.removeprefix(_COMMAND)] = refusal
         elif refusal is not None:
-            for robot, hold in list(self._holds.items()):
-                if key == f"hold:{hold.number}":
+            for robot, repeated in list(self._repeated.items()):
+                if key == f"repeat:{repeated.number}":
                     self._break(robot, refusal.reason)
 
+    def _receive_status(self, status: dict[str, Any]) -> None:
+        """A token that may only read gets no other answer."""
+        key = str(status.get("id"))
+        if key.startswith(_COMMAND):
+            self.refusals[key.removeprefix(_COMMAND)] = Refusal("NoRole", str(status["msg"]))
+
     def _break(self, robot: str, reason: str) -> None:
-        del self._holds[robot]
+        del self._repeated[robot]
         self._broken[robot] = reason
 
 

@@ -14,7 +14,7 @@ Subscription = Mailbox[dict[str, Any]]
 
 
 @dataclass(slots=True)
-class _Wish:
+class _Subscribed:
     topic: str
     request: Mapping[str, Any]
     mailbox: Subscription = field(default_factory=Mailbox)
@@ -26,14 +26,19 @@ class Topics:
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
         self._numbers = itertools.count(1)
-        self._wishes: dict[str, _Wish] = {}
+        self._subscribed: dict[str, _Subscribed] = {}
         self._advertised: dict[str, str] = {}
         self._refusals: dict[str, str] = {}
-        connection.handlers |= {"publish": self._deliver, "status": self._hear_refusal}
+        connection.handlers["publish"].append(self._deliver)
+        connection.handlers["status"].append(self._receive_refusal)
         connection.on_open.append(self._restore)
 
     async def publish(self, topic: str, message: Mapping[str, Any], type_name: str, priority: int) -> None:
-        """Send one message. A refusal of an earlier one on this topic is raised here."""
+        """Send one message.
+
+        Raises:
+            HostlinkError: there is no connection, or an earlier message on this topic was refused.
+        """
         refusal = self.take_refusal(topic)
         if refusal:
             raise HostlinkError(refusal)
@@ -46,7 +51,11 @@ class Topics:
 
     @contextlib.asynccontextmanager
     async def advertise(self, topic: str, type_name: str) -> AsyncIterator[None]:
-        """Be a publisher of the topic for the length of the block."""
+        """Be a publisher of the topic for the length of the block.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
         request = {"op": "advertise", "id": f"publish:{topic}", "topic": topic, "type": type_name}
         await self._connection.send(request)
         self._advertised[topic] = type_name
@@ -61,39 +70,43 @@ class Topics:
     async def subscribe(
         self, topic: str, type_name: str, throttle_rate_ms: int, queue_length: int
     ) -> AsyncIterator[Subscription]:
-        """The messages of a topic, from now on, for the length of the block."""
+        """The messages of a topic, from now on, for the length of the block.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
         key = f"subscribe:{next(self._numbers)}"
         limits = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
         request = {"op": "subscribe", "id": key, "topic": topic, **limits, **_typed(type_name)}
         await self._connection.send(request)
-        wish = self._wishes[key] = _Wish(topic, request)
+        subscribed = self._subscribed[key] = _Subscribed(topic, request)
         try:
-            yield wish.mailbox
+            yield subscribed.mailbox
         finally:
-            del self._wishes[key]
+            del self._subscribed[key]
             with contextlib.suppress(HostlinkError):  # with the connection gone, so is the subscription
                 await self._connection.send({"op": "unsubscribe", "id": key, "topic": topic})
 
     def end(self, error: HostlinkError) -> None:
         """Nothing will come any more: every iteration raises."""
-        for wish in self._wishes.values():
-            wish.mailbox.put(error)
+        for subscribed in self._subscribed.values():
+            subscribed.mailbox.put(error)
 
     async def _restore(self) -> None:
         for topic, type_name in self._advertised.items():
             await self._connection.send({"op": "advertise", "topic": topic, "type": type_name})
-        for wish in list(self._wishes.values()):
-            await self._connection.send(wish.request)
+        for subscribed in list(self._subscribed.values()):
+            await self._connection.send(subscribed.request)
 
     def _deliver(self, message: dict[str, Any]) -> None:
-        for wish in self._wishes.values():
-            if wish.topic == message["topic"]:
-                wish.mailbox.put(message["msg"])
+        for subscribed in self._subscribed.values():
+            if subscribed.topic == message["topic"]:
+                subscribed.mailbox.put(message["msg"])
 
-    def _hear_refusal(self, message: dict[str, Any]) -> None:
+    def _receive_refusal(self, message: dict[str, Any]) -> None:
         key, reason = str(message.get("id", "")), str(message["msg"])
-        if key in self._wishes:
-            self._wishes[key].mailbox.put(HostlinkError(reason))
+        if key in self._subscribed:
+            self._subscribed[key].mailbox.put(HostlinkError(reason))
         elif key.startswith("publish:"):
             self._refusals[key.removeprefix("publish:")] = reason
 

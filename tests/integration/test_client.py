@@ -1,4 +1,4 @@
-"""hostlink.client against a daemon: what it does for a script, and what it says when it cannot."""
+"""hostlink.client against a daemon: what it does for a script, and its errors."""
 
 import asyncio
 import contextlib
@@ -11,7 +11,7 @@ from aiohttp import web
 
 from hostlink.client import Host, Refusal, connect
 from hostlink.client.connection import waits
-from hostlink.config import ApiConfig, Config
+from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import HostlinkError
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
@@ -35,7 +35,7 @@ async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2)
     return str(caught.value)
 
 
-def take_over(host: Daemon) -> None:
+def drive_as_a_person(host: Daemon) -> None:
     """As a person at the keys."""
     robot = host.hub.robots.find("robot_0")
     host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
@@ -99,12 +99,12 @@ async def test_two_robots_are_driven_at_once() -> None:
             assert await second.velocity_other_than(ZERO) == (0.1, 0.0)
 
 
-async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_held() -> None:
+async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> None:
     async with daemon() as host, connect(host.url) as me:
         async with fake_device(host.tcp, robot_topics()):
             assert await refused(me, name="robot_9") == "no robot named robot_9; known: robot_0"
             assert await refused(me, linear_m_s=math.nan) == "robot_0: a velocity must be made of finite numbers"
-            take_over(host)
+            drive_as_a_person(host)
             assert await refused(me) == "robot_0: a person drives it with a higher priority"
             await me.robot("robot_0", priority=70).drive(0.2, 0.0)
             assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.2)
@@ -114,11 +114,11 @@ async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_held() -> None:
         assert await refused(me) == "robot_0: its device is not connected"
 
 
-async def test_a_held_velocity_that_is_overruled_is_dropped_and_the_next_drive_says_so_once() -> None:
+async def test_a_held_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
-        take_over(host)
+        drive_as_a_person(host)
         await expect(lambda: not robot.is_driven)
         host.hub.gates.release("a person")
         assert await refused(me) == (
@@ -139,7 +139,7 @@ async def test_a_device_that_connects_again_is_not_driven_by_what_was_held_befor
             assert await new.velocity_other_than(ZERO) == (0.1, 0.0)
 
 
-async def test_a_program_that_drives_again_and_again_hears_once_that_the_device_connected_again() -> None:
+async def test_a_program_that_drives_again_and_again_is_refused_once_when_the_device_connected_again() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
@@ -165,12 +165,26 @@ async def test_a_command_is_not_repeated_and_its_refusal_is_known_after_its_answ
         assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
         await me.settle()
         assert (robot.refusal, robot.is_driven, gate.counts.commands) == (None, False, 1)
-        take_over(host)
+        drive_as_a_person(host)
         await robot.command(0.2, 0.0)
         await me.settle()
         assert robot.refusal == Refusal("RobotHeld", "robot_0: a person drives it with a higher priority")
         with pytest.raises(HostlinkError, match="finite"):
             await robot.command(math.inf, 0.0)
+
+
+async def test_a_command_with_a_token_that_may_only_read_is_refused() -> None:
+    config = Config(api=ApiConfig(tokens=(TokenConfig(name="wall", role="read", token="a-token-of-a-watcher"),)))
+    async with (
+        daemon(config) as host,
+        fake_device(host.tcp, robot_topics()),
+        connect(host.url, token="a-token-of-a-watcher") as me,
+    ):
+        robot = me.robot("robot_0")
+        await robot.command(0.2, 0.0)
+        await expect(lambda: robot.refusal is not None)
+        assert robot.refusal is not None
+        assert (robot.refusal.kind, "may only read" in robot.refusal.reason) == ("NoRole", True)
 
 
 async def test_a_command_for_a_link_is_refused_when_the_device_has_connected_again() -> None:
@@ -239,18 +253,18 @@ async def test_odometry_gives_each_new_pose_once() -> None:
         async with asyncio.timeout(5):
             async with asyncio.TaskGroup() as tasks:
 
-                async def tell() -> None:
+                async def send_poses() -> None:
                     await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
                     for number in range(1, 6):
                         await device.send(pose(float(number)))
                         await expect(lambda number=number: len(seen) == number)
 
-                telling = tasks.create_task(tell())
+                sending = tasks.create_task(send_poses())
                 async for odometry in me.robot("robot_0").odometry():
                     seen.append(odometry["pose"]["x_m"])
                     if len(seen) == 5:
                         break
-                await telling
+                await sending
     assert seen == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
@@ -282,7 +296,7 @@ async def test_watch_gives_what_the_daemon_shows_as_it_changes() -> None:
         await expect(lambda: host.hub.topics.find("/rosout").subscribers == ())
 
 
-async def test_watch_that_is_refused_says_why() -> None:
+async def test_watch_that_is_refused_raises_the_reason() -> None:
     async with daemon(Config(api=ApiConfig(max_clients=1))) as host, connect(host.url) as me:
         with pytest.raises(HostlinkError, match="1 clients are connected"):
             await anext(aiter(me.watch()))
@@ -333,7 +347,7 @@ async def test_a_reader_that_is_too_slow_loses_the_oldest_and_can_see_how_many()
         assert await anext(messages) == {"data": 44}
 
 
-async def test_refusals_reach_whoever_asked() -> None:
+async def test_refusals_reach_their_sender() -> None:
     async with daemon() as host, fake_device(host.tcp, [LED]), connect(host.url) as me:
         await me.publish("/led", {"dta": True})
         await me.settle()
@@ -409,7 +423,7 @@ async def test_a_token_goes_with_every_request() -> None:
         (500, "HTTP 500: what answers there may be no hostlink"),
     ],
 )
-async def test_a_door_that_does_not_open_says_what_to_do(status: int, advice: str) -> None:
+async def test_a_refused_connection_raises_with_advice(status: int, advice: str) -> None:
     async def answer(_: web.Request) -> web.StreamResponse:
         return web.Response(status=status)
 
@@ -428,14 +442,14 @@ async def test_a_door_that_does_not_open_says_what_to_do(status: int, advice: st
         ("http://", "'http://' is no address of a hostlink"),
     ],
 )
-async def test_an_address_without_hostlink_says_what_to_do(url: str, advice: str) -> None:
+async def test_an_address_without_hostlink_raises_with_advice(url: str, advice: str) -> None:
     with pytest.raises(HostlinkError) as caught:
         async with connect(url):
             pass
     assert str(caught.value).startswith(advice)
 
 
-async def test_tls_where_there_is_none_says_so() -> None:
+async def test_tls_where_there_is_none_raises_with_advice() -> None:
     async with daemon() as host:
         url = host.url.replace("http:", "https:")
         with pytest.raises(HostlinkError, match="it does not speak TLS there: begin the address with http://"):
