@@ -16,14 +16,14 @@ from hostlink.client import Host
 COLUMNS = ("stamp_s", "x_m", "y_m", "theta_rad", "linear_m_s", "angular_rad_s")
 
 
-async def tell_of_cuts(host: Host) -> None:
+async def report_cuts(host: Host) -> None:
     async for change in host.connection():
         print("connected again" if change.is_connected else change.reason, file=sys.stderr)
 
 
 async def main(path: Path, count: int | None, url: str) -> None:
     async with hostlink.client.connect(url) as host, asyncio.TaskGroup() as tasks:
-        telling = tasks.create_task(tell_of_cuts(host))
+        reporting = tasks.create_task(report_cuts(host))
         with path.open("w", newline="") as file:
             table = csv.writer(file)
             table.writerow(COLUMNS)
@@ -33,7 +33,7 @@ async def main(path: Path, count: int | None, url: str) -> None:
                 table.writerow((odometry["stamp_ns"] / 1e9, *pose.values(), *twist.values()))
                 if next(numbers) == count:
                     break
-        telling.cancel()
+        reporting.cancel()
 
 
 if __name__ == "__main__":

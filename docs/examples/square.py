@@ -16,7 +16,7 @@ TURN_RAD_S = 1.0
 REACTION_S = 0.1  # from a pose to the stop that it causes
 
 
-async def halt(robot: Robot, poses: AsyncIterator[Odometry]) -> None:
+async def stop(robot: Robot, poses: AsyncIterator[Odometry]) -> None:
     """Stop, and wait until it stands: a wheel that still rolls should not be turned the other way."""
     await robot.stop()
     async for odometry in poses:
@@ -33,7 +33,7 @@ async def go(robot: Robot, poses: AsyncIterator[Odometry], distance_m: float) ->
         if gone_m + twist["linear_m_s"] * REACTION_S >= distance_m:
             break
         await robot.drive(SPEED_M_S, 0.0)
-    await halt(robot, poses)
+    await stop(robot, poses)
 
 
 async def turn_to(robot: Robot, poses: AsyncIterator[Odometry], heading_rad: float) -> None:
@@ -44,7 +44,7 @@ async def turn_to(robot: Robot, poses: AsyncIterator[Odometry], heading_rad: flo
         if left_rad * direction <= abs(odometry["twist"]["angular_rad_s"]) * REACTION_S:
             break
         await robot.drive(0.0, direction * TURN_RAD_S)
-    await halt(robot, poses)
+    await stop(robot, poses)
 
 
 async def main(side_m: float, url: str, sides: int) -> None:

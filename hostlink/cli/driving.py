@@ -77,7 +77,7 @@ class Driving:
         self.stop()
 
     def _is_barred(self, key: Key, now_s: float) -> bool:
-        """A key that is silent for longer than its repeats take was released."""
+        """A key that is silent for longer than the time between its repeats was released."""
         if self._barred.get(key.name, float("-inf")) <= now_s or key.action is Action.RELEASED:
             self._barred.pop(key.name, None)
             return False

@@ -69,7 +69,7 @@ class KeyDriver:
             self.refusal = refused.reason
             if refused.kind != "RobotHeld":
                 self._driving.bar(_now_s())
-        elif refused is None and self._link is not None:  # what moves it was accepted; a zero tells nothing
+        elif refused is None and self._link is not None:  # what moves it was accepted; a zero always is
             self.refusal = ""
         velocity = self._driving.due(_now_s())
         if velocity is not None:

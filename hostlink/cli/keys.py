@@ -1,14 +1,14 @@
-"""Keys: what a terminal sends when one is pressed, repeated or (where it reports that) released. Pure."""
+"""Keys: what a terminal sends when one is pressed, repeated or (where it sends that) released. Pure."""
 
 import re
 from enum import Enum
 from typing import NamedTuple
 
 ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-CONTROL = 4  # the bit of the modifiers in the kitty keyboard protocol, without its offset of 1
+CONTROL = 4  # the bit of the modifiers in the kitty keyboard protocol, less 1
 _SEQUENCE = re.compile(rb"\x1b\[(\??)([\d;:]*)([A-Za-z~])")
 _UNFINISHED = re.compile(rb"\x1b(\[[\d;:?]*)?$")
-_ENTER_KITTY, _LEAVE_KITTY = "\x1b[>11u", "\x1b[<u"  # distinct keys, releases, all keys as sequences
+_ENTER_KITTY, _LEAVE_KITTY = "\x1b[>11u", "\x1b[<u"  # keys apart, releases too, all keys as sequences
 
 
 class Action(Enum):

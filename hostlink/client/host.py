@@ -29,11 +29,12 @@ async def connect(
 ) -> AsyncIterator["Host"]:
     """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
 
-    `url`: http, https, ws or wss. `token`: what the daemon's configuration asks for, also as `?token=` in the URL.
+    `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
     `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
     and advertisements too, velocities never; without it, whatever waits for a message raises.
 
-    Raises HostlinkError when there is no hostlink at `url`, or it refuses.
+    Raises:
+        HostlinkError: there is no hostlink at `url`, or it refuses.
     """
     http = HttpClient(url, token, ssl)
     try:
@@ -51,11 +52,11 @@ class Host:
         self.url = http.url
         self._http = http
         self._connection = Connection(http, reconnects=reconnect)
-        self._connection.on_open.append(self._begin)
+        self._connection.on_open.append(self._set_level)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
         self._driver = Driver(self._connection)
-        self._connection.on_open.append(self._tell_of_return)
+        self._connection.on_open.append(self._report_return)
         self._ends_when_lost = not reconnect
         self._lost: HostlinkError | None = None
         self._watchers: weakref.WeakSet[Mailbox[ConnectionChange]] = weakref.WeakSet()
@@ -77,7 +78,7 @@ class Host:
         except BaseExceptionGroup as group:  # what went wrong in the caller's block is the caller's own error
             raise group.exceptions[0] from None
 
-    # -- asking -------------------------------------------------------------------------------------------------------
+    # -- reading -------------------------------------------------------------------------------------------------------
 
     async def robots(self) -> list[RobotState]:
         """Every robot: name, connected, holder, velocity (m/s, rad/s), odometry (m, rad)."""
@@ -119,7 +120,8 @@ class Host:
     ) -> None:
         """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
 
-        HostlinkError: there is no connection, or an earlier message on this topic was refused.
+        Raises:
+            HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
         await self._topics.publish(topic, message, type_name, priority)
 
@@ -130,7 +132,8 @@ class Host:
     def advertise(self, topic: str, type_name: str) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
 
-        HostlinkError when it begins: there is no connection. That the type is unknown is told by the next `publish`.
+        Raises:
+            HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
         """
         return self._topics.advertise(topic, type_name)
 
@@ -141,15 +144,19 @@ class Host:
 
         With `throttle_rate_ms` at most one message in so many milliseconds; the newest `queue_length` wait. Messages
         are dicts as in docs/api.md. `dropped` of what this gives counts what the block was too slow for: the newest
-        256 wait. HostlinkError: no connection when it begins; in the iteration, that the subscription was refused.
+        256 wait.
+
+        Raises:
+            HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
         return self._topics.subscribe(topic, type_name, throttle_rate_ms, queue_length)
 
     async def call(self, service: str, arguments: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Any:
         """Call a service; returns its response.
 
-        HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
-        meanwhile: then nobody knows whether it was done, and it is not asked again.
+        Raises:
+            HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
+                meanwhile: then nobody knows whether it was done, and it is not called again.
         """
         request = {"op": "call_service", "service": service, "args": arguments, "timeout": timeout_s}
         answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
@@ -171,28 +178,44 @@ class Host:
         return watcher
 
     async def get(self, path: str) -> dict[str, Any]:
-        """A GET of the REST API; HostlinkError with the daemon's reason when it refuses."""
+        """A GET of the REST API.
+
+        Raises:
+            HostlinkError: the daemon refuses, with its reason; or it was not reached.
+        """
         return await self._http.request("GET", path)
 
     async def post(self, path: str) -> dict[str, Any]:
-        """A POST of the REST API; HostlinkError with the daemon's reason when it refuses."""
+        """A POST of the REST API.
+
+        Raises:
+            HostlinkError: the daemon refuses, with its reason; or it was not reached.
+        """
         return await self._http.request("POST", path)
 
     async def send(self, request: Mapping[str, Any]) -> None:
-        """Send one rosbridge operation; HostlinkError when there is no connection."""
+        """Send one rosbridge operation.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
         await self._connection.send(request)
 
     async def settle(self) -> None:
-        """Wait until the daemon has read what was sent so far; a refusal of it is known then."""
+        """Wait until the daemon has read what was sent so far; a refusal of it is known then.
+
+        Raises:
+            HostlinkError: there is no connection, or it is lost meanwhile.
+        """
         await self._connection.request({"op": "call_service", "service": "/rosapi/get_time", "args": {}})
 
-    async def _begin(self) -> None:
+    async def _set_level(self) -> None:
         await self.send({"op": "set_level", "level": "error"})
 
-    async def _tell_of_return(self) -> None:
+    async def _report_return(self) -> None:
         if self._lost is not None:
             self._lost = None
-            self._tell(ConnectionChange(is_connected=True, reason=""))
+            self._report(ConnectionChange(is_connected=True, reason=""))
 
     def _lose(self, lost: HostlinkError) -> None:
         self._lost = lost
@@ -200,9 +223,9 @@ class Host:
         dropped = self._driver.break_all(str(lost))
         if self._ends_when_lost:
             self._topics.end(lost)
-        self._tell(ConnectionChange(is_connected=False, reason=str(lost), dropped=dropped))
+        self._report(ConnectionChange(is_connected=False, reason=str(lost), dropped=dropped))
 
-    def _tell(self, change: ConnectionChange) -> None:
+    def _report(self, change: ConnectionChange) -> None:
         for watcher in self._watchers:
             watcher.put(change)
 

@@ -1,4 +1,4 @@
-"""HttpClient: HTTP to one hostlink. It knows the address and the token, and says in words what went wrong."""
+"""HttpClient: HTTP to one hostlink. It knows the address and the token, and explains in words what went wrong."""
 
 import asyncio
 import ssl
@@ -31,7 +31,11 @@ class HttpClient:
     """Requests, and the WebSocket. Every error is a HostlinkError."""
 
     def __init__(self, url: str, token: str | None, context: ssl.SSLContext | None) -> None:
-        """`url` may be http, https, ws or wss, and may end in `?token=...`."""
+        """`url` may be http, https, ws or wss, and may end in `?token=...`.
+
+        Raises:
+            HostlinkError: it is none of these.
+        """
         parts = urlsplit(url if "://" in url else f"http://{url}")
         if parts.scheme not in _SCHEMES or not parts.hostname:
             raise HostlinkError(f"{url!r} is no address of a hostlink: write it as http://HOST:9090")
@@ -49,12 +53,16 @@ class HttpClient:
         await self._session.close()
 
     def cut_streams(self) -> None:
-        """The network is cut: whoever reads `events` is told now, and not when TCP finds out."""
+        """The network is cut: `events` ends now, and not when TCP finds out."""
         for response in list(self._streams):
             response.close()
 
     async def open_socket(self) -> aiohttp.ClientWebSocketResponse:
-        """A new WebSocket; its pings and pongs are the caller's."""
+        """A new WebSocket; its pings and pongs are the caller's.
+
+        Raises:
+            HostlinkError: it is refused, or nobody answers.
+        """
         timeout = aiohttp.ClientWSTimeout(ws_close=CLOSE_TIMEOUT_S)
         try:
             return await self._session.ws_connect(f"{self.url}/", autoping=False, timeout=timeout, max_msg_size=0)
@@ -66,7 +74,11 @@ class HttpClient:
     async def request(
         self, method: str, path: str, body: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
     ) -> dict[str, Any]:
-        """A request of the REST API, and its JSON; HostlinkError with the daemon's reason when it refuses."""
+        """A request of the REST API, and its JSON.
+
+        Raises:
+            HostlinkError: the daemon refuses, with its reason; or it was not reached.
+        """
         try:
             async with (
                 asyncio.timeout(timeout_s),
@@ -131,5 +143,5 @@ def _advise(status: int) -> str:
 
 def _reason(error: Any, status: int) -> str:
     """The daemon's own words, and what to do about a token."""
-    told = str(error.get("reason", error)) if isinstance(error, dict) else str(error)
-    return f"{told}: {_advise(status)}" if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) else told
+    reason = str(error.get("reason", error)) if isinstance(error, dict) else str(error)
+    return f"{reason}: {_advise(status)}" if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) else reason

@@ -25,7 +25,11 @@ class Mailbox(Generic[Item]):
         self._queue.put_nowait(item)
 
     def take_all(self) -> list[Item]:
-        """What waits now, without waiting; an error that waits is raised."""
+        """What waits now, without waiting.
+
+        Raises:
+            HostlinkError: the error that ends the iteration is among it.
+        """
         found: list[Item] = []
         while not self._queue.empty():
             item = self._queue.get_nowait()

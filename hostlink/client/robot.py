@@ -29,20 +29,23 @@ class Robot:
     async def state(self) -> RobotState:
         """Connected, holder, velocity (m/s, rad/s) and odometry, as they are now.
 
-        HostlinkError: no robot of that name, no hostlink.
+        Raises:
+            HostlinkError: no robot of that name, no hostlink.
         """
         return cast(RobotState, await self._http.request("GET", self._path))
 
     async def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
 
-        m/s forward, rad/s counter-clockwise. Returns when the daemon has taken the command; it is then repeated ten
+        m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command; it is then repeated ten
         times a second. `drive(0, 0)` slows down and goes on driving; `stop()` stops and lets go.
 
-        HostlinkError, and the robot is not driven: no robot of that name, its device is not connected, somebody with a
-        higher priority drives it or it is locked, the numbers are not finite, there is no connection to hostlink.
-        Also once after the velocity that was held before was dropped: by a cut of the connection, by such a refusal,
-        because the robot's device connected again or this program did not run for half a second.
+        Raises:
+            HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
+                with a higher priority drives it or it is locked, the numbers are not finite, there is no connection to
+                hostlink. Also once after the velocity that was held before was dropped: by a cut of the connection, by
+                such a refusal, because the robot's device connected again or this program did not run for half a
+                second.
         """
         await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority)
 
@@ -66,7 +69,8 @@ class Robot:
     async def stop(self) -> None:
         """Stop, whoever drives, as fast as the robot's decelerations allow.
 
-        HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
+        Raises:
+            HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
         """
         self._driver.let_go(self.name)
         await self._http.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
@@ -74,25 +78,37 @@ class Robot:
     async def lock(self, reason: str) -> None:
         """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
 
-        HostlinkError: hostlink was not reached within a second.
+        Raises:
+            HostlinkError: hostlink was not reached within a second.
         """
         self._driver.let_go(self.name)
         await self._http.request("POST", f"{self._path}/lock", {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
 
     async def unlock(self) -> None:
-        """Let it be driven again; nothing that was held before drives it. HostlinkError: hostlink was not reached."""
+        """Let it be driven again; nothing that was held before drives it.
+
+        Raises:
+            HostlinkError: hostlink was not reached.
+        """
         await self._http.request("POST", f"{self._path}/unlock")
 
     async def reset_odometry(self) -> None:
-        """Make the present place the origin. HostlinkError: the robot cannot do that, or is not connected."""
+        """Make the present place the origin.
+
+        Raises:
+            HostlinkError: the robot cannot do that, or is not connected.
+        """
         await self._http.request("POST", f"{self._path}/odometry/reset")
 
     async def odometry(self) -> AsyncIterator[Odometry]:
         """The newest pose (m, rad), then each new one once, with twist (m/s, rad/s), stamp (ns), age (s) and rate (Hz).
 
         It waits while the robot or the connection is gone, and goes on when it is back. A reader that is slow gets
-        fewer of them. HostlinkError when it begins: no robot of that name, no hostlink; with `reconnect=False` also
-        when the connection is lost.
+        fewer of them.
+
+        Raises:
+            HostlinkError: when it begins: no robot of that name, no hostlink; with `reconnect=False` also when the
+                connection is lost.
         """
         count = None
         async for event in self._connection.events(f"{self._path}/odometry/events"):

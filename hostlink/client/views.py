@@ -5,7 +5,7 @@ from typing import Any, NamedTuple, NotRequired, TypedDict
 
 
 class Pose(TypedDict):
-    """Where the robot says that it is, in the frame in which its odometry began (REP 103)."""
+    """Where the robot is by its own odometry, in the frame in which its odometry began (REP 103)."""
 
     x_m: float
     y_m: float
@@ -20,7 +20,7 @@ class Twist(TypedDict):
 
 
 class Odometry(TypedDict):
-    """A pose that the robot told, and what follows from it."""
+    """A pose that the robot sent, and what follows from it."""
 
     pose: Pose
     twist: Twist
@@ -28,7 +28,7 @@ class Odometry(TypedDict):
     age_s: float  # since then, when this was sent
     rate_hz: float  # at which poses come
     count: int  # of poses since the daemon knows the robot
-    restarts: NotRequired[int]  # of its device that were seen
+    restarts: NotRequired[int]  # of its device that were noticed
 
 
 class RobotState(TypedDict):
@@ -52,7 +52,7 @@ class TopicState(TypedDict):
     """A topic of the graph."""
 
     name: str
-    type: str  # as geometry_msgs/Twist; empty until somebody says
+    type: str  # as geometry_msgs/Twist; empty while nobody has named it
     publishers: int
     subscribers: int
     messages: int  # that have passed

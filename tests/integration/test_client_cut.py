@@ -1,4 +1,4 @@
-"""The network between a script and the daemon is cut in every way: the robot stops, the script is told, and is back."""
+"""The network between a script and the daemon is cut in every way: the robot stops, the script learns it."""
 
 import asyncio
 import contextlib
@@ -36,8 +36,8 @@ class World:
     changes: Mailbox[ConnectionChange]
 
     @property
-    def seen(self) -> RobotOfHub:
-        """The robot as the daemon sees it."""
+    def known(self) -> RobotOfHub:
+        """The robot in the daemon."""
         return self.host.hub.robots.find("robot_0")
 
     async def change(self) -> ConnectionChange:
@@ -45,7 +45,7 @@ class World:
             return await anext(self.changes)
 
     async def lost(self) -> ConnectionChange:
-        """The loss, as the script is told it, within a second of now."""
+        """The loss, as the script learns it, within a second of now."""
         began_s = time.monotonic()
         change = await self.change()
         assert time.monotonic() - began_s < NOTICED_S
@@ -54,14 +54,14 @@ class World:
 
     async def stands(self) -> None:
         """The robot stands, in the daemon's view and in truth."""
-        await expect(lambda: self.seen.gate.holder is None and self.seen.gate.current.is_zero)
+        await expect(lambda: self.known.gate.holder is None and self.known.gate.current.is_zero)
         await expect(lambda: abs(self.body.speed_m_s) < STOPPED_M_S)
 
     async def stays(self, seconds: float = 0.4) -> None:
         """Nothing drives it by itself."""
         with pytest.raises(TimeoutError):
             await expect(
-                lambda: self.seen.gate.holder is not None or abs(self.body.speed_m_s) > STOPPED_M_S, timeout_s=seconds
+                lambda: self.known.gate.holder is not None or abs(self.body.speed_m_s) > STOPPED_M_S, timeout_s=seconds
             )
 
 
@@ -75,14 +75,14 @@ async def driven() -> AsyncIterator[World]:
     ):
         robot = me.robot("robot_0")
         world = World(host, line, me, robot, body, me.connection())
-        await expect(lambda: world.seen.link is not None)
+        await expect(lambda: world.known.link is not None)
         await robot.drive(0.2, 0.0)
         await expect(lambda: body.speed_m_s > 0.02)
         yield world
 
 
 async def drive_is_dropped(world: World) -> None:
-    """The script is told once, then it may drive again."""
+    """The next drive raises once, then it may drive again."""
     assert not world.robot.is_driven
     with pytest.raises(HostlinkError, match="robot_0 was stopped, drive again if it is still meant: the connection"):
         await world.robot.drive(0.2, 0.0)
@@ -109,16 +109,16 @@ async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
     async with driven() as world:
         world.line.set_line(Line.STALLS)
         await world.lost()
-        commands = world.seen.gate.counts.commands
+        commands = world.known.gate.counts.commands
         await world.stands()
         await world.stays(1.2 * LEASE_S)  # longer than the last command holds
         world.line.set_line(Line.WORKS)
         assert (await world.change()).is_connected
         await world.stays()
-        assert world.seen.gate.counts.commands == commands
+        assert world.known.gate.counts.commands == commands
 
 
-async def test_during_the_cut_everything_says_so_at_once() -> None:
+async def test_during_the_cut_every_call_raises_at_once() -> None:
     async with driven() as world:
         world.line.set_line(Line.SWALLOWS)
         with pytest.raises(HostlinkError, match=r"is lost: nothing was heard from it for 0\.6 s; it is made again by"):
@@ -166,7 +166,7 @@ async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_
         await drive_is_dropped(world)
 
 
-async def test_a_cut_is_told_again_and_again_as_long_as_it_comes() -> None:
+async def test_each_of_several_cuts_is_reported() -> None:
     async with driven() as world:
         for _ in range(3):
             world.line.break_off()

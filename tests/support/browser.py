@@ -32,11 +32,11 @@ class Visit:
     complaints: list[str] = field(default_factory=list)
     other_hosts: list[str] = field(default_factory=list)
 
-    def hear(self, message: ConsoleMessage) -> None:
+    def add_complaint(self, message: ConsoleMessage) -> None:
         if message.type in ("error", "warning"):  # a violation of the Content-Security-Policy is one of them
             self.complaints.append(message.text)
 
-    def see(self, request: Request) -> None:
+    def add_request(self, request: Request) -> None:
         if urlsplit(request.url).netloc != self.host:
             self.other_hosts.append(request.url)
 
@@ -53,8 +53,8 @@ class Visit:
         assert box is not None
         return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
-    async def map_tells(self, name: str, pattern: str) -> None:
-        """The map tells what it drew: `points`, `length`."""
+    async def map_has(self, name: str, pattern: str) -> None:
+        """The map has attributes of what it drew: `points`, `length`."""
         await expect(self.page.locator("#map-canvas")).to_have_attribute(f"data-{name}", re.compile(pattern))
 
 
@@ -74,9 +74,9 @@ async def visit(browser: Browser, url: str, *, script: str = "", **context: Any)
     async with await browser.new_context(**{"viewport": DESK, **context}) as fresh:
         page = await fresh.new_page()
         new = Visit(page, urlsplit(url).netloc)
-        page.on("console", new.hear)
+        page.on("console", new.add_complaint)
         page.on("pageerror", lambda error: new.complaints.append(str(error)))
-        page.on("request", new.see)
+        page.on("request", new.add_request)
         if script:
             await page.add_init_script(script)
         await page.goto(url)

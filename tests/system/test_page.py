@@ -23,7 +23,7 @@ from tests.support.waiting import expect
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
-SEEN_S = 1.0  # so soon the page says that nobody answers
+SEEN_S = 1.0  # within this time the page shows that nobody answers
 MOST_STREAMS = 6  # that a browser opens to one address
 GAMEPAD = """
   const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
@@ -33,7 +33,7 @@ GAMEPAD = """
 INSECURE = """
   delete Crypto.prototype.randomUUID;
   delete Navigator.prototype.getGamepads;
-"""  # what browsers take away from a page that comes over http from another computer
+"""  # what browsers withhold from a page that comes over http from another computer
 ACCENT = """canvas => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
   copy.drawImage(canvas, 0, 0);
@@ -54,7 +54,7 @@ class Scene:
 
     @property
     def wanted(self) -> tuple[float, ...]:
-        """The speeds that the robot was told to turn its wheels with."""
+        """The speeds of the wheels that were commanded."""
         return tuple(control.set_point.target for control in self.robot.controllers)
 
     @property
@@ -65,13 +65,13 @@ class Scene:
         await expect(lambda: self.wanted != (0, 0))
 
     async def stands(self, *, within_s: float = 5.0) -> None:
-        """Told to stand, and nobody drives any more."""
+        """The command is zero, and nobody drives any more."""
         await expect(lambda: self.wanted == (0, 0) and self.holder is None, timeout_s=within_s)
 
     async def stays_still(self, seconds: float) -> None:
         with contextlib.suppress(TimeoutError):
             await expect(lambda: self.wanted != (0, 0), timeout_s=seconds)
-            pytest.fail(f"the robot was told to drive: {self.wanted}")
+            pytest.fail(f"the robot was commanded to drive: {self.wanted}")
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
@@ -115,7 +115,7 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
 
 
 @pytest.mark.parametrize("script", ["", INSECURE], ids=["secure", "insecure"])
-async def test_it_shows_the_robot_and_asks_nobody_else(scene: Scene, script: str) -> None:
+async def test_it_shows_the_robot_and_sends_no_request_to_other_hosts(scene: Scene, script: str) -> None:
     async with connected(scene, script=script) as tab:
         await tab.shows("#drive-state", "nobody drives")
         await tab.shows("#link", "Hz")
@@ -137,10 +137,10 @@ async def test_the_mouse_on_the_joystick_drives_draws_and_plots(scene: Scene) ->
         await expect(lambda: abs(scene.robot.pose.x_m - begun) > 0.5)  # a shorter path hides under the robot's picture
         await tab.page.mouse.up()
         await scene.stands(within_s=1.0)
-        await tab.map_tells("length", r"^0\.[4-9]|^[1-9]")
+        await tab.map_has("length", r"^0\.[4-9]|^[1-9]")
         drawn = await tab.page.locator("#map-canvas").evaluate(ACCENT)
         await tab.page.get_by_role("button", name="Clear the path").click()
-        await tab.map_tells("length", r"^0\.0")
+        await tab.map_has("length", r"^0\.0")
         assert 100 < await tab.page.locator("#map-canvas").evaluate(ACCENT) < drawn
         assert int(await tab.page.locator("#plot-left .uplot").get_attribute("data-count") or 0) > 5
         assert tab.complaints == []
@@ -293,7 +293,7 @@ async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
         await expect(lambda: robot.gate.counts.stops > 0, timeout_s=1.0)
 
 
-async def test_a_network_that_dies_is_seen_within_a_second_without_the_websocket(scene: Scene) -> None:
+async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websocket(scene: Scene) -> None:
     host, port = scene.host.url.removeprefix("http://").split(":")
     async with proxy((host, int(port))) as network, visit(scene.browser, "about:blank") as tab:
         await tab.page.route_web_socket("**/*", lambda socket: socket.close())
@@ -319,7 +319,7 @@ async def test_it_watches_by_one_stream_and_requests_nothing_again_and_again(sce
 
 
 @pytest.mark.parametrize("line", [Line.STALLS, Line.SWALLOWS])
-async def test_a_dead_network_is_seen_within_a_second_and_nothing_old_is_driven_after_it(
+async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driven_after_it(
     scene: Scene, line: Line
 ) -> None:
     host, port = scene.host.url.removeprefix("http://").split(":")
@@ -353,7 +353,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
         await tab.page.locator("#notice").wait_for(state="hidden")
 
 
-async def test_who_drives_is_said_and_who_goes_first(scene: Scene) -> None:
+async def test_who_drives_is_shown_and_who_goes_first(scene: Scene) -> None:
     async with connected(scene) as tab:
         async with driven_by_a_program(scene, priority=50):
             await tab.shows("#drive-state", "your stick takes over")

@@ -1,4 +1,4 @@
-"""The page where something is missing: a robot, a token, a right. And how it looks, for eyes and for screen readers."""
+"""The page where something is missing: a robot, a token, a right. And its appearance, also for screen readers."""
 
 import asyncio
 import os
@@ -38,7 +38,7 @@ async def browser() -> AsyncIterator[Browser]:
         yield browser
 
 
-async def test_without_a_robot_it_says_how_to_get_one_and_when_it_is_gone_that(browser: Browser) -> None:
+async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab:
         await tab.shows("#robots", "No robot yet")
         await tab.shows("#drive-state", "No robot yet")
@@ -60,7 +60,7 @@ async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
         writer.close()
 
 
-async def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser) -> None:
+async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser) -> None:
     tokens = (TokenConfig(name="phone", role="drive", token=DRIVE), TokenConfig(name="wall", role="read", token=READ))
     async with daemon(Config(api=ApiConfig(tokens=tokens))) as host, fake_device(host.tcp, robot_topics()):
         async with visit(browser, host.url) as tab:
@@ -83,7 +83,7 @@ async def test_a_token_is_asked_for_and_kept_out_of_the_address(browser: Browser
 
 @pytest.mark.parametrize("size", SIZES)
 async def test_it_looks_right_and_reads_right(browser: Browser, size: str) -> None:
-    """Pictures to look at are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
+    """Pictures are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
     async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as tab:
         await tab.is_connected()
         async with simulated_robot(host.tcp) as robot:

@@ -113,7 +113,7 @@ async def test_suspending_stops_the_robot_and_coming_back_drives_again() -> None
         await hold(terminal, daemon, "w")
 
 
-async def test_a_daemon_that_goes_away_is_said_and_what_was_held_does_not_move_the_robot_later() -> None:
+async def test_a_daemon_that_goes_away_is_reported_and_what_was_held_does_not_move_the_robot_later() -> None:
     async with driving() as (daemon, terminal):
         await hold(terminal, daemon, "w")
         daemon.child.kill()
@@ -121,7 +121,7 @@ async def test_a_daemon_that_goes_away_is_said_and_what_was_held_does_not_move_t
         await terminal.keys("C-c")
 
 
-async def test_without_a_terminal_it_says_so() -> None:
+async def test_without_a_terminal_it_is_refused() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         child = await asyncio.create_subprocess_exec(

@@ -24,7 +24,7 @@ export class Access {
 
   show(title: string, reason: string): void {
     setText(find("#access-title"), title);
-    setText(find("#access-reason"), reason.replace(/^[A-Z]+ \/\S*: /, "")); // the path says nothing to a person
+    setText(find("#access-reason"), reason.replace(/^[A-Z]+ \/\S*: /, "")); // a person does not know the path
     if (!this.panel.hidden) return;
     this.panel.hidden = false;
     find("#access-token").focus();

@@ -42,7 +42,7 @@ export class Drive {
     connectGamepad(find("#gamepad"), this.driving, stop);
   }
 
-  /** Who drives this robot, as a person would say it. */
+  /** Who drives this robot, in words. */
   driver(robot: RobotView): string | null {
     if (robot.holder === null) return null;
     const isMine = robot.name === this.target?.name && performance.now() - this.droveAt < AFTERGLOW_MS;

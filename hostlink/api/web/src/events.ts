@@ -1,7 +1,7 @@
 /**
  * The daemon's events, by one response over HTTP that does not end; requested again whenever it is lost.
  *
- * It is read by fetch, because an EventSource neither sends a token in a header nor says why it is refused.
+ * It is read by fetch, because an EventSource neither sends a token in a header nor knows why it is refused.
  */
 
 import { Refused, refusalOf, request } from "./rest";

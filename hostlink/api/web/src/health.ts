@@ -9,7 +9,7 @@ const TILES: Record<Tile, [label: string, hint: string]> = {
   rate: ["Odometry", "poses a second"],
   age: ["Last heard", "since the device's last byte"],
   lost: ["Lost", "bytes that made no frame"],
-  resyncs: ["Resyncs", "times that the topics were told again"],
+  resyncs: ["Resyncs", "times that the topics were negotiated again"],
   page: ["Page", "round trip from this page to hostlink"],
   device: ["Device", "round trip from hostlink to the device"],
 };

@@ -35,7 +35,7 @@ export function connectKeys(driving: Driving, stop: () => void): void {
         if (!event.repeat) stop();
       } else if (event.code in WAYS && !event.ctrlKey && !event.altKey && !event.metaKey && !isControl(event.target)) {
         event.preventDefault();
-        if (event.repeat) return; // one that was let go, by the window's loss say, must be pressed again
+        if (event.repeat) return; // one that was released, for example by leaving the window, must be pressed again
         held.add(event.code);
         hold();
       }

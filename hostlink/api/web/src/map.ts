@@ -229,7 +229,7 @@ export class RobotMap {
     c.textAlign = "start";
   }
 
-  /** For who cannot see it. */
+  /** For screen readers. */
   private describe(): void {
     const path = this.selected === null ? undefined : this.paths.get(this.selected);
     this.canvas.dataset.points = String(path?.points.length ?? 0);
@@ -237,7 +237,7 @@ export class RobotMap {
     const where = path?.pose
       ? `${this.selected} at x ${path.pose.x_m.toFixed(2)} m, y ${path.pose.y_m.toFixed(2)} m, ` +
         `driven ${path.length_m.toFixed(1)} m on this page`
-      : "no robot has told a place yet";
+      : "no pose has come yet";
     this.canvas.setAttribute("aria-label", `Map: ${where}`);
   }
 }

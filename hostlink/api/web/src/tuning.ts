@@ -1,4 +1,4 @@
-/** PID gains of both wheels, sent to the robot's tuning topics. The robot does not tell the ones that it has. */
+/** PID gains of both wheels, sent to the robot's tuning topics. The robot does not publish the ones that it has. */
 
 import type { Connection } from "./connection";
 import { find, make, remember, remembered, setText } from "./dom";
