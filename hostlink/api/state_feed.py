@@ -131,9 +131,13 @@ class StateFeed:
         """While there are readers."""
         participant = self._hub.join("events", role=Role.READ)
         participant.subscribe("/rosout", self._add_line)
+        announced = (self.version, self.line_count)
         try:
             while self._readers:
                 await self._renew_states()
+                if announced != (self.version, self.line_count):
+                    announced = (self.version, self.line_count)
+                    self._wake()
                 await asyncio.sleep(TICK_S)
         finally:
             participant.leave()
@@ -143,12 +147,9 @@ class StateFeed:
             self._wake()
 
     async def _renew_states(self) -> None:
-        announced = (self.version, self.line_count)
         for state in self.states:
             if state.due_s <= asyncio.get_running_loop().time():
                 await self._renew(state)
-        if announced != (self.version, self.line_count):
-            self._wake()
 
     def _wake(self) -> None:
         for reader in self._readers:

@@ -156,6 +156,22 @@ def test_a_slow_reader_gets_the_newest_state_and_the_newest_lines_and_the_others
     with_feed(check)
 
 
+def test_a_line_comes_at_once_though_nothing_else_changes() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, reader = await connected(hub), Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.25)
+            reader.pop()
+            reader.news.clear()
+            await device.send(Id.LOG, encode_log(Log(2, "warm")))
+            async with asyncio.timeout(0.15):
+                await reader.news.wait()
+            assert [(name, line["msg"]) for name, line in parsed(reader.pop())] == [("log", "warm")]
+        await device.aclose()
+
+    with_feed(check)
+
+
 def test_what_is_no_line_is_counted_and_harms_nobody() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         reader = Reader(feed)
