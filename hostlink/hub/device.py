@@ -65,6 +65,7 @@ class Device:
         self.early = EarlyMessages()
         self.is_undecided = False  # whether it is known who it is
         self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
+        self.heard_at_s = float("-inf")  # of the last read that was noted
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
         self._parts, self._node = parts, node

@@ -51,7 +51,9 @@ class DeviceEvents:
         device = self._devices.get(link.number)
         if device is None:
             return
-        self._receivers.identities.hear(link)
+        if link.heard_at_s != device.heard_at_s:  # else more came in one read
+            device.heard_at_s = link.heard_at_s
+            self._receivers.identities.hear(link)
         if not isinstance(event, events.MessageReceived):
             self._receivers.diagnoses.note(link, event)
             reaction = self._reactions.get(type(event))

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import structlog
 
@@ -13,10 +12,9 @@ from hostlink.hub.message import Message
 from hostlink.link.link import Link
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry_reader import READERS
 
 log = structlog.get_logger()
-
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -37,18 +35,14 @@ class Robot(Drivable):
             return
         count = self.odometry.count
         try:
-            self.odometry.see(message.decoded, now_s=message.at_s, wall_ns=self._stamp_ns(message))
+            reading = READERS[message.type_name](message.payload)
         except BadPayload as error:
             self.unreadable += 1
             log.debug("odometry.unreadable", robot=self.name, reason=str(error))
             return
+        stamp_ns = message.stamp_ns
+        if reading.stamp_ns is not None and self.link is not None:  # by the device's clock
+            stamp_ns = self.link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
+        self.odometry.update(reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist)
         if self.relay is not None and self.odometry.count > count:
             self.relay(message)
-
-    def _stamp_ns(self, message: Message) -> int:
-        """When the message was made, in the host's time: its header's stamp where it has one, else its arrival."""
-        header: Any = message.decoded.get("header")
-        if header is None or self.link is None:
-            return message.stamp_ns
-        stamp_ns = header["stamp"]["secs"] * _NS_PER_S + header["stamp"]["nsecs"]
-        return self.link.session.device_clock.to_host_ns(stamp_ns, message.stamp_ns)

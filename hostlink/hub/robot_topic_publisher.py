@@ -90,9 +90,11 @@ class RobotTopicPublisher:
 
     def _relay(self, offer: _Offer, message: Message) -> None:
         """Publish what a pose of the robot means, where anybody subscribes."""
-        tf = self._tf if offer.publishes_tf else None
-        topics = [topic for topic in (offer.odom, tf) if topic is not None and topic.has_subscribers]
-        seen = offer.robot.odometry.snapshot(message.at_s) if topics else None
+        odom, tf = offer.odom, self._tf if offer.publishes_tf else None
+        if (odom is None or not odom.has_subscribers) and (tf is None or not tf.has_subscribers):
+            return
+        topics = [topic for topic in (odom, tf) if topic is not None and topic.has_subscribers]
+        seen = offer.robot.odometry.snapshot(message.at_s)
         if seen is None:
             return
         stamp = dict(zip(("secs", "nsecs"), divmod(seen.stamp_ns, _NS_PER_S), strict=True))

@@ -1,17 +1,17 @@
-"""OdometryEstimator: what is known of where a robot is and how it moves, from the poses that it tells."""
+"""OdometryEstimator: what is known of where a robot is and how it moves, from the poses that it publishes."""
 
 import itertools
 import math
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 SHORTEST_S = 0.05  # poses that a network delivered together say nothing about speed
+SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
 RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be asked for, and what a late pose adds
 ORIGIN_M = 0.05  # how near the origin the first pose after a reset is
@@ -64,6 +64,9 @@ class _Change(Enum):
     LEAP = auto()  # to where no robot can be by then
 
 
+_ORIGIN = _NO_FRAME = Pose()
+
+
 class OdometryEstimator:
     """The newest pose, and the motion over the poses of the last WINDOW_S.
 
@@ -83,7 +86,9 @@ class OdometryEstimator:
         self.ignored = 0  # poses that cannot be true
         self._goes_on = goes_on
         self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
-        self._frame = Pose()  # where the device's origin is in what is shown
+        self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
+        self._small_rad = min(self._back_at_once.angular_rad_s, LEAP.angular_rad_s) * SHORTEST_SPAN_S
+        self._frame = _NO_FRAME  # where the device's origin is in what is shown
         self._told: _Sample | None = None  # the newest, as the device told it
         self._doubtful: _Sample | None = None
         self._reset_until_s = float("-inf")
@@ -91,37 +96,46 @@ class OdometryEstimator:
         self._stamp_ns = 0
         self._window: deque[_Sample] = deque()
 
-    def see(self, message: Mapping[str, Any], *, now_s: float, wall_ns: int) -> None:
-        """Take a decoded geometry_msgs/Pose2D or nav_msgs/Odometry."""
-        if "theta" in message:
-            pose, twist = Pose(message["x"], message["y"], wrap_angle(message["theta"])), None
-        else:
-            pose = _planar(message["pose"]["pose"])
-            moving = message["twist"]["twist"]
-            twist = Twist(moving["linear"]["x"], moving["angular"]["z"])
-        self.update(pose, now_s=now_s, wall_ns=wall_ns, twist=twist)
-
     def expect_reset(self, now_s: float) -> None:
         """The device was asked to make its place the origin: the next pose there is right."""
         self._reset_until_s = now_s + RESET_WAIT_S
 
     def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: Twist | None = None) -> None:
-        """Take a pose; one that cannot be true is not counted."""
+        """Add a pose; one that cannot be true is not counted."""
         told = _Sample(now_s, self.count + 1, pose)
-        if not _is_possible(pose) or not self._place(told):
+        if not self._is_small_motion(told) and not (_is_possible(pose) and self._place(told)):
             self.ignored += 1
             return
         self.count += 1
-        sample = told._replace(pose=placed(self._frame, pose))
-        if self._window and self._window[-1].at_s == now_s:
-            self._window.pop()
-        self._window.append(sample)
-        while len(self._window) > 1 and self._window[1].at_s <= now_s - WINDOW_S:
-            self._window.popleft()
+        window = self._window
+        if window and window[-1].at_s == now_s:
+            window.pop()
+        is_framed = self._frame is not _NO_FRAME
+        window.append(_Sample(now_s, self.count, placed(self._frame, pose)) if is_framed else told)
+        while len(window) > 1 and window[1].at_s <= now_s - WINDOW_S:
+            window.popleft()
         self._told = told
         self._twist = twist if twist is not None and all(map(math.isfinite, twist)) else None
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
+
+    def _is_small_motion(self, told: _Sample) -> bool:
+        """Whether it is a step that any robot may make at once: most poses need no more than this.
+
+        The distance is taken along the axes, which is never shorter; a NaN is no small motion.
+        """
+        before = self._told
+        if before is None or self._doubtful is not None or told.at_s <= self._reset_until_s:
+            return False
+        here, there = before.pose, told.pose
+        return (
+            told.at_s - before.at_s <= LONGEST_S
+            and abs(there[0] - here[0]) + abs(there[1] - here[1]) <= self._small_m
+            and abs(there[2] - here[2]) <= self._small_rad
+            and (there != _ORIGIN or here == _ORIGIN)
+            and -FARTHEST_M < there[0] < FARTHEST_M
+            and -FARTHEST_M < there[1] < FARTHEST_M
+        )
 
     def snapshot(self, now_s: float) -> OdometrySnapshot | None:
         """What is known at this moment; None before the first pose."""
@@ -155,7 +169,7 @@ class OdometryEstimator:
                 self._frame = frame_of(self._window[-1].pose, told.pose)
         elif change is _Change.RESET:
             self._reset_until_s = float("-inf")
-            self._frame = Pose()
+            self._frame = _NO_FRAME
         if change is not _Change.MOTION:
             self._window.clear()
         return True
@@ -177,7 +191,7 @@ class OdometryEstimator:
         if before is None:
             return _Change.MOTION
         is_silence = told.at_s - before.at_s > LONGEST_S
-        is_back = told.pose == Pose() and _has_moved(before.pose)
+        is_back = told.pose == _ORIGIN and _has_moved(before.pose)
         if is_back or (is_silence and is_at_origin and not _is_near_origin(before.pose)):
             return _Change.RESTART
         if is_at_origin and _is_too_far(before, told, self._back_at_once):
@@ -225,13 +239,5 @@ def _is_too_far(before: _Sample, after: _Sample, most: Twist) -> bool:
     """Whether it would have to be faster than that; poses of one read may be a tenth of a second apart in truth."""
     moved_m = math.dist(before.pose[:2], after.pose[:2])
     turned_rad = abs(wrap_angle(after.pose.theta_rad - before.pose.theta_rad))
-    span_s = max(after.at_s - before.at_s, 0.1)
+    span_s = max(after.at_s - before.at_s, SHORTEST_SPAN_S)
     return moved_m > most.linear_m_s * span_s or turned_rad > most.angular_rad_s * span_s
-
-
-def _planar(pose: Mapping[str, Any]) -> Pose:
-    """The yaw of a quaternion of any length: some devices do not normalise."""
-    position, orientation = pose["position"], pose["orientation"]
-    w, x, y, z = (orientation[axis] for axis in "wxyz")
-    yaw_rad = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return Pose(position["x"], position["y"], wrap_angle(yaw_rad))

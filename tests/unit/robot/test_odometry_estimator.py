@@ -2,13 +2,11 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.messages.catalog import Catalog
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
 from hostlink.robot.odometry_estimator import SHAKE_M, SHAKE_RAD, OdometryEstimator, OdometrySnapshot, Twist
 
@@ -160,56 +158,6 @@ def test_a_pose_of_no_numbers_is_not_counted(broken: Pose) -> None:
     before = seen(view)
     view.update(broken, now_s=0.5, wall_ns=99)
     assert seen(view) == dataclasses.replace(before, ignored=1)
-
-
-def test_a_pose2d_is_wrapped() -> None:
-    view = OdometryEstimator()
-    view.see({"x": 1.0, "y": 2.0, "theta": 7.0}, now_s=0.0, wall_ns=5)
-    assert seen(view).pose.theta_rad == pytest.approx(7.0 - math.tau)
-    assert seen(view).stamp_ns == 5
-
-
-@given(st.floats(), st.floats(), st.floats())
-def test_any_pose2d_is_survived(x: float, y: float, theta: float) -> None:
-    view = view_of(arc(0.3, 0.0, 3))
-    view.see({"x": x, "y": y, "theta": theta}, now_s=0.4, wall_ns=0)
-    assert all(map(math.isfinite, seen(view).pose))
-
-
-def odometry(yaw_rad: float, twist: Twist, length: float = 1.0) -> dict[str, Any]:
-    type_ = Catalog().message("nav_msgs/Odometry")
-    assert type_ is not None
-    message = type_.decode(type_.encode({}))
-    pose: Any = message["pose"]
-    pose["pose"]["position"].update(x=1.0, y=2.0)
-    pose["pose"]["orientation"].update(w=length * math.cos(yaw_rad / 2), z=length * math.sin(yaw_rad / 2))
-    moving: Any = message["twist"]
-    moving["twist"]["linear"]["x"], moving["twist"]["angular"]["z"] = twist
-    return message
-
-
-@pytest.mark.parametrize("length", [1.0, 0.5])
-@pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -3.0, math.pi])
-def test_an_odometry_tells_pose_and_twist(yaw_rad: float, length: float) -> None:
-    view = OdometryEstimator()
-    view.see(odometry(yaw_rad, Twist(0.2, -0.4), length), now_s=0.0, wall_ns=0)
-    assert seen(view).pose == pytest.approx(Pose(1.0, 2.0, yaw_rad))
-    assert twist_of(view) == Twist(0.2, -0.4)
-
-
-def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
-    view = OdometryEstimator()
-    view.see(odometry(0.0, Twist(math.nan, 0.0)), now_s=0.0, wall_ns=0)
-    assert twist_of(view) == Twist()
-
-
-@given(st.lists(st.floats(), min_size=4, max_size=4))
-def test_any_orientation_is_survived(wxyz: list[float]) -> None:
-    message = odometry(0.0, Twist())
-    message["pose"]["pose"]["orientation"] = dict(zip("wxyz", wxyz, strict=True))
-    view = OdometryEstimator()
-    view.see(message, now_s=0.0, wall_ns=0)
-    assert view.count == 1 or view.snapshot(0.0) is None
 
 
 # -- restarts ---------------------------------------------------------------------------------------------------------

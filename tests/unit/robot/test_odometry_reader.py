@@ -1,0 +1,109 @@
+"""What is read from the bytes of an odometry is what a full decode says; and nothing that a device sends breaks it."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from hostlink.errors import BadPayload
+from hostlink.messages.message_type import MessageType
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
+from hostlink.robot.odometry_reader import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryReading
+from tests.support.fake_device import CATALOG
+
+texts = st.text(max_size=20)
+floats = st.floats()
+
+
+def type_of(name: str) -> MessageType:
+    found = CATALOG.message(name)
+    assert found is not None
+    return found
+
+
+def odometry(yaw_rad: float = 0.0, twist: Twist | None = None, length: float = 1.0) -> dict[str, Any]:
+    twist = Twist() if twist is None else twist
+    orientation = {"w": length * math.cos(yaw_rad / 2), "z": length * math.sin(yaw_rad / 2)}
+    return {
+        "pose": {"pose": {"position": {"x": 1.0, "y": 2.0}, "orientation": orientation}},
+        "twist": {"twist": {"linear": {"x": twist.linear_m_s}, "angular": {"z": twist.angular_rad_s}}},
+    }
+
+
+def read(type_name: str, message: dict[str, Any]) -> OdometryReading:
+    return READERS[type_name](type_of(type_name).encode(message))
+
+
+def updated(reading: OdometryReading) -> OdometryEstimator:
+    estimator = OdometryEstimator()
+    estimator.update(reading.pose, now_s=0.0, wall_ns=0, twist=reading.twist)
+    return estimator
+
+
+def test_a_pose2d_is_wrapped_and_has_neither_twist_nor_stamp() -> None:
+    reading = read(POSE_TYPE, {"x": 1.0, "y": 2.0, "theta": 7.0})
+    assert reading.pose == pytest.approx(Pose(1.0, 2.0, 7.0 - math.tau))
+    assert (reading.twist, reading.stamp_ns) == (None, None)
+
+
+@pytest.mark.parametrize("length", [1.0, 0.5])
+@pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -3.0, math.pi])
+def test_an_odometry_has_pose_and_twist_also_with_a_quaternion_of_any_length(yaw_rad: float, length: float) -> None:
+    reading = read(ODOMETRY_TYPE, odometry(yaw_rad, Twist(0.2, -0.4), length))
+    assert reading.pose == pytest.approx(Pose(1.0, 2.0, yaw_rad))
+    assert reading.twist == Twist(0.2, -0.4)
+
+
+def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
+    seen = updated(read(ODOMETRY_TYPE, odometry(0.0, Twist(math.nan, 0.0)))).snapshot(0.0)
+    assert seen is not None
+    assert seen.twist == Twist()
+
+
+@given(texts, texts, st.lists(floats, min_size=11, max_size=11), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
+def test_an_odometry_is_read_as_the_full_decode_has_it(
+    frame: str, child: str, numbers: list[float], secs: int, nsecs: int
+) -> None:
+    position, orientation = dict(zip("xyz", numbers, strict=False)), dict(zip("xyzw", numbers[3:], strict=False))
+    linear, angular = dict(zip("xy", numbers[7:], strict=False)), dict(zip("xz", numbers[9:], strict=False))
+    message = {
+        "header": {"seq": 7, "stamp": {"secs": secs, "nsecs": nsecs}, "frame_id": frame},
+        "child_frame_id": child,
+        "pose": {"pose": {"position": position, "orientation": orientation}, "covariance": [0.5] * 36},
+        "twist": {"twist": {"linear": linear, "angular": angular}, "covariance": [0.25] * 36},
+    }
+    reading = read(ODOMETRY_TYPE, message)
+    assert reading.twist is not None
+    found = (reading.pose.x_m, reading.pose.y_m, reading.twist.linear_m_s, reading.twist.angular_rad_s)
+    assert repr(found) == repr((numbers[0], numbers[1], numbers[7], numbers[10]))  # NaN is no equal of itself
+    assert reading.stamp_ns == secs * 1_000_000_000 + nsecs
+    estimator = updated(reading)
+    assert estimator.count == 1 or estimator.snapshot(0.0) is None
+
+
+@given(floats, floats, floats)
+def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> None:
+    estimator = updated(read(POSE_TYPE, {"x": 0.1, "y": 0.2, "theta": 0.3}))
+    estimator.update(read(POSE_TYPE, {"x": x, "y": y, "theta": theta}).pose, now_s=0.4, wall_ns=0)
+    seen = estimator.snapshot(0.4)
+    assert seen is not None
+    assert all(map(math.isfinite, seen.pose))
+
+
+@given(st.sampled_from([POSE_TYPE, ODOMETRY_TYPE]), st.binary(max_size=800))
+@example(POSE_TYPE, bytes(24))
+@example(ODOMETRY_TYPE, bytes(12) + b"\xff\xff\xff\xff" + bytes(700))
+@example(ODOMETRY_TYPE, bytes(12) + b"\x01\x00\x00\x00a" + bytes(4 + 680))
+@example(ODOMETRY_TYPE, bytes(699))
+@example(ODOMETRY_TYPE, bytes(700))
+def test_what_the_full_decode_refuses_is_refused_and_nothing_else(type_name: str, payload: bytes) -> None:
+    try:
+        type_of(type_name).decode(payload)
+    except BadPayload:
+        with pytest.raises(BadPayload, match=type_name):
+            READERS[type_name](payload)
+    else:
+        READERS[type_name](payload)
