@@ -17,7 +17,7 @@ from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, Proxy, proxy
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect
+from tests.support.waiting import expect, expect_never
 
 NOTICED_S = 1.0
 STOPPED_M_S = 0.005
@@ -59,10 +59,9 @@ class World:
 
     async def stays(self, seconds: float = 0.4) -> None:
         """Nothing drives it by itself."""
-        with pytest.raises(TimeoutError):
-            await expect(
-                lambda: self.known.gate.holder is not None or abs(self.body.speed_m_s) > STOPPED_M_S, timeout_s=seconds
-            )
+        await expect_never(
+            lambda: self.known.gate.holder is not None or abs(self.body.speed_m_s) > STOPPED_M_S, for_s=seconds
+        )
 
 
 @contextlib.asynccontextmanager

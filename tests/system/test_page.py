@@ -19,7 +19,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, proxy
 from tests.support.rosbridge import client
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect
+from tests.support.waiting import expect, expect_never
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
@@ -69,9 +69,7 @@ class Scene:
         await expect(lambda: self.wanted == (0, 0) and self.holder is None, timeout_s=within_s)
 
     async def stays_still(self, seconds: float) -> None:
-        with contextlib.suppress(TimeoutError):
-            await expect(lambda: self.wanted != (0, 0), timeout_s=seconds)
-            pytest.fail(f"the robot was commanded to drive: {self.wanted}")
+        await expect_never(lambda: self.wanted != (0, 0), for_s=seconds)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
