@@ -14,6 +14,9 @@ WEB := hostlink/api/web
 
 CHAOS_S ?= 600
 
+WORKERS ?= $(shell echo $$((2 * $$(nproc))))# of make test: half of its time is waiting
+unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
+
 .PHONY: help demo test check bench fuzz web screenshots firmware chain soak netns format clean
 
 help:
@@ -57,7 +60,8 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 test: $(VENV)/.dev $(CLIENTS)
 	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not quiet"
+	$(BIN)/python -m pytest -m quiet
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check .

@@ -5,12 +5,13 @@ import contextlib
 import re
 import subprocess
 from collections.abc import AsyncIterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import aiohttp
 
 from tests.firmware import esp8266
+from tests.support.once import once_a_run
 from tests.support.process import Process, serve
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
@@ -18,10 +19,14 @@ BUILD = FIRMWARE.parent / "build" / "firmware"
 
 
 def _build(preset: str, target: str) -> Path:
+    once_a_run(f"firmware_{preset}", partial(_compile, preset, target))
+    return BUILD / preset
+
+
+def _compile(preset: str, target: str) -> None:
     for command in (["cmake", "--preset", preset], ["cmake", "--build", "--preset", preset, "--target", target]):
         done = subprocess.run(command, cwd=FIRMWARE, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
-    return BUILD / preset
 
 
 @cache

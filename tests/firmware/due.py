@@ -10,6 +10,7 @@ from pathlib import Path
 
 from hostlink.protocol.frame import Frame
 from hostlink.protocol.stream import FrameStream
+from tests.support.once import once_a_run
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "firmware" / "due" / "src"
@@ -84,6 +85,15 @@ class Retry(IntEnum):
 @cache
 def library() -> ctypes.CDLL:
     """Compile with every warning and undefined behaviour as an error, and load."""
+    once_a_run("due_abi", _compile)
+    loaded = ctypes.CDLL(str(LIBRARY))
+    for name, (result, *arguments) in _SIGNATURES.items():
+        function = getattr(loaded, name)
+        function.restype, function.argtypes = result, arguments
+    return loaded
+
+
+def _compile() -> None:
     LIBRARY.parent.mkdir(parents=True, exist_ok=True)
     objects = []
     for source in sorted(SOURCES.glob("*.cpp")):
@@ -91,11 +101,6 @@ def library() -> ctypes.CDLL:
         _run("g++", *FLAGS, *SANITIZER, "-O1", "-g", "-fPIC", "-c", source, "-o", objects[-1])
     abi = ROOT / "firmware" / "tests" / "due_abi.cpp"
     _run("g++", "-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", abi, *objects, "-o", LIBRARY)
-    loaded = ctypes.CDLL(str(LIBRARY))
-    for name, (result, *arguments) in _SIGNATURES.items():
-        function = getattr(loaded, name)
-        function.restype, function.argtypes = result, arguments
-    return loaded
 
 
 def _run(*command: object) -> None:

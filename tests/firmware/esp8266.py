@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
+from tests.support.once import once_a_run
+
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "esp8266"
 
@@ -17,11 +19,15 @@ BUILD = ROOT / "build" / "esp8266"
 @cache
 def build() -> Path:
     """Compile what has changed; the folder of the results."""
+    once_a_run("esp8266", _compile)
+    return BUILD
+
+
+def _compile() -> None:
     source = ROOT / "firmware" / "esp8266"
     for command in (["cmake", "-S", source, "-B", BUILD], ["cmake", "--build", BUILD, "--parallel", "2"]):
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
-    return BUILD
 
 
 @cache

@@ -16,6 +16,7 @@ from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.drive_train import FULL_PWM, MotorWorld
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, SANITIZER
+from tests.support.once import once_a_run
 
 FIRMWARE = ROOT / "firmware"
 SOURCES = [
@@ -24,6 +25,7 @@ SOURCES = [
     FIRMWARE / "host" / "motor.cpp",
     FIRMWARE / "host" / "plant.cpp",
 ]
+WORLD_LIBRARY = LIBRARY.parent.parent / "due_world" / "libdue_world.so"
 SHIM = FIRMWARE / "host" / "due_arduino"
 QUIET_S = 2.1  # the board listens to nobody for its first two seconds
 COMMAND_S = 0.1
@@ -35,10 +37,8 @@ _COLUMNS = 13
 _P, _SIZE = ctypes.c_void_p, ctypes.c_size_t
 
 
-@cache
-def library() -> ctypes.CDLL:
-    """Compile the program with its board, as for the Due, and load."""
-    folder = LIBRARY.parent.parent / "due_world"
+def _compile() -> None:
+    folder = WORLD_LIBRARY.parent
     folder.mkdir(parents=True, exist_ok=True)
     objects = []
     for source in SOURCES:
@@ -46,9 +46,15 @@ def library() -> ctypes.CDLL:
         options = [*FLAGS, *SANITIZER, "-O1", "-g", "-fPIC", "-DARDUINO_ARCH_SAM", f"-I{SHIM}"]
         _run("g++", *options, "-c", source, "-o", objects[-1])
     own = [FIRMWARE / "tests" / "due_world.cpp", SHIM / "pins.cpp"]
-    made = folder / "libdue_world.so"
-    _run("g++", "-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", f"-I{SHIM}", *own, *objects, "-o", made)
-    loaded = ctypes.CDLL(str(made))
+    options = ["-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", f"-I{SHIM}"]
+    _run("g++", *options, *own, *objects, "-o", WORLD_LIBRARY)
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Compile the program with its board, as for the Due, and load."""
+    once_a_run("due_world", _compile)
+    loaded = ctypes.CDLL(str(WORLD_LIBRARY))
     signatures = {
         "world_new": (_P,),
         "world_delete": (None, _P),

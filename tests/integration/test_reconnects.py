@@ -7,6 +7,8 @@ import socket
 import struct
 from pathlib import Path
 
+import pytest
+
 from hostlink.protocol.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
@@ -48,6 +50,7 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE_BYTES
 
 
+@pytest.mark.long
 async def test_a_thousand_reconnects_leave_nothing_behind() -> None:
     samples = []
     async with daemon() as host:

@@ -35,6 +35,7 @@ async def drive(loop_s: float) -> Account:
     return account
 
 
+@pytest.mark.long
 @pytest.mark.timeout(180)
 def test_an_hour_costs_no_message_outside_the_cuts() -> None:
     """On a loop that drains the UART before its ring is full, as the robot's own firmware does."""

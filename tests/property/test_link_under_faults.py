@@ -11,6 +11,7 @@ import struct
 from collections import Counter
 from contextlib import AbstractAsyncContextManager
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -173,5 +174,5 @@ class Faults(RuleBasedStateMachine):
         assert len(self.robot.commands) >= commands + 4
 
 
-TestFaults = Faults.TestCase
+TestFaults = pytest.mark.long(Faults.TestCase)
 TestFaults.settings = settings(stateful_step_count=12, deadline=None)  # type: ignore[union-attr]

@@ -112,7 +112,10 @@ def test_junk_without_a_sync_never_costs_the_frame_after_it(junk: bytes, frame: 
     assert pending == 0
 
 
-@given(lines, st.lists(frames, min_size=1, max_size=5))
+unambiguous = frames.filter(lambda frame: joined([wire_of(frame)]) == ([frame], 0))  # no whole frame is in its payload
+
+
+@given(lines, st.lists(unambiguous, min_size=1, max_size=5))
 def test_intact_frames_after_any_mess_are_found_when_enough_of_them_come(wire: bytes, sent: list[Frame]) -> None:
     """A false header that swallows a frame can do so once: the frames behind what it claims are all there."""
     flood = b"".join(map(wire_of, sent)) * (LIMIT_BYTES // 8)

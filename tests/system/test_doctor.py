@@ -15,7 +15,7 @@ from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import FAULTS, HEALTHY, Fault
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
-from tests.support.process import HOSTLINK, run, serve, simulated
+from tests.support.process import HOSTLINK, free_port, run, serve, simulated
 from tests.support.pty_pair import pty_pair
 
 NOWHERE = "http://127.0.0.1:9"
@@ -87,17 +87,18 @@ async def test_an_address_in_use_names_the_program_that_has_it() -> None:
 
 
 async def test_doctor_listens_by_itself() -> None:
+    port = free_port()
     listening = await asyncio.create_subprocess_exec(
-        HOSTLINK, "doctor", "--json", "--listen", "127.0.0.1:21417", "--seconds", "4",
+        HOSTLINK, "doctor", "--json", "--listen", f"127.0.0.1:{port}", "--seconds", "4",
         stdout=asyncio.subprocess.PIPE,
     )  # fmt: skip
-    async with simulated(("127.0.0.1", 21417), "--fault", "wrong_md5"):
+    async with simulated(("127.0.0.1", port), "--fault", "wrong_md5"):
         out, _ = await listening.communicate()
     assert (listening.returncode, codes(out.decode())) == (1, ["wrong_md5"])
 
 
 async def test_nobody_comes() -> None:
-    status, out, _ = await run("doctor", "--json", "--listen", "127.0.0.1:21418", "--seconds", "1")
+    status, out, _ = await run("doctor", "--json", "--listen", f"127.0.0.1:{free_port()}", "--seconds", "1")
     assert (status, codes(out)) == (1, ["no_device"])
 
 
