@@ -60,7 +60,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 test: $(VENV)/.dev $(CLIENTS)
 	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadgroup -m "not quiet"
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet"
 	$(BIN)/python -m pytest -m quiet
 
 check: $(VENV)/.dev

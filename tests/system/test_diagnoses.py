@@ -80,9 +80,6 @@ def note(found: Seen, links: list[dict[str, Any]], names: dict[str, str]) -> Non
         found[name] |= {each["code"]: each for each in link["diagnosis"]}
 
 
-pytestmark = pytest.mark.xdist_group("diagnoses")
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 async def test_the_fault_is_named(fault: str, seen: tuple[Seen, Seen]) -> None:
     for found in seen:
