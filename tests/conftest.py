@@ -1,13 +1,14 @@
-"""How much the property tests try, and how workers share the tests.
+"""How much the property tests try, how workers share the tests, and which signals the tests' programs get.
 
 HYPOTHESIS_PROFILE=fuzz: fifty times the usual examples; ci: the same examples each time.
 """
 
 import os
+import signal
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
-from xdist.scheduler import LoadScopeScheduling
 
 _EXAMPLES = 100
 _COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
@@ -17,19 +18,23 @@ settings.register_profile("ci", max_examples=_EXAMPLES, derandomize=True, print_
 settings.register_profile("fuzz", max_examples=_EXAMPLES * 50, **_COMMON)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
-SHARING = ("test_diagnoses.py", "test_page.py", "test_page_states.py")  # their tests share a daemon or a browser
+
+def pytest_configure() -> None:
+    """What nohup or a shell's background job ignores is ignored here too, but not by the programs that tests start."""
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, _ignore)
 
 
-class FilesThatShare(LoadScopeScheduling):
-    """Each test goes to the next worker that is free, but the tests of a file that share a fixture stay together."""
-
-    def _split_scope(self, nodeid: str) -> str:
-        path = nodeid.partition("::")[0]
-        return path if path.endswith(SHARING) else nodeid
+def _ignore(number: int, frame: object) -> None:
+    """A program inherits SIG_IGN, but no function."""
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> FilesThatShare:
-    """Asked by pytest-xdist; its own `loadgroup` does nothing beside pytest 9.2."""
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
+    """Called by pytest-xdist."""
+    from tests.support.sharing import FilesThatShare  # noqa: PLC0415 - without workers pytest-xdist is not needed
+
     return FilesThatShare(config, log)
 
 

@@ -1,8 +1,10 @@
 """The commands that talk to a running daemon, as a person and as a program use them."""
 
 import asyncio
+import contextlib
 import json
 import signal
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -54,7 +56,8 @@ async def test_a_refusal_is_one_line_and_status_1(arguments: list[str], complain
     assert len(err.splitlines()) == 1
 
 
-async def drive_with_pub(url: str, device: FakeDevice) -> asyncio.subprocess.Process:
+@contextlib.asynccontextmanager
+async def driving_with_pub(url: str, device: FakeDevice) -> AsyncIterator[asyncio.subprocess.Process]:
     twist = '{"linear": {"x": 0.2}}'
     child = await asyncio.create_subprocess_exec(
         HOSTLINK,
@@ -67,18 +70,25 @@ async def drive_with_pub(url: str, device: FakeDevice) -> asyncio.subprocess.Pro
         url,
         stderr=asyncio.subprocess.PIPE,
     )
-    assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
-    return child
+    try:
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        yield child
+    finally:
+        if child.returncode is None:
+            child.kill()
+        await child.communicate()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 async def test_a_program_that_ends_in_any_way_stops_the_robot(number: signal.Signals) -> None:
-    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
-        child = await drive_with_pub(daemon.url, device)
+    async with (
+        serve() as daemon,
+        fake_device(daemon.tcp, robot_topics()) as device,
+        driving_with_pub(daemon.url, device) as child,
+    ):
         child.send_signal(number)
         async with asyncio.timeout(0.6):
             assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
-        await child.communicate()
 
 
 async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
