@@ -27,6 +27,8 @@ def joined(reads: Iterable[bytes]) -> tuple[list[Frame | bytes], int]:
     return found, stream.pending_bytes
 
 
+# Without a whole frame in the payload, which would be read instead; Hypothesis knows some from the literals of the code.
+unambiguous = frames.filter(lambda frame: joined([wire_of(frame)]) == ([frame], 0))
 nested = st.recursive(
     noise | frames.map(wire_of),
     lambda inner: st.builds(lambda topic_id, parts: encode(topic_id, b"".join(parts)), topic_ids, st.lists(inner)),
@@ -35,7 +37,7 @@ nested = st.recursive(
 lines = st.lists(nested, max_size=12).map(b"".join)
 
 
-@given(st.lists(frames, max_size=10), st.data())
+@given(st.lists(unambiguous, max_size=10), st.data())
 def test_what_is_encoded_is_decoded(sent: list[Frame], data: st.DataObject) -> None:
     wire = b"".join(map(wire_of, sent))
     found, pending = joined(split(wire, data))
@@ -105,14 +107,11 @@ def test_no_byte_is_lost(wire: bytes, data: st.DataObject) -> None:
     assert seen == line
 
 
-@given(st.binary(max_size=40).map(lambda junk: junk.replace(b"\xff", b"")), frames, st.data())
+@given(st.binary(max_size=40).map(lambda junk: junk.replace(b"\xff", b"")), unambiguous, st.data())
 def test_junk_without_a_sync_never_costs_the_frame_after_it(junk: bytes, frame: Frame, data: st.DataObject) -> None:
     found, pending = joined(split(junk + wire_of(frame), data))
     assert found == ([junk] if junk else []) + [frame]
     assert pending == 0
-
-
-unambiguous = frames.filter(lambda frame: joined([wire_of(frame)]) == ([frame], 0))  # no whole frame is in its payload
 
 
 @given(lines, st.lists(unambiguous, min_size=1, max_size=5))

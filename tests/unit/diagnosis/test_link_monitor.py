@@ -138,3 +138,15 @@ def test_the_computers_own_clock() -> None:
 def test_a_port_that_cannot_be_opened_is_a_finding(number: int, code: str) -> None:
     found = port_finding(OSError(number, "/dev/ttyACM0: why"))
     assert (found.code, found.detail) == (code, "/dev/ttyACM0: why")
+
+
+def test_another_baud_is_judged_by_what_comes_after_it() -> None:
+    told = session()
+    told.open(now_s=0.0)
+    monitor = LinkMonitor(told, now_s=0.0)
+    told.receive(b"noise" * 10, now_s=0.5)
+    monitor.see_baud(115200, now_s=1.0)
+    told.receive(b"more", now_s=1.5)
+    monitor.look(2.0)
+    evidence = monitor.evidence(2.0, silent_s=0.5)
+    assert (evidence.baud, evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (115200, 54, 4)

@@ -104,3 +104,9 @@ def test_an_unknown_id_is_no_reason_once_the_topics_came() -> None:
     host.hear(wire(ODOMETRY) + TIME)
     host.wait(1.5)
     assert host.requests() == []
+
+
+def test_topics_that_are_missing_are_requested_again() -> None:
+    scheduler = NegotiationScheduler()
+    scheduler.finish(None, is_short=True)
+    assert scheduler.pop_request(now_s=10.0) == "missing"

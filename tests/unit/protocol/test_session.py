@@ -304,3 +304,24 @@ def test_new_topics_forget_that_the_robot_moves() -> None:
     text = TopicInfo(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", "m", 512)
     session.receive(wire(ODOMETRY, LED, text) + TIME, now_s=1.0)
     session.publish("/text", bytes(500))
+
+
+def test_the_longest_frame_to_the_device_is_its_largest_buffer() -> None:
+    assert Host().session.longest_to_device_bytes == DEFAULT_BUFFER_BYTES
+    host = Host(ODOMETRY, LED)
+    assert host.session.longest_to_device_bytes == LED.buffer_bytes
+
+
+def test_it_knows_that_it_was_stopped() -> None:
+    host = Host(LED)
+    assert not host.session.is_stopped
+    host.session.stop()
+    assert host.session.is_stopped
+
+
+def test_a_last_frame_goes_to_an_id_that_is_nobody_elses() -> None:
+    host = Host(LED)
+    host.session.send_last(encode(LED.topic_id, b"\x01"))
+    assert host.sent() == []
+    host.session.send_last(encode(LED.topic_id + 1, b"\x01"))
+    assert host.sent() == [Frame(LED.topic_id + 1, b"\x01")]

@@ -302,3 +302,11 @@ def test_a_host_whose_clock_was_set_back_is_followed() -> None:
     view.update(Pose(), now_s=0.0, wall_ns=10**18)
     view.update(Pose(), now_s=0.1, wall_ns=10**18 - 3600 * 10**9)
     assert seen(view).stamp_ns == 10**18 - 3600 * 10**9
+
+
+def test_a_restart_after_a_damaged_pose_is_a_restart() -> None:
+    view = view_of(arc(0.3, 0.0, 20, Pose()))
+    before = shown(view)
+    view.update(Pose(50.0, -50.0, 0.0), now_s=2.0, wall_ns=0)
+    view.update(Pose(), now_s=2.1, wall_ns=0)
+    assert (seen(view).ignored, seen(view).restarts, shown(view)) == (1, 1, before)
