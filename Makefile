@@ -80,7 +80,8 @@ bench: $(VENV)/.dev
 	$(BIN)/python tools/bench_crowd.py
 
 fuzz: $(VENV)/.dev
-	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest tests/property
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto tests/property
+	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto tests/unit -m hypothesis
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
 	$(BIN)/python tools/fuzz.py --seconds 60
 

@@ -10,13 +10,24 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-_EXAMPLES = 100
+_EXAMPLES, _EXAMPLES_OF_UNIT = 100, 20
 _COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+_FUZZ = settings(max_examples=_EXAMPLES * 50, **_COMMON)
+_PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
 settings.register_profile("default", max_examples=_EXAMPLES, **_COMMON)
+settings.register_profile("default_unit", max_examples=_EXAMPLES_OF_UNIT, **_COMMON)
 settings.register_profile("ci", max_examples=_EXAMPLES, derandomize=True, print_blob=True, **_COMMON)
-settings.register_profile("fuzz", max_examples=_EXAMPLES * 50, **_COMMON)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+settings.register_profile("ci_unit", settings.get_profile("ci"), max_examples=_EXAMPLES_OF_UNIT)
+settings.register_profile("fuzz", _FUZZ)
+settings.register_profile("fuzz_unit", _FUZZ)
+settings.load_profile(_PROFILE)
+
+
+def pytest_collectstart(collector: pytest.Collector) -> None:
+    """The unit tests are quick: they draw fewer examples, and `make fuzz` as many as of the property tests."""
+    if isinstance(collector, pytest.Module):
+        settings.load_profile(f"{_PROFILE}_unit" if "/tests/unit/" in collector.path.as_posix() else _PROFILE)
 
 
 def pytest_configure() -> None:

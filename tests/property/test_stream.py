@@ -27,7 +27,7 @@ def joined(reads: Iterable[bytes]) -> tuple[list[Frame | bytes], int]:
     return found, stream.pending_bytes
 
 
-# Without a whole frame in the payload, which would be read instead; Hypothesis knows some from the literals of the code.
+# Without a whole frame in the payload, which would be read instead; Hypothesis draws some from literals of the code.
 unambiguous = frames.filter(lambda frame: joined([wire_of(frame)]) == ([frame], 0))
 nested = st.recursive(
     noise | frames.map(wire_of),

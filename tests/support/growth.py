@@ -9,9 +9,6 @@ SHORTEST_S = 0.01
 
 def is_linear(seconds: Callable[[int], float], size: int) -> bool:
     """Whether four times `size` lasts less than eight times as long; a square would last sixteen times."""
-
-    def best(of_size: int) -> float:
-        gc.collect()
-        return min(seconds(of_size) for _ in range(TRIES))
-
-    return best(4 * size) < 8 * max(best(size), SHORTEST_S)
+    gc.collect()
+    limit_s = 8 * max(min(seconds(size) for _ in range(TRIES)), SHORTEST_S)
+    return any(seconds(4 * size) < limit_s for _ in range(TRIES))

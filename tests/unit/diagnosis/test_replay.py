@@ -9,6 +9,8 @@ from hostlink.diagnosis.replay import replay
 from hostlink.hub.device import check_type
 from hostlink.inspection import Read, load_reads
 from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import Id, encode
 
 CAPTURES = Path(__file__).parent.parent.parent / "captures"
 CATALOG = Catalog()
@@ -49,3 +51,14 @@ def test_only_time_requests_are_no_topics() -> None:
     answers = [Read("device", "fffe0800f70a000000000000000000f5", t + 0.1) for t in (0.0, 2.0, 4.0)]
     reads = sorted([*asks, *answers, Read("device", t=6.0, event="close")], key=lambda read: read.t)
     assert [each.code for each in findings(reads)] == ["no_topics"]
+
+
+def test_topics_are_known_half_a_second_after_the_last_one() -> None:
+    info = TopicInfo(Id.PUBLISHER, 125, "/bumper", "std_msgs/Bool", "8b94c1b53db61fb6aed406028ad6332a", 512)
+    announced = Read("device", encode(info.kind, encode_topic_info(info)).hex(), 0.1)
+    reads = [Read("device", t=0.0, event="open"), Read("host", "fffe0000ff0000ff", 0.0), announced]
+    (connection,) = replay(
+        [*reads, Read("device", t=2.0, event="close")], lambda info: check_type(CATALOG, info)
+    ).values()
+    assert connection.findings() == []
+    assert connection.session.topics == (info,)
