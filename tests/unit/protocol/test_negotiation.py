@@ -108,5 +108,6 @@ def test_an_unknown_id_is_no_reason_once_the_topics_came() -> None:
 
 def test_topics_that_are_missing_are_requested_again() -> None:
     scheduler = NegotiationScheduler()
+    scheduler.topic_info_received(1.0)
     scheduler.finish(None, is_short=True)
     assert scheduler.pop_request(now_s=10.0) == "missing"
