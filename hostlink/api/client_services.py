@@ -81,7 +81,7 @@ class ClientServices:
             raise
 
     def _accept(self, call: _Call, request: Request) -> None:
-        """As rosbridge does, an object goes to the caller whatever `result` says: whether it is a success stands in it.
+        """As rosbridge does, an object goes to the caller whatever `result` is: success is a field of the object.
 
         Only what could be no answer of the service's is a failure.
         """

@@ -26,7 +26,7 @@ class Backlog(Protocol):
 
 
 class ClientView(TypedDict):
-    """One client: who it is, what it got, what it was too slow for."""
+    """One client: who it is, what it received, what it was too slow for."""
 
     name: str
     kind: str

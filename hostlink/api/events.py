@@ -99,7 +99,7 @@ class Events:
                 await response.prepare(request)
             except OSError as error:
                 raise web.HTTPBadRequest(reason="it broke off before the first event") from error
-            with contextlib.suppress(OSError):  # the reader is gone, or accepts nothing (TimeoutError is one too)
+            with contextlib.suppress(OSError):  # the reader is gone, or reads nothing (TimeoutError is one too)
                 yield response, send, client
         finally:
             self._clients.leave(client)

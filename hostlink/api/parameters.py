@@ -1,4 +1,4 @@
-"""Parameters: rosapi's calls on the parameters that devices are answered with; a name may stand for a tree."""
+"""Parameters: rosapi's calls on the parameters that devices request; a name may be that of a tree."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.topic_graph import resolve
 
 MAX_PARAMETERS = 1024
-MAX_VALUE_CHARACTERS = 4096  # of JSON; no device takes more
+MAX_VALUE_CHARACTERS = 4096  # of JSON; more fits no device
 _Value = ParameterScalar | list[ParameterScalar]
 
 

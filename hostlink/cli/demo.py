@@ -24,7 +24,7 @@ OWNER = "demo"
 DEMO_PRIORITY = 0  # whoever comes is more important
 CURVE = Velocity(linear_x_m_s=0.15, angular_z_rad_s=0.3)  # a circle of a metre across
 COMMAND_INTERVAL_S = 0.2  # well within the lease
-PAUSE_S = 5.0  # somebody who drove may want to look before the demo drives on
+PAUSE_S = 5.0  # somebody who drove may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
 PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # docs/robot.md#numbers
 
@@ -55,7 +55,7 @@ async def _demo(config: Config, robots: int) -> None:
             driver.cancel()
             write("", "stopping the robots ...")
             participant.leave()
-            await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots hear it before they go
+            await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots receive it before they go
             fleet.cancel()
 
 
@@ -78,7 +78,7 @@ async def drive_robots(hub: Hub, participant: Participant) -> None:
             if robot.gate.holder not in (None, OWNER):
                 busy_until_s[robot.name] = now_s() + PAUSE_S
             elif now_s() >= busy_until_s.get(robot.name, 0.0):
-                with contextlib.suppress(HostlinkError):  # not connected yet, or taken this very moment
+                with contextlib.suppress(HostlinkError):  # not connected yet, or somebody drives it since
                     participant.drive(robot, CURVE)
         await asyncio.sleep(COMMAND_INTERVAL_S)
 

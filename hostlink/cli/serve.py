@@ -39,7 +39,7 @@ from hostlink.transport.tcp import serve_tcp
 log = structlog.get_logger()
 
 SWITCH_INTERVAL_S = 0.0005  # a tenth of the usual
-GC_THRESHOLDS = (100, 5, 100)  # often, so that each takes a millisecond or two; the oldest after 50,000 objects
+GC_THRESHOLDS = (100, 5, 100)  # often, so that each lasts a millisecond or two; the oldest after 50,000 objects
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -54,11 +54,11 @@ class Addresses:
 async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterator[tuple[Hub, Addresses]]:
     """The whole daemon for the length of a block.
 
-    However the block is left, first every robot is stopped and every device told; then the rest may take its time.
+    However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
     """
     hub = Hub(config, Catalog(config.message_folders), guard=guard)
     try:
-        async with complaints_logged(hub.refused), _hub_running(hub), _ways_in(hub, config) as addresses:
+        async with complaints_logged(hub.refused), _hub_running(hub), _listening(hub, config) as addresses:
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
             try:
                 yield hub, addresses
@@ -76,7 +76,7 @@ async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterato
 
 @contextlib.asynccontextmanager
 async def _hub_running(hub: Hub) -> AsyncIterator[None]:
-    """In a task group of its own: whatever else fails, links live until they were said goodbye."""
+    """In a task group of its own: whatever else fails, links live until they were shut down."""
     async with asyncio.TaskGroup() as tasks:
         heart = tasks.create_task(hub.run(), name="hub")
         await hub.is_running.wait()
@@ -87,9 +87,9 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 
 
 @contextlib.asynccontextmanager
-async def _ways_in(hub: Hub, config: Config) -> AsyncIterator[Addresses]:
+async def _listening(hub: Hub, config: Config) -> AsyncIterator[Addresses]:
     """Listeners and ports, for devices and for programs."""
-    async with serve_api(config.api, hub) as api, contextlib.AsyncExitStack() as last:  # mDNS may take its time
+    async with serve_api(config.api, hub) as api, contextlib.AsyncExitStack() as last:  # mDNS may be slow
         acceptor = TcpAcceptor(hub, config.tcp)
         async with serve_tcp(config.tcp, acceptor.accept) as listener, _serial_ports(hub, config):
             await last.enter_async_context(advertised(config.tcp, listener.address))
@@ -175,7 +175,7 @@ def shorten_pauses() -> None:
     """Keep the garbage collector and other threads from stopping the loop.
 
     Nothing here makes cycles, and what the start made stays: with a thousand robots a full collection took 0.23 s, ten
-    times as long as a stop may wait. A thread that looks at bytes keeps the loop waiting for an interval each time.
+    times as long as a stop may wait. A thread that examines bytes keeps the loop waiting for an interval each time.
     """
     gc.collect()
     gc.freeze()

@@ -156,7 +156,7 @@ class Device:
         return fail
 
     def _observe_stamp(self, payload: bytes, now_s: float) -> None:
-        """The stamp of a header says something about the device's clock."""
+        """The stamp of a header is a sample of the device's clock."""
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
             self.link.session.device_clock.update(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=now_s)

@@ -1,8 +1,8 @@
-"""DeviceCalls: the calls of services that devices make. Each is answered with what the device can take, in time.
+"""DeviceCalls: the calls of services that devices make. Each is answered in time, within the device's buffer.
 
 ros_lib's `ServiceClient::call` waits for its answer without end, and the device does nothing else meanwhile; the
-protocol has no way to say that a call failed. So a failure is a response of zeros and empty texts (success: false),
-with the reason in `message` where the type has one, and a device that cannot even be told that loses its link.
+protocol has no message for a call that failed. So a failure is a response of zeros and empty texts (success: false),
+with the reason in `message` where the type has one, and a device that cannot receive even that loses its link.
 """
 
 import asyncio
@@ -40,7 +40,7 @@ log = structlog.get_logger()
 CALL_S = 0.0003  # what a call costs
 MAX_CALLS = 16  # of one device, under way and waiting; ros_lib makes one and stands still
 MAX_WAITING = 4  # of them for one service, behind the one that is under way
-RETRY_S = 0.05  # between looks for room among the replies
+RETRY_S = 0.05  # between two checks for room among the replies
 MAX_REASON = 256  # characters of a reason in the log; names of devices stand in it
 LAST_S = 1.0  # for an answer that is late already to find room in the queue of the replies
 
@@ -110,7 +110,7 @@ class DeviceCalls:
             self._spawn(self._work(of_link, event.service.topic_id), name=f"service calls of link {link.number}")
             return
         for older in waiting or ():
-            if older.negotiations < call.negotiations:  # asked for its topics, ros_lib gives a call up
+            if older.negotiations < call.negotiations:  # ros_lib gives a call up when its topics are requested
                 older.drop()
         if waiting is None or len(waiting) > MAX_WAITING or _count(of_link) >= MAX_CALLS:
             self._refuse(call, is_only=waiting is None)
@@ -180,7 +180,7 @@ class DeviceCalls:
         raise WrongType(call.endpoint.name, "a service type with a definition", call.endpoint.type)
 
     async def _deliver(self, call: _Call, outcome: _Outcome) -> None:
-        """Queue the answer as soon as there is room, and the device has said where it goes."""
+        """Queue the answer as soon as there is room, and the device has announced where it goes."""
         if isinstance(outcome, HostlinkError) and not call.is_over:
             log.warning(
                 "service.failed", service=printable(call.endpoint.name), reason=printable(str(outcome), MAX_REASON)
@@ -217,9 +217,9 @@ class DeviceCalls:
 def encode_response(
     type_: MessageType | None, outcome: _Outcome, response: TopicInfo
 ) -> tuple[bytes | None, HostlinkError | None]:
-    """The payload that says most of what the device can take, and what is wrong with an answer that it is not.
+    """As much of an answer as fits the device's buffer, and what is wrong with an answer that does not.
 
-    None for a payload: only zeros do, for nobody here knows the layout.
+    None for a payload: only zeros are possible, for nobody here knows the layout.
 
     Raises:
         FrameTooLarge: the device's buffer is smaller than the shortest response.

@@ -30,7 +30,7 @@ class Receivers(NamedTuple):
 
 
 class DeviceEvents:
-    """One reaction for each kind of event; a link that was replaced is heard no more."""
+    """One reaction for each kind of event; events of a link that was replaced are ignored."""
 
     def __init__(self, receivers: Receivers) -> None:
         self._receivers = receivers
@@ -53,7 +53,7 @@ class DeviceEvents:
             return
         if link.heard_at_s != device.heard_at_s:  # else more came in one read
             device.heard_at_s = link.heard_at_s
-            self._receivers.identities.hear(link)
+            self._receivers.identities.note_read(link)
         if not isinstance(event, events.MessageReceived):
             self._receivers.diagnoses.note(link, event)
             reaction = self._reactions.get(type(event))

@@ -1,4 +1,4 @@
-"""Diagnoses: what is wrong with each link, live ones and the last that ended; kept for the API, told in the log."""
+"""Diagnoses: what is wrong with each link, live ones and the last that ended; kept for the API, logged."""
 
 import asyncio
 import concurrent.futures.thread  # noqa: F401 - asyncio imports it for its first thread; then no descriptor may be free
@@ -24,9 +24,9 @@ from hostlink.protocol import events
 log = structlog.get_logger()
 
 ENDED_LINKS = 16  # with their buffers 2 MiB at most
-EARLIER_S = 60.0  # what ended before that says nothing of now
-TELL_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
-MAX_TOLD = 256
+EARLIER_S = 60.0  # what ended before that explains nothing now
+LOG_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
+MAX_LOGGED = 256
 
 
 @dataclass(slots=True, eq=False)
@@ -38,7 +38,7 @@ class Diagnosis:
     findings: list[Finding] = field(default_factory=list)
     end: LinkEnd | None = None
     ended_at_s: float = 0.0
-    last_evidence: Evidence | None = None  # of a link that has ended, until it is judged
+    last_evidence: Evidence | None = None  # of a link that has ended, until it is evaluated
     robot: str = ""  # what its robot is called here
     own_name: str = ""  # what that calls itself, if it had to be given a number
 
@@ -59,12 +59,12 @@ class Diagnosis:
         return dataclasses.replace(found, pieces=pieces)
 
     def renaming(self) -> str:
-        """What to say of a device whose name was another's; empty: it has its own."""
+        """The text about a device whose name was another's; empty: it has its own."""
         return f"{self.own_name} is another device's name; this is {self.robot}" if self.own_name else ""
 
 
 class Diagnoses:
-    """Owns the diagnoses. `run` looks at each of them once a second; the rest of the hub only tells what happens."""
+    """Owns the diagnoses. `run` updates each of them once a second; the rest of the hub only passes events."""
 
     def __init__(self, isolation: Isolation | None = None) -> None:
         words()  # read now: later there may be no descriptor for it
@@ -73,7 +73,7 @@ class Diagnoses:
         self._live: dict[int, Diagnosis] = {}
         self._clock = HostClock()
         self._host_clock = ""
-        self._told_at_s: dict[tuple[str, str], float] = {}
+        self._logged_at_s: dict[tuple[str, str], float] = {}
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
 
     def see_port(self, name: str, error: OSError | None) -> None:
@@ -100,7 +100,7 @@ class Diagnoses:
             diagnosis.robot, diagnosis.own_name = robot, own_name
 
     def note(self, link: Link, event: events.Event) -> None:
-        """The session of a live link saw something other than a message."""
+        """The session of a live link has an event other than a message."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
             diagnosis.monitor.observe(event, _now_s())
@@ -114,7 +114,7 @@ class Diagnoses:
             self.ended.append(diagnosis)
 
     def of(self, link: Link) -> list[Finding]:
-        """What is wrong with a live link, as of the last look."""
+        """What is wrong with a live link, as of the last update."""
         diagnosis = self._live.get(link.number)
         return [] if diagnosis is None else diagnosis.findings
 
@@ -128,31 +128,31 @@ class Diagnoses:
         return sorted([*self._live, *(diagnosis.link.number for diagnosis in self.ended)])
 
     async def run(self) -> None:
-        """Look at every diagnosis, again and again, until cancelled."""
+        """Update every diagnosis, again and again, until cancelled."""
         while True:
             now_s = _now_s()
             self._host_clock = self._clock.check(now_s, time.time_ns())
             for diagnosis in list(self._live.values()):
                 with self._isolation.around("diagnosis", link=diagnosis.link.number):
                     diagnosis.monitor.sample(now_s)
-                    await self._judge(diagnosis, self._evidence(diagnosis, now_s))
-                await asyncio.sleep(0)  # a thousand links are looked at one by one, between what they say
+                    await self._evaluate(diagnosis, self._evidence(diagnosis, now_s))
+                await asyncio.sleep(0)  # a thousand links are diagnosed one by one, between their messages
             for diagnosis in list(self.ended):
                 if diagnosis.last_evidence is not None:
                     evidence, diagnosis.last_evidence = diagnosis.last_evidence, None
                     with self._isolation.around("diagnosis", link=diagnosis.link.number):
-                        await self._judge(diagnosis, evidence)
+                        await self._evaluate(diagnosis, evidence)
             await asyncio.sleep(SAMPLE_INTERVAL_S)
 
-    async def _judge(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
-        """In a thread where bytes must be looked at: the first look at a speed takes a good part of a second."""
+    async def _evaluate(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
+        """In a thread where bytes must be examined: the first model of a speed takes part of a second."""
         is_slow = evidence.recent.skipped_bytes > 0
         found = await asyncio.to_thread(diagnose, evidence) if is_slow else diagnose(evidence)
         news = {each.code for each in found} - {each.code for each in diagnosis.findings}
         diagnosis.findings = found
         for each in found:
             if each.code in news:
-                self._tell(diagnosis, each)
+                self._log(diagnosis, each)
 
     def _evidence(self, diagnosis: Diagnosis, now_s: float) -> Evidence:
         earlier = tuple(
@@ -174,16 +174,16 @@ class Diagnoses:
             numbered=diagnosis.renaming(),
         )
 
-    def _tell(self, diagnosis: Diagnosis, found: Finding) -> None:
-        """One line, not again for the same address within TELL_AGAIN_S."""
+    def _log(self, diagnosis: Diagnosis, found: Finding) -> None:
+        """One line, not again for the same address within LOG_AGAIN_S."""
         now_s = _now_s()
         key = (diagnosis.link.address, found.code)
-        if now_s < self._told_at_s.get(key, float("-inf")) + TELL_AGAIN_S:
+        if now_s < self._logged_at_s.get(key, float("-inf")) + LOG_AGAIN_S:
             return
-        self._told_at_s.pop(key, None)
-        self._told_at_s[key] = now_s
-        if len(self._told_at_s) > MAX_TOLD:
-            del self._told_at_s[next(iter(self._told_at_s))]
+        self._logged_at_s.pop(key, None)
+        self._logged_at_s[key] = now_s
+        if len(self._logged_at_s) > MAX_LOGGED:
+            del self._logged_at_s[next(iter(self._logged_at_s))]
         log.warning(
             "link.diagnosed",
             link=diagnosis.link.number,

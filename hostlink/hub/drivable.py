@@ -20,7 +20,7 @@ class Drivable:
     gate: VelocityGate
     link: Link | None = None
     echoes: dict[str, Topic] = field(default_factory=dict)  # topics of its gate, where all receive what it sent
-    last_frame: bytes = b""  # its zero, as the device takes it
+    last_frame: bytes = b""  # its zero, as the device receives it
     sent: Velocity = ZERO
     sent_at_s: float = 0.0
     refusals: Refusals = field(default_factory=Refusals)

@@ -36,7 +36,7 @@ class EmergencyStop:
         """Zero at once, and no command until `release`; also while the robot is not connected.
 
         Raises:
-            HostlinkError: the device could not take the zero; the robot is locked then, too.
+            HostlinkError: the zero does not fit the device; the robot is locked all the same.
         """
         robot.locked_link = robot.link
         self._locked[robot.name] = robot
@@ -61,7 +61,7 @@ class EmergencyStop:
             return
         for other in self._locked.values():
             if other.topics.name == robot.topics.name and not _is_surely_there(other):
-                with contextlib.suppress(HostlinkError):  # it is locked; a device that takes no zero obeys nobody
+                with contextlib.suppress(HostlinkError):  # it is locked; a device that refuses a zero obeys nobody
                     self.stop(robot, f"it may be {other.name}: {other.gate.lock_reason}")
                 return
 

@@ -37,7 +37,7 @@ class Gates:
     # -- which there are ----------------------------------------------------------------------------------------------
 
     def attach(self, drivable: Drivable, link: Link) -> None:
-        """Its device is ready: no command of before holds any more, and its first velocity is zero."""
+        """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.link, drivable.last_frame = link, b""
         drivable.gate.restart()
         if link not in self._of_link:
@@ -101,7 +101,7 @@ class Gates:
             DeviceGone: the device is not connected, or the daemon stops.
             RobotHeld: another drives with a higher priority, or it is locked.
             BadRequest: the velocity is not finite.
-            FrameTooLarge, WrongType, UnknownTopic: the device cannot take it; then nobody drives.
+            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
         """
         if self.is_closed:
             raise DeviceGone(drivable.name, ENDING)
@@ -130,7 +130,7 @@ class Gates:
         """Stop it, and whatever else its link drives, as fast as decelerations allow, whoever drives.
 
         Raises:
-            HostlinkError: the device could not take it.
+            HostlinkError: the zero does not fit the device.
         """
         self._stop(self.beside(drivable))
 
@@ -138,21 +138,21 @@ class Gates:
         """Stop whatever can be driven.
 
         Raises:
-            HostlinkError: a device could not take it; all others have been stopped.
+            HostlinkError: the zero does not fit a device; all others have been stopped.
         """
         self._stop(self.all())
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
-        """Zero, whatever the limits; a device that cannot take it is passed over."""
+        """Zero, whatever the limits; a device that it does not fit is passed over."""
         for drivable in drivables:
-            drivable.gate.halt()
+            drivable.gate.stop_at_once()
             self._send_news(drivable)
 
     def lock(self, drivables: Iterable[Drivable], reason: str) -> None:
         """Zero at once, and no command until the gates are unlocked.
 
         Raises:
-            HostlinkError: a device could not take the zero; its gate is locked all the same.
+            HostlinkError: the zero does not fit a device; its gate is locked all the same.
         """
         refusal = None
         for drivable in drivables:
@@ -198,7 +198,7 @@ class Gates:
         return self._step(drivable, _now_s(), is_news=True)
 
     def _step(self, drivable: Drivable, now_s: float, *, is_news: bool = False) -> HostlinkError | None:
-        """Send what the gate gives, if it is time; returns why the device cannot take it.
+        """Send what the gate gives, if it is time; returns why it does not fit the device.
 
         A crash here is this device's own: its link ends, with a zero as its last frame.
         """
@@ -246,7 +246,7 @@ class Gates:
             link.wake()
 
     def _guard(self, drivable: Drivable, link: Link) -> None:
-        """Let link and guard stop it when nobody else can; what takes no velocity cannot be driven."""
+        """Let link and guard stop it when nobody else can; what subscribes to no velocity cannot be driven."""
         with contextlib.suppress(HostlinkError):
             drivable.last_frame = link.session.frame_to(drivable.velocity_topic, ZERO.encode())
             link.last_frame += drivable.last_frame

@@ -225,7 +225,7 @@ class Hub:
         self._identities.forget_robot(robot)
 
     async def _give_up(self, link: Link) -> None:
-        """End the link of a device that waits for an answer which it cannot take; it rests, and waits no more."""
+        """End the link of a device that waits for an answer that does not fit it; it rests, and waits no more."""
         self.gates.stop_at_once(self.gates.of_link(link))
         link.session.stop()
         link.wake()

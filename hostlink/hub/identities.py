@@ -49,9 +49,9 @@ class Identities:
         self._affected, self._directory = affected, directory
         self._spawn = spawn
 
-    def hear(self, link: Link) -> None:
+    def note_read(self, link: Link) -> None:
         """A device sent something."""
-        self._directory.hear(link.number, link.heard_at_s)
+        self._directory.note_read(link.number, link.heard_at_s)
 
     def announce(self, link: Link, infos: tuple[TopicInfo, ...]) -> None:
         """A device has announced its topics, other ones than before."""
@@ -59,11 +59,11 @@ class Identities:
         self._identify(self.devices[link.number])
 
     def keep(self, device: Device, message: MessageReceived) -> None:
-        """It is not known yet who the device is: what it says is heard later."""
+        """It is not known yet who the device is: its messages are passed on later."""
         self.unheard += device.early.add(message)
 
     def forget(self, link: Link) -> None:
-        """The link has ended, or another took its place."""
+        """The link has ended, or another replaces it."""
         device = self.devices.pop(link.number, None)
         if device is not None:
             self.unheard += len(device.early)
@@ -96,7 +96,7 @@ class Identities:
             self._accept(device, claim)
 
     def _wait(self, device: Device, claim: Undecided) -> None:
-        """Another link may be the same device, silent or dead: ask that, and claim again soon."""
+        """Another link may be the same device, silent or dead: request its topics, and claim again soon."""
         for number in claim.probe:
             rival = self.devices[number].link
             rival.session.request_topics("claimed_twice")
@@ -150,7 +150,7 @@ class Identities:
         return robot
 
     def _log_name(self, link: Link, claim: Accepted) -> None:
-        """Which links are one device's tells a reboot from another board; a number for a name should be no secret."""
+        """Which links are one device's distinguishes a reboot from another board; a number in a name is logged."""
         name = "" if claim.robot is None else claim.robot.name
         self._affected.diagnoses.identify(link, name, own_name=claim.own_name if claim.is_numbered else "")
         if claim.is_numbered:

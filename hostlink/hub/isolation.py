@@ -10,10 +10,10 @@ log = structlog.get_logger()
 
 
 class Isolation:
-    """The boundaries between links, robots, subscribers and the daemon's own work."""
+    """The boundaries between links, robots, participants and the daemon's own work."""
 
     def __init__(self, *, reraises: bool = False) -> None:
-        """`reraises`: a crash goes on after it was counted, as tests want it."""
+        """`reraises`: a crash is raised after it was counted, for tests."""
         self.crashes: Counter[str] = Counter()
         self._reraises = reraises
 

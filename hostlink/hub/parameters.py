@@ -29,7 +29,7 @@ class ParameterAnswers:
         self._unknown: OrderedDict[str, None] = OrderedDict()  # names that were logged, the latest last
 
     def answer(self, link: Link, name: str, shown: str) -> None:
-        """Answer with the parameter; an empty one says that there is none. `shown`: the name under the robot's."""
+        """Answer with the parameter; an empty one where there is none. `shown`: the name under the robot's."""
         parameter = None
         try:
             parameter = self._find(name, shown)

@@ -120,7 +120,7 @@ class Participant(Node):
             BadRequest: it may not publish, or the velocity is not finite.
             DeviceGone: the daemon stops, or the robot is not connected.
             RobotHeld: another drives the robot with a higher priority, or it is locked.
-            FrameTooLarge, WrongType: a device cannot take it; all others have it.
+            FrameTooLarge, WrongType: it does not fit a device; all others have it.
         """
         self.check(Role.DRIVE, "publish")
         if self._parts.gates.is_closed:
@@ -190,7 +190,7 @@ class Participant(Node):
     ) -> None:
         """Answer the calls of a service; the newest offer of a name counts.
 
-        `notify` is told when another gets the calls; `is_reading`: a call changes nothing.
+        `notify` is called with a text when another gets the calls; `is_reading`: a call changes nothing.
 
         Raises:
             BadRequest: it may not serve, has too many services, or the name is the daemon's own.
@@ -248,14 +248,14 @@ class Participant(Node):
 
         `link`: the connection for which it is meant, if not any; `sent_s`: when it was sent, by the sender's clock.
 
-        A command that was delayed on its way for longer than it holds is refused: a network that comes back must not
+        A command that was delayed on its way for longer than a lease is refused: a network that comes back must not
         deliver a motion that nobody means any more. So is one for a device that has connected again since.
 
         Raises:
             BadRequest: it may not drive, the command is late or for another connection, or it is not finite.
             DeviceGone: the device is not connected, or the daemon stops.
             RobotHeld: another drives with a higher priority, or the robot is locked.
-            FrameTooLarge, WrongType, UnknownTopic: the device cannot take it; then nobody drives.
+            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
         """
         self.check(Role.DRIVE, "drive")
         if sent_s is not None:

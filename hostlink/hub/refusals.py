@@ -1,4 +1,4 @@
-"""Refusals: velocities that a robot's device could not take."""
+"""Refusals: velocities that did not fit a robot's device."""
 
 import asyncio
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ LOG_INTERVAL_S = 10.0  # for what is refused again and again: a driver repeats h
 
 @dataclass(slots=True)
 class Refusals:
-    """Velocities that a robot's device could not take."""
+    """Velocities that did not fit a robot's device."""
 
     count: int = 0
-    cause: str | None = None  # of the last velocity; None: it was taken
+    cause: str | None = None  # of the last velocity; None: it was sent
     log_at_s: float = float("-inf")
     logged: int = 0
 

@@ -1,4 +1,4 @@
-"""Robot: a differential-drive robot (or any other that takes a Twist and publishes its pose), while it is known."""
+"""Robot: a differential-drive robot, or any other that subscribes to a Twist and publishes its pose."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What the configuration says of a robot: its limits, and what others of its name have of it."""
+"""The configuration of a robot: its limits, and which of them apply to others of its name."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ from hostlink.robot.velocity_gate import Limits
 
 
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
-    """The limits that hold for a robot hold for others that call themselves the same; its names are its own."""
+    """The limits of a robot apply to others that announce the same name; its topics are its own."""
     if config is None:
         return RobotConfig()
     return dataclasses.replace(
@@ -22,7 +22,11 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
 
 
 def limits_of(config: RobotConfig) -> Limits:
-    """ConfigError for one that could not hold."""
+    """The limits as the gate has them.
+
+    Raises:
+        ConfigError: one of them cannot be kept.
+    """
     return Limits(
         max_linear_m_s=config.max_linear_m_s,
         max_angular_rad_s=config.max_angular_rad_s,

@@ -57,7 +57,9 @@ class RobotTopicPublisher:
         self._plain = next(iter(configs)) if len(configs) == 1 else None  # the robot whose frames have no name before
         self._offers: dict[str, _Offer] = {}  # by robot
         self._commands: set[str] = set()  # topics of all offers
-        self._wanting: defaultdict[str, dict[str, None]] = defaultdict(dict)  # robots, by the names that they want
+        self._candidates: defaultdict[str, dict[str, None]] = defaultdict(
+            dict
+        )  # robots, by the names that they would have
         self._tf: Topic | None = None  # while a robot publishes its transform
 
     def update(self, robots: Iterable[Robot], touched: frozenset[str]) -> None:
@@ -68,7 +70,7 @@ class RobotTopicPublisher:
         changed = {robot.name: robot for robot in robots}
         lost = [self._offers[name] for name in changed if name in self._offers]
         freed = touched.union(*(offer.wanted for offer in lost))
-        names = changed.keys() | {name for topic in freed for name in self._wanting.get(topic, ())}
+        names = changed.keys() | {name for topic in freed for name in self._candidates.get(topic, ())}
         for name in names:
             offer = self._offers.pop(name, None)
             if offer is not None:
@@ -111,7 +113,7 @@ class RobotTopicPublisher:
         offer = self._offers[robot.name] = _Offer(robot, self._frames_of(robot))
         offer.wanted = frozenset(resolve(name) for name in (_odom(robot), *_command_topics(robot)) if name)
         for name in offer.wanted:
-            self._wanting[name][robot.name] = None
+            self._candidates[name][robot.name] = None
         offer.odom = self._advertise(_odom(robot), ODOMETRY_TYPE, robot.shown.odometry)
         offer.publishes_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
         if offer.publishes_tf and self._tf is None:
@@ -124,9 +126,9 @@ class RobotTopicPublisher:
 
     def _close(self, offer: _Offer) -> None:
         for name in offer.wanted:
-            self._wanting[name].pop(offer.robot.name, None)
-            if not self._wanting[name]:
-                del self._wanting[name]
+            self._candidates[name].pop(offer.robot.name, None)
+            if not self._candidates[name]:
+                del self._candidates[name]
         offer.robot.relay = None
         if offer.odom is not None:
             self._graph.unadvertise(offer.odom.name, self._node)
@@ -146,11 +148,11 @@ class RobotTopicPublisher:
             self._graph.unadvertise(TF_TOPIC, self._node)
             self._tf = None
 
-    def _advertise(self, name: str, type_name: str, taken: str = "") -> Topic | None:
+    def _advertise(self, name: str, type_name: str, own: str = "") -> Topic | None:
         """None for a name that is switched off, that a device publishes itself, or that has another type."""
         known = self._graph.find_or_none(name)
         is_devices = name != TF_TOPIC and known is not None and known.has_device_publisher
-        if not name or is_devices or resolve(name) == taken:
+        if not name or is_devices or resolve(name) == own:
             return None
         try:
             return self._graph.advertise(name, self._node, type_name=type_name)

@@ -80,7 +80,7 @@ class Robots:
     def make_room(self, name: str) -> bool:
         """Whether a robot of this name may come, if need be in the place of one that is away."""
         if name not in self._robots and len(self._robots) >= self.max_robots:
-            self._forget(self._away.take_first())
+            self._forget(self._away.pop_first())
         return name in self._robots or len(self._robots) < self.max_robots
 
     def appear(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, link: Link) -> Robot:
@@ -139,7 +139,7 @@ class Robots:
     def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> Robot:
         config = self._configs.get(name) or of_namesake(self._configs.get(topics.name))
         fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
-        odometry = OdometryEstimator(goes_on=config.odometry_after_restart == "continue", fastest=fastest)
+        odometry = OdometryEstimator(continues=config.odometry_after_restart == "continue", fastest=fastest)
         return Robot(
             name=name,
             velocity_topic=topics.velocity,
@@ -151,7 +151,7 @@ class Robots:
         )
 
     def _forget_some(self) -> None:
-        for name in self._away.take_forgotten(_now_s()):
+        for name in self._away.pop_forgotten(_now_s()):
             self._forget(name)
 
     def _forget(self, name: str | None) -> None:

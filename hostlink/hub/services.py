@@ -1,7 +1,7 @@
 """Services both ways: the devices' own, and those that clients and other devices offer to a device.
 
 rosserial has no request number, so a device's service has one call in flight; an answer that comes after its deadline
-must not be taken for the answer to the next call.
+must not pass for the answer to the next call.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ from hostlink.messages.message_type import ServiceType
 log = structlog.get_logger()
 
 DEVICE_TIMEOUT_S = 5.0
-PROGRAM_TIMEOUT_S = 60.0  # a program may do something that takes its time, and rosbridge would wait for ever
+PROGRAM_TIMEOUT_S = 60.0  # a program may do something slow, and rosbridge would wait without end
 LONGEST_TURN_S = 60.0  # of one call at a device, whatever its caller would wait: a request may be lost on the way
 MAX_WAITING = 256  # calls for one service of a device, each within its own deadline
 Send = Callable[[bytes], None]
@@ -44,7 +44,7 @@ class DeviceService:
 
     def __init__(self, name: str, type_name: str, type_: ServiceType | None, key: Hashable, send: Send) -> None:
         self.name, self.type_name, self.type, self.key = name, type_name, type_, key
-        self.md5_sums = ("", "")  # of requests and responses, as the device told them
+        self.md5_sums = ("", "")  # of requests and responses, as the device announced them
         self.late_answers = 0
         self._send = send
         self._calls = 0
@@ -59,7 +59,7 @@ class DeviceService:
         self._calls += 1
         try:
             async with asyncio.timeout(timeout_s), self._turn:
-                return await self._take_turn(payload, min(timeout_s, LONGEST_TURN_S))
+                return await self._call_in_turn(payload, min(timeout_s, LONGEST_TURN_S))
         except TimeoutError:
             raise ServiceFailed.timeout(self.name, timeout_s) from None
         finally:
@@ -83,7 +83,7 @@ class DeviceService:
         if self._late is not None and not self._late.done():
             self._late.set_result(None)
 
-    async def _take_turn(self, payload: bytes, turn_s: float) -> bytes:
+    async def _call_in_turn(self, payload: bytes, turn_s: float) -> bytes:
         try:
             async with asyncio.timeout(turn_s):
                 await self._settle(turn_s / 2)  # the other half is for the call itself
@@ -103,7 +103,7 @@ class DeviceService:
             self._answer = None
 
     async def _settle(self, grace_s: float) -> None:
-        """Let the answer to a call that was given up come first; after `grace_s` it is taken as lost."""
+        """Let the answer to a call that was given up come first; after `grace_s` it counts as lost."""
         if self._late is not None:
             await asyncio.wait([self._late], timeout=grace_s)
             self._late = None
@@ -126,7 +126,7 @@ class Provider:
         fail: Callable[[Exception], None] = lambda _: None,
         is_reading: bool = False,
     ) -> None:
-        """`notify` is told, as a text, that somebody else gets the calls now; `fail`, that `answer` has a bug.
+        """`notify` is called with a text when somebody else gets the calls; `fail` with the error of a bug.
 
         `is_reading`: a call changes nothing.
         """
@@ -198,7 +198,7 @@ class Services:
         if before is not None:
             before.close()
         if program is not None:
-            self._take_over(service.name, service.key, program)
+            self._log_takeover(service.name, service.key, program)
         elif offers:
             log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
         offers[service.key] = service
@@ -215,7 +215,7 @@ class Services:
         elif self.of_device(name) is not None:
             provider.notify(f"{name} is a service of a device's, which gets the calls")
         elif before is not None and before.key != provider.key:
-            self._take_over(name, provider.key, before)
+            self._log_takeover(name, provider.key, before)
         offers = self._providers.setdefault(name, {})
         offers.pop(provider.key, None)
         offers[provider.key] = provider
@@ -304,7 +304,7 @@ class Services:
         answer = await service.call(service.type.request.encode(request), timeout_s=timeout_s)
         return service.type.response.decode(answer)
 
-    def _take_over(self, name: str, key: Hashable, before: Provider) -> None:
+    def _log_takeover(self, name: str, key: Hashable, before: Provider) -> None:
         log.warning("service.taken_over", service=printable(name), by=str(key), before=str(before.key))
         before.notify(f"{name}: {key} offers it too and gets the calls, as long as it is there")
 
@@ -323,4 +323,4 @@ def _remove(offers: dict[str, dict[Hashable, _Offer]], name: str, key: Hashable)
 
 
 def _ignore(text: str) -> None:
-    """Nobody wants to hear it."""
+    """Nobody is notified."""

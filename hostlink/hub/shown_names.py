@@ -5,11 +5,11 @@ from hostlink.robot.directory import RobotTopicNames
 
 
 class ShownNames:
-    """Of one device. Those of a robot that is called otherwise than it calls itself stand under the robot's name.
+    """Of one device. Those of a robot that is named otherwise than it announces itself stand under the robot's name.
 
-    `/robot_0/imu` of a robot that is called `a` is `/a/imu`, and so is `imu` of one that has no namespace. Velocity,
-    odometry and reset are the robot's wherever they are: `/odom` is `/a/odom`. All else has the name that it tells, and
-    is shared with who else uses it, as in ROS.
+    `/robot_0/imu` of a robot that is named `a` is `/a/imu`, and so is `imu` of one that has no namespace. Velocity,
+    odometry and reset are the robot's wherever they are: `/odom` is `/a/odom`. All else has the name that it
+    announces, and is shared with who else uses it, as in ROS.
     """
 
     def __init__(self, robot: RobotTopicNames | None = None, name: str | None = None) -> None:
@@ -22,7 +22,7 @@ class ShownNames:
         self._own = {resolve(topic) for topic in own if topic is not None}
 
     def of(self, name: str) -> str:
-        """The full name in the graph of what the device calls so."""
+        """The full name in the graph of what the device names so."""
         full = resolve(name)
         if not self._is_renamed:
             return full

@@ -25,14 +25,14 @@ class Away:
         """It is back, or must not be forgotten."""
         self._left_at_s.pop(name, None)
 
-    def take_forgotten(self, now_s: float) -> list[str]:
+    def pop_forgotten(self, now_s: float) -> list[str]:
         """Those whose time has come."""
-        taken: list[str] = []
+        popped: list[str] = []
         while len(self._left_at_s) > self._max_away or now_s >= self.next_s():
-            taken.append(self._left_at_s.popitem(last=False)[0])
-        return taken
+            popped.append(self._left_at_s.popitem(last=False)[0])
+        return popped
 
-    def take_first(self) -> str | None:
+    def pop_first(self) -> str | None:
         """The one that left first, if anybody has."""
         return self._left_at_s.popitem(last=False)[0] if self._left_at_s else None
 

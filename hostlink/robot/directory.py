@@ -16,9 +16,9 @@ RESET_TYPE = "std_msgs/Empty"
 _USUAL_NAMES = ("velocity_commands", "cmd_vel")  # the likelier first
 _DEFAULT_NAME = "robot"
 
-LATE_S = 0.1  # what was on its way when the other device told its topics
+LATE_S = 0.1  # what was on its way when the other device announced its topics
 ANSWER_S = 0.5  # a device answers a request for its topics in a turn of its loop, its line may be busy
-AGAIN_S = 10.0  # two that take each other for dead, because their loops are slow, do so within a few seconds
+AGAIN_S = 10.0  # two that count each other as dead, because their loops are slow, do so within a few seconds
 MOVING_S = 3.0  # by then a link that died has been ended for its silence
 TopicClaim = tuple[str, str, bool]  # name, type, whether it goes to the device
 Odometry = tuple[str, str]  # name, type
@@ -45,7 +45,7 @@ class Accepted:
     """The device may stay; `replaces` is the number of an older link of the same one.
 
     `own_name`: what the device calls its robot; `robot.name` is what it is called here. `is_certain`: no other device
-    can have meant that name. `is_numbered`: nothing but the order tells it from another.
+    can have meant that name. `is_numbered`: nothing but the order distinguishes it from another.
     """
 
     robot: RobotTopicNames | None
@@ -59,7 +59,7 @@ class Accepted:
 class Undecided:
     """Another link of the same robot is silent, but maybe not dead: claim again soon.
 
-    `probe`: the links whose devices are to be asked for their topics now.
+    `probe`: the links whose devices must announce their topics now.
     """
 
     probe: tuple[int, ...]
@@ -75,24 +75,24 @@ class _Entry:
     is_settled: bool = False
     name: str | None = None  # of its robot
     is_certain: bool = False
-    replaced_at_s: float = -math.inf  # when it took another link's place
+    replaced_at_s: float = -math.inf  # when it replaced another link
 
 
 class Directory:
     """Knows devices by the numbers of their links.
 
-    A device that tells what another of its address tells is either that one, come back while its old link looks alive,
-    or a second one that was flashed alike. The old link's silence says which:
+    A device that announces what another of its address announces is either that one, back while its old link seems
+    alive, or a second one that was flashed alike. The old link's silence decides:
 
     | the old link                                                | then                                              |
     |-------------------------------------------------------------|---------------------------------------------------|
-    | is heard once the new one has told its topics               | two devices; a robot gets a name of its own       |
-    | silent for 3 s: whatever lives asks for the time each 2.5 s | the same device: the new link replaces the old    |
+    | sends anything once the new one has announced its topics    | two devices; a robot gets a name of its own       |
+    | silent for 3 s: a live one requests the time every 2.5 s    | the same device: the new link replaces the old    |
     | silent for 0.5 s and for five of its usual gaps             | the same device                                   |
-    | else                                                        | it is asked for its topics, the new one waits     |
+    | else                                                        | its topics are requested, the new one waits       |
     | silent for 0.5 s after that                                 | the same device                                   |
 
-    Where two were seen, or one was replaced less than 10 s ago, only a silence of 3 s says that one is gone.
+    Where two were seen, or one was replaced less than 10 s ago, only after a silence of 3 s one counts as gone.
 
     A robot whose name lives at another address waits for up to 3 s if that one is silent: it may have moved.
     """
@@ -105,13 +105,13 @@ class Directory:
         self._settled: defaultdict[tuple[str, Hashable], dict[int, None]] = defaultdict(dict)
         self._by_name: dict[str, int] = {}
 
-    def hear(self, link: int, now_s: float) -> None:
-        """A device said something."""
+    def note_read(self, link: int, now_s: float) -> None:
+        """A device sent something."""
         presence = self._presences.get(link)
         if presence is None:
             self._presences[link] = Presence(now_s)
         else:
-            presence.hear(now_s)
+            presence.note_read(now_s)
 
     def claim(
         self,
@@ -123,8 +123,8 @@ class Directory:
         peer: str = "",
         announced: Hashable = None,
     ) -> Accepted | Undecided:
-        """A device has told its topics (again); `announced` is all that it told, if that is more than the topics."""
-        self.hear(link, now_s)
+        """A device has announced its topics (again); `announced`: all of it, if that is more than the topics."""
+        self.note_read(link, now_s)
         robot = find_robot(topics)
         key = (address, announced or frozenset(topics)) if robot is None else (address, robot.name)
         entry, is_new = self._entries.get(link), False
@@ -199,7 +199,7 @@ class Directory:
         self._settled[entry.key][link] = None
         if named is not None:
             entry.name, entry.is_certain = named.name, named.is_certain
-            self._names.take(named.name, entry.origin)
+            self._names.assign(named.name, entry.origin)
             self._by_name[named.name] = link
 
     def _release(self, link: int) -> None:
@@ -216,7 +216,7 @@ class Directory:
 
 
 def find_robot(topics: Sequence[TopicClaim]) -> RobotTopicNames | None:
-    """A device that takes a Twist and tells a pose is a robot, named by their common namespace."""
+    """A device that subscribes to a Twist and publishes a pose is a robot, named by their common namespace."""
     velocities = [topic for topic, type_name, is_to_device in topics if is_to_device and type_name == TWIST_TYPE]
     odometries = [
         (topic, type_name)
@@ -260,7 +260,7 @@ def _name(velocity: tuple[str, ...], odometry: tuple[str, ...]) -> str:
 
 
 def _likeliest_pair(velocities: Sequence[str], odometries: Sequence[Odometry]) -> tuple[str, Odometry]:
-    """The pair that a person would choose: usual names, one namespace. No device makes this slow: each is seen once."""
+    """The pair that a person would choose: usual names, one namespace. Each topic is visited once."""
     best: dict[tuple[str, ...], Odometry] = {}
     for odometry in sorted(odometries, key=_unlikelihood, reverse=True):
         best[_namespace(odometry[0])] = odometry

@@ -30,7 +30,7 @@ def chord_per_arc(turned_rad: float) -> float:
 
 
 def placed(frame: Pose, pose: Pose) -> Pose:
-    """A pose of a frame, told in the frame around it."""
+    """A pose in a frame, expressed in the frame around it."""
     cos, sin = math.cos(frame.theta_rad), math.sin(frame.theta_rad)
     return Pose(
         frame.x_m + cos * pose.x_m - sin * pose.y_m,

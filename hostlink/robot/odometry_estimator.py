@@ -10,17 +10,17 @@ from typing import NamedTuple
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
-SHORTEST_S = 0.05  # poses that a network delivered together say nothing about speed
+SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
 SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
-RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be asked for, and what a late pose adds
+RESET_MARGIN = 1.5  # towards the origin less is enough: what the robot may be commanded, and what a late pose adds
 ORIGIN_M = 0.05  # how near the origin the first pose after a reset is
 ORIGIN_RAD = 0.2
 SHAKE_M = 0.02
 SHAKE_RAD = 0.05
 FARTHEST_M = 1e6  # no odometry counts so far; beyond, sums lose the digits that matter
 RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest that a stalled network is waited for elsewhere
-CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are held
+CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are ignored
 
 
 class Twist(NamedTuple):
@@ -73,37 +73,37 @@ class OdometryEstimator:
     Poses that came in one read have one arrival time; only the last of them counts for the motion. One pose from
     before the window is kept, so that a motion is never measured over the few milliseconds between two late poses.
 
-    A device that restarts begins at the origin again. What is shown goes on from where the robot was (REP 105: an
-    odometry does not jump), or begins again with the device if it is not to go on; `restarts` counts them. A reset that
-    was asked for begins at the origin in any case. One pose that is far from all others is damage that the checksum let
-    pass; a second one there is believed.
+    A device that restarts begins at the origin again. What is shown continues from where the robot was (REP 105: an
+    odometry does not jump), or begins again with the device if it is not to continue; `restarts` counts them. A reset
+    that was requested begins at the origin in any case. One pose that is far from all others is damage that the
+    checksum let pass; a second one there is believed.
     """
 
-    def __init__(self, *, goes_on: bool = True, fastest: Twist = FASTEST) -> None:
-        """`goes_on`: over a restart of the device; `fastest`: what the robot may be asked for."""
+    def __init__(self, *, continues: bool = True, fastest: Twist = FASTEST) -> None:
+        """`continues`: over a restart of the device; `fastest`: what the robot may be commanded."""
         self.count = 0
-        self.restarts = 0  # how often the device began anew without being asked
+        self.restarts = 0  # how often the device began anew without a request
         self.ignored = 0  # poses that cannot be true
-        self._goes_on = goes_on
+        self._continues = continues
         self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
         self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
         self._small_rad = min(self._back_at_once.angular_rad_s, LEAP.angular_rad_s) * SHORTEST_SPAN_S
         self._frame = _NO_FRAME  # where the device's origin is in what is shown
-        self._told: _Sample | None = None  # the newest, as the device told it
+        self._newest: _Sample | None = None  # the newest, as the device published it
         self._doubtful: _Sample | None = None
         self._reset_until_s = float("-inf")
-        self._twist: Twist | None = None  # as the device tells it; None: it tells only poses
+        self._twist: Twist | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
         self._window: deque[_Sample] = deque()
 
     def expect_reset(self, now_s: float) -> None:
-        """The device was asked to make its place the origin: the next pose there is right."""
+        """The device was commanded to make its place the origin: the next pose there is right."""
         self._reset_until_s = now_s + RESET_WAIT_S
 
     def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: Twist | None = None) -> None:
         """Add a pose; one that cannot be true is not counted."""
-        told = _Sample(now_s, self.count + 1, pose)
-        if not self._is_small_motion(told) and not (_is_possible(pose) and self._place(told)):
+        new = _Sample(now_s, self.count + 1, pose)
+        if not self._is_small_motion(new) and not (_is_possible(pose) and self._place(new)):
             self.ignored += 1
             return
         self.count += 1
@@ -111,25 +111,25 @@ class OdometryEstimator:
         if window and window[-1].at_s == now_s:
             window.pop()
         is_framed = self._frame is not _NO_FRAME
-        window.append(_Sample(now_s, self.count, placed(self._frame, pose)) if is_framed else told)
+        window.append(_Sample(now_s, self.count, placed(self._frame, pose)) if is_framed else new)
         while len(window) > 1 and window[1].at_s <= now_s - WINDOW_S:
             window.popleft()
-        self._told = told
+        self._newest = new
         self._twist = twist if twist is not None and all(map(math.isfinite, twist)) else None
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
 
-    def _is_small_motion(self, told: _Sample) -> bool:
+    def _is_small_motion(self, new: _Sample) -> bool:
         """Whether it is a step that any robot may make at once: most poses need no more than this.
 
-        The distance is taken along the axes, which is never shorter; a NaN is no small motion.
+        The distance is along the axes, which is never shorter; a NaN is no small motion.
         """
-        before = self._told
-        if before is None or self._doubtful is not None or told.at_s <= self._reset_until_s:
+        before = self._newest
+        if before is None or self._doubtful is not None or new.at_s <= self._reset_until_s:
             return False
-        here, there = before.pose, told.pose
+        here, there = before.pose, new.pose
         return (
-            told.at_s - before.at_s <= LONGEST_S
+            new.at_s - before.at_s <= LONGEST_S
             and abs(there[0] - here[0]) + abs(there[1] - here[1]) <= self._small_m
             and abs(there[2] - here[2]) <= self._small_rad
             and (there != _ORIGIN or here == _ORIGIN)
@@ -154,19 +154,19 @@ class OdometryEstimator:
             ignored=self.ignored,
         )
 
-    def _place(self, told: _Sample) -> bool:
-        """Find the frame of a new pose; False: it is not to be believed yet."""
+    def _place(self, new: _Sample) -> bool:
+        """Find the frame of a new pose; False: it is not believed yet."""
         doubtful, self._doubtful = self._doubtful, None
-        change = self._change(told)
-        if doubtful is not None and self._is_there(doubtful, told, change):
+        change = self._change(new)
+        if doubtful is not None and self._is_there(doubtful, new, change):
             change = _Change.LEAP
         elif change is _Change.LEAP:
-            self._doubtful = told
+            self._doubtful = new
             return False
         if change in (_Change.RESTART, _Change.LEAP):
             self.restarts += 1
-            if self._goes_on:
-                self._frame = frame_of(self._window[-1].pose, told.pose)
+            if self._continues:
+                self._frame = frame_of(self._window[-1].pose, new.pose)
         elif change is _Change.RESET:
             self._reset_until_s = float("-inf")
             self._frame = _NO_FRAME
@@ -174,29 +174,29 @@ class OdometryEstimator:
             self._window.clear()
         return True
 
-    def _is_there(self, doubtful: _Sample, told: _Sample, change: _Change) -> bool:
-        """Whether a second pose says what a doubtful one said."""
+    def _is_there(self, doubtful: _Sample, new: _Sample, change: _Change) -> bool:
+        """Whether a second pose confirms a doubtful one."""
         if change is _Change.LEAP:
-            return not _is_too_far(doubtful, told, LEAP)
-        if change is not _Change.MOTION or self._told is None:
+            return not _is_too_far(doubtful, new, LEAP)
+        if change is not _Change.MOTION or self._newest is None:
             return False
         # By now it may be possible to have come so far, but the doubtful one came too soon for that.
-        return _apart(doubtful.pose, told.pose) < _apart(self._told.pose, told.pose)
+        return _apart(doubtful.pose, new.pose) < _apart(self._newest.pose, new.pose)
 
-    def _change(self, told: _Sample) -> _Change:
-        before = self._told
-        is_at_origin = _is_near_origin(told.pose)
-        if is_at_origin and told.at_s <= self._reset_until_s:
+    def _change(self, new: _Sample) -> _Change:
+        before = self._newest
+        is_at_origin = _is_near_origin(new.pose)
+        if is_at_origin and new.at_s <= self._reset_until_s:
             return _Change.RESET
         if before is None:
             return _Change.MOTION
-        is_silence = told.at_s - before.at_s > LONGEST_S
-        is_back = told.pose == _ORIGIN and _has_moved(before.pose)
+        is_silence = new.at_s - before.at_s > LONGEST_S
+        is_back = new.pose == _ORIGIN and _has_moved(before.pose)
         if is_back or (is_silence and is_at_origin and not _is_near_origin(before.pose)):
             return _Change.RESTART
-        if is_at_origin and _is_too_far(before, told, self._back_at_once):
+        if is_at_origin and _is_too_far(before, new, self._back_at_once):
             return _Change.RESTART
-        if _is_too_far(before, told, LEAP):
+        if _is_too_far(before, new, LEAP):
             return _Change.LEAP
         return _Change.SILENCE if is_silence else _Change.MOTION
 
@@ -218,7 +218,7 @@ def _move(before: Pose, after: Pose) -> tuple[float, float]:
 
 
 def _apart(one: Pose, other: Pose) -> float:
-    """Metres and radians as one number: only to say what is nearer."""
+    """Metres and radians as one number: only to compare."""
     return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m, wrap_angle(one.theta_rad - other.theta_rad))
 
 

@@ -1,9 +1,9 @@
-"""Presence: how long a device has said nothing, and whether that means anything: some speak often, some seldom."""
+"""Presence: how long a device has been silent, and whether that means anything: some send often, some seldom."""
 
 from collections import deque
 from statistics import median
 
-SURE_S = 3.0  # docs/protocol.md#time: whatever lives asks for the time every 2.5 s
+SURE_S = 3.0  # docs/protocol.md#time: whatever lives requests the time every 2.5 s
 SOONEST_S = 0.5  # longer than the project's passthrough waits before it dials again: 0.2 s
 USUAL_GAPS = 5  # a radio makes one or two late, not five
 _KEPT, _ENOUGH = 16, 8  # gaps; their median stands a few that are long
@@ -16,8 +16,8 @@ class Presence:
         self.heard_at_s = now_s
         self._gaps_s: deque[float] = deque(maxlen=_KEPT)
 
-    def hear(self, now_s: float) -> None:
-        """The device said something."""
+    def note_read(self, now_s: float) -> None:
+        """The device sent something."""
         if now_s > self.heard_at_s:
             self._gaps_s.append(now_s - self.heard_at_s)
             self.heard_at_s = now_s
@@ -27,7 +27,7 @@ class Presence:
         return now_s - self.heard_at_s >= SURE_S
 
     def is_probably_gone(self, now_s: float) -> bool:
-        """Whether this one, as it used to speak, would have spoken by now."""
+        """Whether this one, as it used to send, would have sent by now."""
         if len(self._gaps_s) < _ENOUGH:
             return False
         return now_s - self.heard_at_s >= max(SOONEST_S, USUAL_GAPS * median(self._gaps_s))

@@ -1,4 +1,4 @@
-"""RobotNames: which device has which robot's name. Boards that were flashed alike tell one name; each gets its own."""
+"""RobotNames: which device has which robot's name. Boards that were flashed alike announce one name."""
 
 import itertools
 from collections import defaultdict
@@ -12,9 +12,9 @@ LONGEST_NAME = 64  # characters; a name goes into logs, paths and labels
 
 
 class Origin(NamedTuple):
-    """What is known of a device before it has a name: what it calls its robot, and where it is."""
+    """What is known of a device before it has a name: the name that it announces, and where it is."""
 
-    own: str  # the name that it tells
+    own: str  # the name that it announces
     address: str
     peer: str  # the address with its port; of a serial port the path
 
@@ -23,7 +23,7 @@ class Origin(NamedTuple):
 class Named:
     """A name; `is_certain`: it can be nobody else's, because of the configuration or of an address of its own.
 
-    `is_new_number`: nobody ever had it; the device is one more of those that tell the same.
+    `is_new_number`: nobody ever had it; the device is one more of those that announce the same.
     """
 
     name: str
@@ -34,12 +34,12 @@ class Named:
 class RobotNames:
     """A name is chosen in this order:
 
-    1. the name that it tells, where the configuration gives it to its address;
-    2. the name that the same device had before: one that told the same name from the same address, and best the same
-       port; of several the one that came first;
+    1. the name that it announces, where the configuration gives it to its address;
+    2. the name that the same device had before: one that announced the same name from the same address, and best the
+       same port; of several the one that came first;
     3. a name that the configuration gives to its address: those that nobody ever had first, in their order;
-    4. the name that it tells, unless it is another's: somebody has it now, the configuration gives it to an address, or
-       several were seen who tell it, and it is the one of a device elsewhere;
+    4. the name that it announces, unless it is another's: somebody has it now, the configuration gives it to an
+       address, or several were seen that announce it, and it is the one of a device elsewhere;
     5. that name with a number: robot_0_2, robot_0_3, ...
 
     A name without a device stays its last owner's until it is forgotten.
@@ -74,7 +74,7 @@ class RobotNames:
             return Named(origin.own)
         return Named(self._numbered(origin.own), is_new_number=True)
 
-    def take(self, name: str, origin: Origin) -> None:
+    def assign(self, name: str, origin: Origin) -> None:
         """The device has the name from now on."""
         self.forget(name)
         self._live.add(name)
@@ -87,7 +87,7 @@ class RobotNames:
         self._live.discard(name)
 
     def forget(self, name: str) -> None:
-        """Nobody need have this name again."""
+        """Anybody may have this name."""
         self._live.discard(name)
         owner = self._owners.pop(name, None)
         if owner is not None:
@@ -95,11 +95,11 @@ class RobotNames:
             _drop(self._of_own, owner.own, name)
 
     def has_twins(self, origin: Origin) -> bool:
-        """Whether several robots were seen there that tell this name."""
+        """Whether several robots were seen there that announce this name."""
         return len(self._names_of(origin)) > 1
 
     def is_numbered(self, name: str, origin: Origin) -> bool:
-        """Whether a device was given a number, because nothing told it from another."""
+        """Whether a device was given a number, because nothing distinguished it from another."""
         return name != origin.own and name not in self._configured_at(origin)
 
     def _configured_at(self, origin: Origin) -> list[str]:

@@ -1,4 +1,4 @@
-"""What ROS programs expect to hear of a robot: nav_msgs/Odometry and a transform, made of what its device tells.
+"""What ROS programs expect of a robot: nav_msgs/Odometry and a transform, made of what its device publishes.
 
 Metres, radians, x forward, y left, z up (REP 103); the pose in `odom`, the motion in `base_link` (REP 105).
 """
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import Twist
 
-UNMEASURED = 1e6  # the variance of what wheels cannot tell: height, roll and pitch
+UNMEASURED = 1e6  # the variance of what wheels cannot measure: height, roll and pitch
 POSE_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)  # diff_drive_controller's for x, y and yaw
 TWIST_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)
 _AXES = 6
@@ -24,17 +24,17 @@ class FrameIds(NamedTuple):
 
 
 class Variances(NamedTuple):
-    """The covariances that a device tells, row by row; empty: it tells none."""
+    """The covariances that a device publishes, row by row; empty: none."""
 
     pose: Sequence[float] = ()
     twist: Sequence[float] = ()
 
 
-UNTOLD = Variances()
+NO_VARIANCES = Variances()
 
 
 def odometry_of(
-    pose: Pose, twist: Twist, frames: FrameIds, stamp: Mapping[str, int], told: Variances = UNTOLD
+    pose: Pose, twist: Twist, frames: FrameIds, stamp: Mapping[str, int], published: Variances = NO_VARIANCES
 ) -> dict[str, Any]:
     """A nav_msgs/Odometry of a planar pose."""
     half_rad = pose.theta_rad / 2
@@ -45,21 +45,21 @@ def odometry_of(
         "child_frame_id": frames.base,
         "pose": {
             "pose": {"position": _vector(pose.x_m, pose.y_m), "orientation": orientation},
-            "covariance": _covariance(told.pose, POSE_VARIANCES),
+            "covariance": _covariance(published.pose, POSE_VARIANCES),
         },
-        "twist": {"twist": motion, "covariance": _covariance(told.twist, TWIST_VARIANCES)},
+        "twist": {"twist": motion, "covariance": _covariance(published.twist, TWIST_VARIANCES)},
     }
 
 
 def variances_of(message: Mapping[str, Any]) -> Variances:
     """Of a decoded geometry_msgs/Pose2D, which has none, or nav_msgs/Odometry."""
     if "theta" in message:
-        return UNTOLD
+        return NO_VARIANCES
     return Variances(message["pose"]["covariance"], message["twist"]["covariance"])
 
 
 def transform_of(odometry: Mapping[str, Any]) -> dict[str, Any]:
-    """The tf2_msgs/TFMessage that says the same as an Odometry."""
+    """The tf2_msgs/TFMessage with the content of an Odometry."""
     pose = odometry["pose"]["pose"]
     transform = {"translation": pose["position"], "rotation": pose["orientation"]}
     return {
@@ -69,10 +69,10 @@ def transform_of(odometry: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _covariance(told: Sequence[float], variances: tuple[float, ...]) -> list[float]:
-    """What the device tells; where it tells nothing, a diagonal: all zeros would mean that nothing is ever wrong."""
-    if any(told) and all(map(math.isfinite, told)):
-        return list(told)
+def _covariance(published: Sequence[float], variances: tuple[float, ...]) -> list[float]:
+    """What the device publishes; else a diagonal: all zeros would mean that nothing is ever wrong."""
+    if any(published) and all(map(math.isfinite, published)):
+        return list(published)
     return [variances[row] if row == column else 0.0 for row in range(_AXES) for column in range(_AXES)]
 
 

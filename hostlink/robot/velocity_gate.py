@@ -12,14 +12,18 @@ from hostlink.robot.velocity import ZERO, Velocity
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 ZEROS = 3  # a single stop can be lost on a radio
 LONGEST_STEP_S = 0.1  # a step that comes late must not jump
-_ALL_OF_IT = 1 - 1e-9  # whatever rounding says, a way to zero loses speed to its very end, and a step reaches it
+_ALL_OF_IT = 1 - 1e-9  # whatever the rounding, a way to zero loses speed to its very end, and a step reaches it
 MAX_CLAIMS = 64  # sources of commands that one robot keeps apart; each has commanded within the last lease
-LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot hears its zero again and again: it may have no watchdog of its own
+LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot receives its zero again and again: it may have no watchdog of its own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a robot may be asked for; None: no limit. ConfigError for one that could not hold."""
+    """What a robot may be commanded; None: no limit.
+
+    Raises:
+        ConfigError: one of them cannot be kept.
+    """
 
     max_linear_m_s: float | None = 1.0
     max_angular_rad_s: float | None = 4.0
@@ -74,7 +78,7 @@ class Limits:
 class GateCounts:
     """What went through a gate, and what did not."""
 
-    commands: int = 0  # that were taken; each of the others is refused or an ignored zero
+    commands: int = 0  # that were accepted; each of the others is refused or an ignored zero
     refused: int = 0
     limited: int = 0
     ignored_zeros: int = 0
@@ -100,20 +104,20 @@ class VelocityGate:
     | idle     | -                                              | idle     | None: silence                          |
     | slowing  | -                                              | slowing  | down to zero; after that: stopping     |
     | stopping | -                                              | stopping | zero, ZEROS times; after the last: idle |
-    | held     | -                                              | held     | the velocity, on every call            |
+    | driven   | -                                              | driven   | the velocity, on every call            |
     | idle     | zero                                           | stopping | zero, once: nobody wants to drive      |
     | slowing, stopping | zero                                  | as it is | as without it                          |
-    | idle, slowing, stopping | command                         | held     | the velocity; after `restart` zero first |
+    | idle, slowing, stopping | command                         | driven   | the velocity; after `restart` zero first |
     | any but locked | command below another's claim, not of the holder | as it is | no change: RobotHeld    |
-    | held     | command of the holder                          | held     | the velocity, for a lease from now     |
-    | held     | zero of the holder                             | held     | down to zero, for the lease as it was  |
-    | held     | zero of another                                | held     | no change: an idle zero is no wish     |
-    | held     | command of another, of as high a priority      | held     | the other's, at the same accelerations |
-    | held     | lease over, stop, release by the holder        | slowing  | down to zero at the deceleration limit, |
+    | driven   | command of the holder                          | driven   | the velocity, for a lease from now     |
+    | driven   | zero of the holder                             | driven   | down to zero, for the lease as it was  |
+    | driven   | zero of another                                | driven   | no change: it does not want to drive   |
+    | driven   | command of another, of as high a priority      | driven   | the other's, at the same accelerations |
+    | driven   | lease over, stop, release by the holder        | slowing  | down to zero at the deceleration limit, |
     |          |                                                |          | at once without one                    |
-    | held     | release by another                             | held     | no change                              |
+    | driven   | release by another                             | driven   | no change                              |
     | idle     | stop                                           | stopping | zero                                   |
-    | any      | halt, restart                                  | stopping | zero, at once                          |
+    | any      | stop_at_once, restart                          | stopping | zero, at once                          |
     | any      | lock                                           | locked   | zero at once, ZEROS times, then again  |
     |          |                                                |          | every LOCKED_ZERO_INTERVAL_S           |
     | locked   | any but unlock                                 | locked   | the same: RobotHeld for each command   |
@@ -121,7 +125,7 @@ class VelocityGate:
 
     Each command claims the robot for its owner, at its priority and for a lease. Nothing ends a claim but that time,
     the owner's leaving, and a new device: after a stop or a lock the robot is not free for somebody less important,
-    while the owner goes on with his next command.
+    while the owner continues with his next command.
     """
 
     def __init__(self, robot: str, limits: Limits, *, lease_s: float = LEASE_S) -> None:
@@ -144,17 +148,17 @@ class VelocityGate:
 
     @property
     def priority(self) -> int | None:
-        """What another must have to take over."""
+        """What another must have to drive."""
         return None if self._lease is None else self._lease.priority
 
     @property
     def may_move(self) -> bool:
-        """Whether the robot is driven, slows down, or may not have heard its stop yet."""
+        """Whether the robot is driven, slows down, or may not have received its stop yet."""
         return self._lease is not None or self._zeros > 0 or not self.current.is_zero
 
     @property
     def is_active(self) -> bool:
-        """Whether `step` has something to say, now or later."""
+        """Whether `step` has something to send, now or later."""
         return self.may_move or self.lock_reason is not None
 
     def is_claimed(self, now_s: float) -> bool:
@@ -162,7 +166,12 @@ class VelocityGate:
         return any(now_s < claim.deadline_s for claim in self._claims.values())
 
     def command(self, owner: str, velocity: Velocity, *, priority: int, now_s: float) -> Velocity:
-        """Drive for the length of a lease; returns the velocity within the limits. BadRequest, RobotHeld."""
+        """Drive for the length of a lease; returns the velocity within the limits.
+
+        Raises:
+            RobotHeld: it is locked, or another claims it with a higher priority.
+            BadRequest: the velocity is not finite.
+        """
         if self.lock_reason is not None:
             self.counts.refused += 1
             raise RobotHeld(self._robot, None, lock_reason=self.lock_reason)
@@ -172,7 +181,7 @@ class VelocityGate:
         self._expire(now_s)
         lease = self._lease
         if velocity.is_zero and self.holder != owner:
-            return self._take_idle_zero()
+            return self._accept_idle_zero()
         if not velocity.is_zero and self.holder != owner:
             self._respect_claims(owner, priority, now_s)
         if lease is None and self.current.is_zero:
@@ -185,8 +194,8 @@ class VelocityGate:
         self.counts.limited += self._target != velocity
         return self._target
 
-    def _take_idle_zero(self) -> Velocity:
-        """A zero of somebody who does not drive: told to a robot that stands, ignored while another drives."""
+    def _accept_idle_zero(self) -> Velocity:
+        """A zero of somebody who does not drive: sent to a robot at rest, ignored while another drives."""
         if self._lease is None:
             self._zeros = max(self._zeros, 1)
             self.counts.commands += 1
@@ -195,7 +204,7 @@ class VelocityGate:
         return ZERO
 
     def _respect_claims(self, owner: str, priority: int, now_s: float) -> None:
-        """RobotHeld while somebody more important wants to drive."""
+        """Raise RobotHeld while somebody more important wants to drive."""
         self._claims = {name: claim for name, claim in self._claims.items() if now_s < claim.deadline_s}
         others = (claim for name, claim in self._claims.items() if name != owner)
         strongest = max(others, key=lambda claim: (claim.priority, claim.deadline_s), default=None)
@@ -220,33 +229,33 @@ class VelocityGate:
     def stop(self, *, now_s: float) -> None:
         """Anybody may stop a robot, at any time; it brakes as hard as its limits allow.
 
-        That hands it to nobody: the next command of whoever drove moves it again, and until his lease would have run
-        out nobody less important is heard.
+        Nobody else gets it by that: the next command of whoever drove moves it again, and until his lease would have
+        run out nobody less important is accepted.
         """
         self._expire(now_s)
         self.counts.stops += 1
         self._stop(now_s)
 
-    def halt(self) -> None:
-        """Zero at once, whatever the limits say."""
+    def stop_at_once(self) -> None:
+        """Zero at once, whatever the limits."""
         self._lease = None
         self.current = self._target = ZERO
         self._zeros = ZEROS
 
     def restart(self) -> None:
-        """The device is new: nothing of before holds but a lock, and its first velocity is zero whatever comes."""
-        self.halt()
+        """The device is new: nothing earlier is valid but a lock, and its first velocity is zero whatever comes."""
+        self.stop_at_once()
         self._claims.clear()
         self.is_new_device = True
 
     def lock(self, reason: str) -> None:
-        """The emergency stop: halt, and refuse every command until `unlock`."""
+        """The emergency stop: zero at once, and refuse every command until `unlock`."""
         self.counts.locks += 1
         self.lock_reason = reason
-        self.halt()
+        self.stop_at_once()
 
     def unlock(self) -> None:
-        """Commands are taken again; nothing moves before one comes."""
+        """Commands are accepted again; nothing moves before one comes."""
         self.lock_reason = None
 
     def step(self, now_s: float) -> Velocity | None:

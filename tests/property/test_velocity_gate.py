@@ -189,19 +189,19 @@ class GateHistory(RuleBasedStateMachine):
     @rule()
     def the_device_restarts(self) -> None:
         self.gate.restart()
-        self.halt()
+        self.stop_at_once()
         self.commanded.clear()
         self.is_new_device = True
 
     @rule()
     def the_daemon_ends(self) -> None:
-        self.gate.halt()
-        self.halt()
+        self.gate.stop_at_once()
+        self.stop_at_once()
 
     @rule()
     def somebody_locks_it(self) -> None:
         self.gate.lock("smoke")
-        self.halt()
+        self.stop_at_once()
         self.is_locked = True
 
     @rule()
@@ -294,7 +294,7 @@ class GateHistory(RuleBasedStateMachine):
         self.holder = None
         self.zeros = ZEROS
 
-    def halt(self) -> None:
+    def stop_at_once(self) -> None:
         self.holder = None
         self.given, self.zeros = ZERO, ZEROS
 

@@ -70,7 +70,7 @@ class Clocked:
         for _ in range(round(seconds / 0.1)):
             self.now_s += 0.1
             for link in links:
-                self.directory.hear(link, self.now_s)
+                self.directory.note_read(link, self.now_s)
 
 
 def accepted(ours: Clocked, link: int, address: str, topics: list[TopicClaim]) -> tuple[str | None, int | None]:
@@ -268,7 +268,7 @@ def test_who_speaks_seldom_is_asked_and_lives_if_it_answers() -> None:
     ours.now_s += 2.4  # all but the time between two of its requests for the time
     assert ours.claim(2, HOME, paper_robot()) == Undecided(probe=(1,))
     ours.now_s += 0.3
-    ours.directory.hear(1, ours.now_s)
+    ours.directory.note_read(1, ours.now_s)
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
 
 
@@ -320,7 +320,7 @@ def test_two_slow_ones_that_take_each_other_for_dead_do_so_once() -> None:
     assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
     ours.now_s += 0.9
     assert isinstance(ours.claim(3, HOME, paper_robot()), Undecided)
-    ours.directory.hear(2, ours.now_s)
+    ours.directory.note_read(2, ours.now_s)
     assert beside(ours, 3, HOME, paper_robot(), 2) == "robot_0_2"
 
 

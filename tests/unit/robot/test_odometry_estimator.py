@@ -166,29 +166,29 @@ RUN = arc(0.3, 0.7, 20)  # begins at (1, 2, 3)
 AGAIN = arc(0.3, 0.7, 20, Pose())  # what a device that restarted tells of the same motion
 
 
-def after_a_restart(*, goes_on: bool) -> OdometryEstimator:
-    view = OdometryEstimator(goes_on=goes_on)
+def after_a_restart(*, continues: bool) -> OdometryEstimator:
+    view = OdometryEstimator(continues=continues)
     for number, pose in enumerate(RUN + AGAIN):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
     return view
 
 
 def test_an_odometry_goes_on_over_a_restart_of_the_device() -> None:
-    view = after_a_restart(goes_on=True)
+    view = after_a_restart(continues=True)
     assert shown(view) == pytest.approx(arc(0.3, 0.7, 20, RUN[-1])[-1])
     assert twist_of(view) == pytest.approx(Twist(0.3, 0.7))
     assert seen(view).restarts == 1
 
 
 def test_it_restarts_with_the_device_if_it_is_to() -> None:
-    view = after_a_restart(goes_on=False)
+    view = after_a_restart(continues=False)
     assert shown(view) == AGAIN[-1]
     assert seen(view).restarts == 1
 
 
-@pytest.mark.parametrize("goes_on", [True, False])
-def test_a_reset_that_was_asked_for_begins_at_the_origin(goes_on: bool) -> None:
-    view = after_a_restart(goes_on=goes_on)
+@pytest.mark.parametrize("continues", [True, False])
+def test_a_reset_that_was_asked_for_begins_at_the_origin(continues: bool) -> None:
+    view = after_a_restart(continues=continues)
     view.expect_reset(4.0)
     view.update(AGAIN[-1], now_s=4.0, wall_ns=40)  # on its way before the reset was
     view.update(Pose(0.01, 0.0, 0.0), now_s=4.1, wall_ns=41)

@@ -106,7 +106,7 @@ def test_after_a_stop_the_holder_and_whoever_is_as_important_may_drive_again(own
 
 INTERRUPTIONS: dict[str, Callable[[VelocityGate], None]] = {
     "stop": lambda ours: ours.stop(now_s=0.1),
-    "halt": VelocityGate.halt,
+    "stop_at_once": VelocityGate.stop_at_once,
     "lock and unlock": lambda ours: (ours.lock("smoke"), ours.unlock())[-1],
 }
 
@@ -359,7 +359,7 @@ def test_only_unlock_opens_a_lock() -> None:
     ours.lock("smoke")
     ours.stop(now_s=0.1)
     ours.release("ann", now_s=0.1)
-    ours.halt()
+    ours.stop_at_once()
     ours.restart()
     assert ours.step(100.0) == ZERO
     assert ours.lock_reason == "smoke"

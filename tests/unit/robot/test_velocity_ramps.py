@@ -130,8 +130,8 @@ def test_a_stop_without_a_deceleration_limit_does_not_ramp() -> None:
     assert outputs(ours, 1.0) == STOPPED
 
 
-def test_a_halt_and_a_new_device_bypass_the_ramp() -> None:
-    for end in (VelocityGate.halt, VelocityGate.restart):
+def test_a_stop_at_once_and_a_new_device_bypass_the_ramp() -> None:
+    for end in (VelocityGate.stop_at_once, VelocityGate.restart):
         ours = moving(HEAVY)
         end(ours)
         assert ours.current == ZERO
