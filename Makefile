@@ -78,6 +78,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python tools/bench_link.py
 	$(BIN)/python tools/bench_api.py
 	$(BIN)/python tools/bench_crowd.py
+	$(BIN)/python tools/bench_messages.py
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto tests/property

@@ -80,12 +80,12 @@ async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
             reading = tasks.create_task(read_away(daemon))
             async with crowd(fleet, daemon), driving(fleet, daemon):
                 await asyncio.sleep(SETTLE_S)
-                before = await frames(daemon)
+                before = await frames(daemon, fleet.count)
                 before_s, began_s = cpu_s(daemon), asyncio.get_running_loop().time()
                 await asyncio.sleep(fleet.seconds)
                 used_s = cpu_s(daemon) - before_s
                 seconds = asyncio.get_running_loop().time() - began_s
-                messages = await frames(daemon) - before
+                messages = await frames(daemon, fleet.count) - before
             reading.cancel()
     core = used_s / seconds
     return {
@@ -143,10 +143,12 @@ async def drive(program: aiohttp.ClientWebSocketResponse, count: int) -> None:
         await asyncio.sleep(max(0.0, began_s + (number + 1) / (count * RATE_HZ) - loop.time()))
 
 
-async def frames(daemon: Process) -> float:
-    """How many the daemon has received and sent."""
+async def frames(daemon: Process, count: int) -> float:
+    """How many the daemon has received and sent; every robot must be connected."""
     async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/metrics") as response:
         text = await response.text()
+    if f"hostlink_links {count}.0" not in text.splitlines():
+        raise AssertionError(f"not all {count} robots are there: the machine is too busy")
     names = ("hostlink_link_frames_from_device_total", "hostlink_link_frames_to_device_total")
     return sum(float(line.rpartition(" ")[2]) for line in text.splitlines() if line.startswith(names))
 

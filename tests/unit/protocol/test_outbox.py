@@ -143,13 +143,13 @@ def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
 
 
 def test_a_paced_frame_leaves_less_than_a_byte_too_early() -> None:
-    outbox = Outbox(uart_bytes_s=3840)
+    outbox = Outbox(uart_bytes_s=11520)
     for number in range(3):
         outbox.put_command(100 + number, bytes(40))
     assert [outbox.take(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
     allowed_bytes = 128 - 24 - 40
-    assert outbox.take(now_s=(80 - allowed_bytes - 1.1) / 3840, wall_ns=0) is None
-    assert outbox.take(now_s=(80 - allowed_bytes - 0.9) / 3840, wall_ns=0) is not None
+    assert outbox.take(now_s=(80 - allowed_bytes - 1.1) / 11520, wall_ns=0) is None
+    assert outbox.take(now_s=(80 - allowed_bytes - 0.9) / 11520, wall_ns=0) is not None
 
 
 @given(st.floats(0.0, 1e6), st.integers(100, 1_000_000), st.lists(st.integers(8, 520), min_size=1, max_size=40))

@@ -1,5 +1,6 @@
 """The host's side of one device: what it asks, answers, refuses and forgets. Times are virtual."""
 
+import dataclasses
 import itertools
 
 import pytest
@@ -95,6 +96,25 @@ def test_a_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: 
             asks += 1
             host.hear(TIME + wire(*infos) + TIME)
     assert asks == MAX_SAME_REQUESTS
+
+
+def test_other_topics_are_a_new_cause_for_requests() -> None:
+    lost = LED._replace(topic_id=101)
+    host = Host(ODOMETRY, lost)
+    for _ in range(MAX_SAME_REQUESTS):
+        host.wait(1.2)
+        assert "gap" in host.requests()
+        host.hear(TIME + wire(ODOMETRY, lost) + TIME)
+    host.wait(1.2)
+    assert host.requests() == []
+    host.hear(TIME + wire(ODOMETRY._replace(name="/other"), lost) + TIME)
+    assert host.requests() == ["gap"]
+
+
+def test_a_new_session_has_counted_nothing_and_its_first_negotiation_is_one() -> None:
+    session = Session(check=check)
+    assert set(dataclasses.asdict(session.counts).values()) == {0}
+    assert Host(ODOMETRY).session.counts.negotiations == 1
 
 
 def test_damage_during_a_negotiation_causes_a_request() -> None:
