@@ -108,6 +108,16 @@ async def test_a_daemon_that_is_gone_leaves_zeros_then_id_11_then_the_end() -> N
         assert 3 * zero_frame(100) + STOP_REQUEST == SEQUENCE
 
 
+async def test_every_velocity_topic_of_a_device_is_stopped() -> None:
+    with connections(1) as (peer,):
+        async with guardian() as ours:
+            ours.watch(1, peer.ours.fileno, topic_ids=(100, 107), claim_bytes=0)
+            await expect(lambda: held(ours) == 1)
+            ours.abandon()
+        zeros = zero_frame(100) + b"\0" + zero_frame(107)
+        assert peer.read_all()[0] == 3 * zeros + STOP_REQUEST
+
+
 async def test_a_serial_port_gets_the_same_and_is_free_afterwards() -> None:
     with pty_pair() as (device, path):
         port = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)

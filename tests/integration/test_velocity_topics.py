@@ -1,14 +1,17 @@
-"""A device that takes a Twist and tells no pose, or a second Twist of a robot: its velocity has a lease, too."""
+"""A device that subscribes to a Twist and publishes no pose, or a second Twist of a robot: each has a gate, too."""
 
 import asyncio
 import struct
 
 import pytest
 
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import BadRequest, RobotHeld
+from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
-from tests.support.participants import publish
+from tests.support.participants import publish, subscribe
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -115,3 +118,87 @@ async def test_a_twist_that_is_no_velocity_by_its_name_stays_as_it_was_sent() ->
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.8):
                 await device.frame(100)
+
+
+@pytest.mark.parametrize(
+    ("infos", "topic_id", "name"), [(NO_POSE, 100, "/cart/cmd_vel"), (SECOND, 102, "/robot_0/arm_vel")]
+)
+class TestAsAnyRobot:
+    async def test_somebody_less_important_is_refused_and_told(
+        self,
+        infos: list[TopicInfo],
+        topic_id: int,
+        name: str,
+    ) -> None:
+        async with daemon() as host, fake_device(host.tcp, infos) as device, client(host) as program:
+            await expect(lambda: host.hub.topics.find(name).devices)
+            publish(host.hub, name, {"linear": {"x": 0.2}}, source="a person", priority=60)
+            await program.say(**{**DRIVE, "topic": name})
+            assert "a person drives it with a higher priority" in (await program.hear())["msg"]
+            await heard(device, topic_id, is_zero=False)
+
+    async def test_its_driver_leaves_and_it_stops_at_once(
+        self,
+        infos: list[TopicInfo],
+        topic_id: int,
+        name: str,
+    ) -> None:
+        async with daemon() as host, fake_device(host.tcp, infos) as device:
+            await driven(host, device, topic_id, name)
+            began_s = asyncio.get_running_loop().time()
+            host.hub.gates.release("test")
+            await heard(device, topic_id, is_zero=True)
+            assert asyncio.get_running_loop().time() - began_s < 0.4
+
+    async def test_subscribers_receive_what_the_gate_sends(
+        self,
+        infos: list[TopicInfo],
+        topic_id: int,
+        name: str,
+    ) -> None:
+        async with daemon() as host, fake_device(host.tcp, infos) as device:
+            await expect(lambda: host.hub.topics.find(name).devices)
+            received: list[float] = []
+            subscribe(host.hub, name, lambda message: received.append(struct.unpack("<6d", message.payload)[0]))
+            await driven(host, device, topic_id, name)
+            await heard(device, topic_id, is_zero=True)
+            await expect(lambda: received[-1:] == [0.0])
+            assert 0.3 in received
+
+
+async def test_a_second_velocity_of_a_robot_has_the_robots_limits_and_another_device_none() -> None:
+    limited = Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.25)})
+    async with (
+        daemon(limited) as host,
+        fake_device(host.tcp, SECOND) as robot,
+        fake_device(host.tcp, NO_POSE, local_host="127.0.0.3") as cart,
+    ):
+        for name, device, topic_id, speed_m_s in (
+            ("/robot_0/arm_vel", robot, 102, 0.25),
+            ("/cart/cmd_vel", cart, 100, 30.0),
+        ):
+            await expect(lambda name=name: host.hub.topics.find(name).devices)
+            publish(host.hub, name, {"linear": {"x": 30.0}})
+            while (payload := await device.frame(topic_id)) == ZERO:
+                pass
+            assert struct.unpack("<6d", payload)[0] == speed_m_s
+
+
+async def test_the_lock_holds_for_a_second_topic_that_comes_later_and_ends_with_the_unlock() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        assert (await host.rest("POST", "/api/robots/robot_0/lock"))[0] == 200
+        await device.announce(SECOND)
+        await expect(lambda: host.hub.topics.find_or_none("/robot_0/arm_vel"))
+        with pytest.raises(RobotHeld, match="locked"):
+            publish(host.hub, "/robot_0/arm_vel", {"linear": {"x": 0.3}})
+        assert (await host.rest("POST", "/api/robots/robot_0/unlock"))[0] == 200
+        await driven(host, device, 102, "/robot_0/arm_vel")
+
+
+@pytest.mark.parametrize(("infos", "name"), [(NO_POSE, "/cart/cmd_vel"), (SECOND, "/robot_0/arm_vel")])
+async def test_a_velocity_of_no_numbers_is_refused(infos: list[TopicInfo], name: str) -> None:
+    async with daemon() as host, fake_device(host.tcp, infos):
+        await expect(lambda: host.hub.topics.find(name).devices)
+        with pytest.raises(BadRequest, match="finite numbers"):
+            publish(host.hub, name, {"linear": {"x": float("nan")}})
