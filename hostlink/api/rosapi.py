@@ -10,7 +10,8 @@ from hostlink.api.stamps import to_time
 from hostlink.api.typedefs import describe
 from hostlink.errors import BadRequest, UnknownTopic
 from hostlink.hub.hub import DAEMON, Hub
-from hostlink.hub.topic_graph import Topic, resolve
+from hostlink.hub.topic import Topic
+from hostlink.hub.topic_graph import resolve
 from hostlink.messages.message_type import MessageType, ServiceType
 
 Request = Mapping[str, Any]

@@ -17,7 +17,7 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.robot_settings import limits_of
 from hostlink.hub.services import DeviceService
 from hostlink.hub.shown_names import ShownNames
-from hostlink.hub.topic_graph import DeviceSubscription, Receive, Subscriber, Topic
+from hostlink.hub.topic import DeviceSubscription, Receive, Subscriber, Topic
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from hostlink.hub.refusals import Refusals
-from hostlink.hub.topic_graph import Topic
+from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id

@@ -15,7 +15,8 @@ from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import Robot
 from hostlink.hub.services import Answer, Notify, Provider, Services
 from hostlink.hub.subscription import Subscription
-from hostlink.hub.topic_graph import Receive, Subscriber, Topic, TopicGraph, resolve
+from hostlink.hub.topic import Receive, Subscriber, Topic
+from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.freshness import Freshness

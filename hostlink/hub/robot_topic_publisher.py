@@ -15,7 +15,8 @@ from hostlink.hub.gates import Gates
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.robot import Robot
-from hostlink.hub.topic_graph import DeviceSubscription, Topic, TopicGraph, resolve
+from hostlink.hub.topic import DeviceSubscription, Topic
+from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of

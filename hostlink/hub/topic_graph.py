@@ -1,21 +1,12 @@
-"""TopicGraph: every topic by name, who publishes it, who subscribes to it."""
+"""TopicGraph: every topic by name; a topic lives as long as somebody uses it."""
 
-import asyncio
-import itertools
-import time
 from collections.abc import Callable, Hashable, Iterable
-from typing import NamedTuple
 
-from hostlink.errors import HostlinkError, UnknownTopic, WrongType
-from hostlink.hub.message import PROGRAM_PRIORITY, Message
-from hostlink.hub.node import Node
+from hostlink.errors import UnknownTopic, WrongType
+from hostlink.hub.topic import PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
-from hostlink.messages.message_type import MessageType
 
-Receive = Callable[[Message], None]
 Unsubscribe = Callable[[], None]
-
-_PROGRAM_RANK, _DAEMON_RANK, _DEVICE_RANK = range(3)  # whose type of a topic precedes another's
 
 
 def resolve(name: str) -> str:
@@ -23,192 +14,8 @@ def resolve(name: str) -> str:
     return "/" + name.lstrip("/~")
 
 
-class Subscriber(NamedTuple):
-    """Who receives the messages of a topic, and the type that it expects, if it names one."""
-
-    receive: Receive
-    key: Hashable
-    type_name: str
-    fail: Callable[[Exception], None]  # ends what the callback belongs to
-
-
-class DeviceSubscription(NamedTuple):
-    """A device's end of a topic: its link, or the gate before it. `receive` raises what refuses a message."""
-
-    receive: Receive
-    is_gate: bool
-
-
-class Topic:
-    """One name in the graph. Whoever publishes or subscribes is known by a key: a link, or a Node.
-
-    Where a velocity gate subscribes, messages go to the gates alone; what they send to their devices is delivered to
-    the other subscribers.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.type_name = ""  # until somebody names it
-        self.type: MessageType | None = None
-        self.rank = _PROGRAM_RANK  # of who named the type
-        self.messages = 0
-        self.publishers: set[Hashable] = set()
-        self.devices: dict[Hashable, DeviceSubscription] = {}
-        self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for later subscribers
-        self._subscribers: dict[int, Subscriber] = {}
-        self._numbers = itertools.count()
-        self._expected: dict[str, int] = {}  # how many subscribers expect each type
-        self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
-        self._is_gated = False
-
-    @property
-    def subscribers(self) -> tuple[Subscriber, ...]:
-        """Every subscriber that is no device, oldest first. One that comes or leaves costs the same among many."""
-        if self._snapshot is None:
-            self._snapshot = tuple(self._subscribers.values())
-        return self._snapshot
-
-    def add_subscriber(self, subscriber: Subscriber) -> int:
-        """Returns the number by which it is removed."""
-        number = next(self._numbers)
-        self._subscribers[number], self._snapshot = subscriber, None
-        if subscriber.type_name:
-            self._expected[subscriber.type_name] = self._expected.get(subscriber.type_name, 0) + 1
-        return number
-
-    def remove_subscriber(self, number: int) -> None:
-        """It may be removed already."""
-        gone = self._subscribers.pop(number, None)
-        self._snapshot = None
-        if gone is not None and gone.type_name:
-            self._expected[gone.type_name] -= 1
-            if not self._expected[gone.type_name]:
-                del self._expected[gone.type_name]
-
-    def add_device(self, key: Hashable, subscription: DeviceSubscription) -> None:
-        """A device, or a gate, subscribes."""
-        self.devices[key] = subscription
-        self._is_gated = any(each.is_gate for each in self.devices.values())
-
-    def remove_device(self, key: Hashable) -> None:
-        """It may be removed already."""
-        self.devices.pop(key, None)
-        self._is_gated = any(each.is_gate for each in self.devices.values())
-
-    @property
-    def expected_type(self) -> str:
-        """The type that the first subscriber expects that named one; empty: none did."""
-        return next(iter(self._expected), "")
-
-    @property
-    def is_used(self) -> bool:
-        """Whether anybody publishes or subscribes."""
-        return bool(self.publishers or self._subscribers or self.devices)
-
-    @property
-    def has_subscribers(self) -> bool:
-        """Whether a message would reach anybody."""
-        return bool(self._subscribers or self.devices)
-
-    @property
-    def has_device_publisher(self) -> bool:
-        """Whether a device publishes it."""
-        return any(_rank(key) == _DEVICE_RANK for key in self.publishers)
-
-    @property
-    def highest_rank(self) -> int:
-        """Of its publishers and devices; a device mostly comes first."""
-        ranks = map(_rank, itertools.chain(self.devices, self.publishers))
-        highest = _PROGRAM_RANK
-        for rank in ranks:
-            highest = max(highest, rank)
-            if highest == _DEVICE_RANK:
-                break
-        return highest
-
-    def forget_publisher(self, key: Hashable) -> None:
-        """`key` publishes no more."""
-        self.publishers.discard(key)
-        self.latched.pop(key, None)
-
-    def publish(
-        self,
-        payload: bytes,
-        *,
-        source: Hashable,
-        at_s: float | None = None,
-        priority: int = PROGRAM_PRIORITY,
-    ) -> None:
-        """Pass a payload to every device and subscriber but its source. `at_s`: loop time of its arrival, if not now.
-
-        Raises:
-            HostlinkError: a device, or its gate, refused it; all others have it.
-        """
-        if self.latched and source in self.latched:
-            self.latched[source] = payload
-        if not self._subscribers and not self.devices:
-            self.messages += 1
-            return
-        message = self._message(payload, source, asyncio.get_running_loop().time() if at_s is None else at_s, priority)
-        refusal = self._pass_to_devices(message) if self.devices else None
-        if not self._is_gated:
-            self._dispatch(message)
-        if refusal is not None:
-            raise refusal
-
-    def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
-        """Pass a payload to every subscriber, and to no device."""
-        if self._subscribers:
-            self._dispatch(self._message(payload, source, at_s, PROGRAM_PRIORITY))
-        else:
-            self.messages += 1
-
-    def _message(self, payload: bytes, source: Hashable, at_s: float, priority: int) -> Message:
-        return Message(
-            self.name,
-            self.type_name,
-            self.type,
-            payload,
-            source=source,
-            stamp_ns=time.time_ns(),
-            at_s=at_s,
-            priority=priority,
-        )
-
-    def _pass_to_devices(self, message: Message) -> HostlinkError | None:
-        refusal = None
-        for key, device in list(self.devices.items()):
-            if key is not message.source:
-                try:
-                    device.receive(message)
-                except HostlinkError as error:
-                    refusal = error
-        return refusal
-
-    def _dispatch(self, message: Message) -> None:
-        self.messages += 1
-        for subscriber in self.subscribers:
-            try:
-                subscriber.receive(message)
-            except Exception as error:  # noqa: BLE001 - a subscriber's crash is neither the device's nor another's
-                self._remove(subscriber)
-                subscriber.fail(error)
-
-    def _remove(self, subscriber: Subscriber) -> None:
-        for number, other in list(self._subscribers.items()):
-            if other is subscriber:
-                self.remove_subscriber(number)
-
-    def deliver_latched(self, subscriber: Subscriber) -> None:
-        """Pass the last message of every publisher that latches; raises what the subscriber's callback raises."""
-        at_s = asyncio.get_running_loop().time() if self.latched else 0.0
-        for source, payload in self.latched.items():
-            if payload is not None:
-                subscriber.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
-
-
 class TopicGraph:
-    """All topics of all devices and participants. A topic lives as long as somebody uses it."""
+    """All topics of all devices and participants."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
@@ -244,7 +51,7 @@ class TopicGraph:
         Raises:
             WrongType: it is in use with another type.
         """
-        topic = self._open(name, subscriber.type_name, _PROGRAM_RANK)
+        topic = self._open(name, subscriber.type_name, PROGRAM_RANK)
         number = topic.add_subscriber(subscriber)
         try:
             topic.deliver_latched(subscriber)
@@ -263,7 +70,7 @@ class TopicGraph:
         Raises:
             WrongType: it is in use with another type.
         """
-        topic = self._open(name, type_name, _rank(key))
+        topic = self._open(name, type_name, rank_of(key))
         topic.publishers.add(key)
         self._note(key, topic)
         if is_latched:
@@ -276,7 +83,7 @@ class TopicGraph:
         Raises:
             WrongType: it is in use with another type.
         """
-        topic = self._open(name, type_name, _rank(key))
+        topic = self._open(name, type_name, rank_of(key))
         topic.add_device(key, subscription)
         self._note(key, topic)
         return topic
@@ -322,7 +129,7 @@ class TopicGraph:
         if plain_name and plain_name != topic.type_name:
             if topic.type_name and rank <= topic.rank:
                 raise WrongType(resolved, topic.type_name, plain_name)
-            for key in [key for key in topic.publishers if _rank(key) < rank]:  # they meant another topic
+            for key in [key for key in topic.publishers if rank_of(key) < rank]:  # they meant another topic
                 topic.forget_publisher(key)
                 self._unnote(key, topic)
             topic.type_name, topic.type, topic.rank = plain_name, type_, rank
@@ -342,9 +149,3 @@ class TopicGraph:
             expected = topic.expected_type
             topic.type = self._catalog.message(expected) if expected else None
             topic.type_name = expected if topic.type is None else topic.type.name
-
-
-def _rank(key: Hashable) -> int:
-    if not isinstance(key, Node):
-        return _DEVICE_RANK
-    return _DAEMON_RANK if key.is_daemon else _PROGRAM_RANK

@@ -12,7 +12,8 @@ from hostlink.config import Config, LinkConfig, RobotConfig
 from hostlink.errors import RobotHeld, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Node
-from hostlink.hub.topic_graph import Subscriber, TopicGraph
+from hostlink.hub.topic import Subscriber
+from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo

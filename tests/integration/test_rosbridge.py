@@ -182,3 +182,18 @@ async def test_a_client_that_never_reads_costs_the_robot_nothing() -> None:
         await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 3000)
+
+
+async def test_a_client_that_a_fault_of_hostlink_ends_is_closed_and_its_robot_stopped() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await program.say(op="subscribe", topic="/chat", type="std_msgs/String")
+        await expect(lambda: host.hub.topics.find("/chat").subscribers)
+        await program.say(op="drive", robot="robot_0", linear=0.2, angular=0.0)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        assert (await program.hear())["result"] is True
+        host.hub.topics.find("/chat").subscribers[0].fail(ValueError("a defect"))
+        assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+        closing = await program.socket.receive(timeout=5.0)
+        assert (closing.type, closing.data) == (aiohttp.WSMsgType.CLOSE, aiohttp.WSCloseCode.INTERNAL_ERROR)
+        async with client(host) as other:
+            assert "/chat" not in (await other.call("/rosapi/topics"))["topics"]
