@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import aiohttp
 
-from tests.support.fork_server import Forked, ForkServer
+from tests.support.fork_server import Daemons, Forked
 from tests.support.unwatched_robot import BLOB_BUFFER_BYTES, Reading, UnwatchedRobot, robot_on_pty, robot_on_tcp
 
 LIMIT_S = 0.2
@@ -34,7 +34,7 @@ class Drive:
 
 
 @contextlib.asynccontextmanager
-async def driving(server: ForkServer, reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
+async def driving(server: Daemons, reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
     """Both robots move when the block begins, and commands come 200 times a second until the daemon is gone."""
     async with (
         robot_on_pty("on_wire") as (on_wire, port),

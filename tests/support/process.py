@@ -7,11 +7,13 @@ import os
 import signal
 import socket
 import sys
+from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tests.support.fork_server import Child, start
 from tests.support.waiting import expect
 
 HOSTLINK = str(Path(sys.executable).parent / "hostlink")
@@ -28,7 +30,7 @@ def free_port() -> int:
 class Process:
     """A running `hostlink serve`; its log is read as it comes."""
 
-    child: asyncio.subprocess.Process
+    child: Child | asyncio.subprocess.Process
     tcp: tuple[str, int] = ("", 0)
     url: str = ""
     log: list[dict[str, Any]] = field(default_factory=list)
@@ -52,13 +54,16 @@ class Process:
 
 @contextlib.asynccontextmanager
 async def serve(
-    *arguments: str, environment: Mapping[str, str] | None = None, program: tuple[str, ...] = (HOSTLINK,)
+    *arguments: str, environment: Mapping[str, str] | None = None, program: tuple[str, ...] = ()
 ) -> AsyncIterator[Process]:
-    """`hostlink serve` on free ports, killed at the end of the block if it still runs."""
-    child = await asyncio.create_subprocess_exec(
-        *program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments,
-        stderr=asyncio.subprocess.PIPE, env={**os.environ, **(environment or {})},
-    )  # fmt: skip
+    """`hostlink serve` on free ports, killed at the end of the block if it still runs; forked without a `program`."""
+    words = ("serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments)
+    environment = {**os.environ, **(environment or {})}
+    child: Child | asyncio.subprocess.Process
+    if program:
+        child = await asyncio.create_subprocess_exec(*program, *words, stderr=PIPE, env=environment)
+    else:
+        child = await start(*words, stderr=PIPE, environment=environment)
     process = Process(child)
     try:
         started = await process.read_log("daemon.started")
@@ -95,23 +100,18 @@ def _started(log: Path) -> Any:
 
 async def run(*arguments: str, input_text: str = "") -> tuple[int, str, str]:
     """Run a hostlink command to its end: (status, standard output, standard error)."""
-    child = await asyncio.create_subprocess_exec(
-        HOSTLINK, *arguments,
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "COLUMNS": "200", "NO_COLOR": "1"},
-    )  # fmt: skip
+    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
+    child = await start(*arguments, given=input_text.encode(), stdout=PIPE, stderr=PIPE, environment=environment)
     async with asyncio.timeout(TIMEOUT_S):
-        out, err = await child.communicate(input_text.encode())
+        out, err = await child.communicate()
     assert child.returncode is not None
     return child.returncode, out.decode(), err.decode()
 
 
 @contextlib.asynccontextmanager
-async def simulated(address: tuple[str, int], *arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
+async def simulated(address: tuple[str, int], *arguments: str) -> AsyncIterator[Child]:
     """`hostlink sim` against this daemon, for the length of the block."""
-    child = await asyncio.create_subprocess_exec(
-        HOSTLINK, "sim", "--connect", "{}:{}".format(*address), *arguments, stderr=asyncio.subprocess.PIPE
-    )
+    child = await start("sim", "--connect", "{}:{}".format(*address), *arguments, stderr=PIPE)
     try:
         yield child
     finally:

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import os
+from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import FAULTS, HEALTHY, Fault
 from hostlink.sim.robot import SimulatedRobot
 from hostlink.sim.run import run_over_streams
-from tests.support.process import HOSTLINK, free_port, run, serve, simulated
+from tests.support.fork_server import start
+from tests.support.process import free_port, run, serve, simulated
 from tests.support.pty_pair import pty_pair
 
 NOWHERE = "http://127.0.0.1:9"
@@ -88,10 +90,7 @@ async def test_an_address_in_use_names_the_program_that_has_it() -> None:
 
 async def test_doctor_listens_by_itself() -> None:
     port = free_port()
-    listening = await asyncio.create_subprocess_exec(
-        HOSTLINK, "doctor", "--json", "--listen", f"127.0.0.1:{port}", "--seconds", "4",
-        stdout=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+    listening = await start("doctor", "--json", "--listen", f"127.0.0.1:{port}", "--seconds", "4", stdout=PIPE)
     async with simulated(("127.0.0.1", port), "--fault", "wrong_md5"):
         out, _ = await listening.communicate()
     assert (listening.returncode, codes(out.decode())) == (1, ["wrong_md5"])

@@ -9,12 +9,12 @@ import signal
 import subprocess
 import termios
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.support.fork_server import Forked, ForkServer, fork_server, is_running
+from tests.support.fork_server import Daemons, Forked, is_running
 from tests.support.killing import LIMIT_S, Drive, driving, end_at, killer
 from tests.support.process import HOSTLINK
 from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
@@ -25,9 +25,8 @@ IDLE = "[link]\nidle_timeout_s = 0.6\nsilence_timeout_s = 0.6\n"
 
 
 @pytest.fixture
-async def server(tmp_path: Path) -> AsyncIterator[ForkServer]:
-    async with fork_server(tmp_path) as ready:
-        yield ready
+async def server(tmp_path: Path) -> Daemons:
+    return Daemons(tmp_path)
 
 
 def guardian_of(daemon: Forked) -> int:
@@ -49,7 +48,7 @@ async def wait_for_guardian(drive: Drive) -> None:
     await expect(lambda: held_by(guardian_of(drive.daemon)) == 2)
 
 
-async def test_without_a_guardian_a_killed_daemons_robot_moves_on(server: ForkServer, tmp_path: Path) -> None:
+async def test_without_a_guardian_a_killed_daemons_robot_moves_on(server: Daemons, tmp_path: Path) -> None:
     """So the robots of these tests do not stop by themselves."""
     file = tmp_path / "hostlink.toml"
     file.write_text(WITHOUT)
@@ -61,7 +60,7 @@ async def test_without_a_guardian_a_killed_daemons_robot_moves_on(server: ForkSe
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE])
 async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(
-    server: ForkServer, number: signal.Signals
+    server: Daemons, number: signal.Signals
 ) -> None:
     async with driving(server, Reading()) as drive:
         assert resource.prlimit(drive.daemon.pid, resource.RLIMIT_CORE)[0] == 1
@@ -69,7 +68,7 @@ async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(
         assert not is_running(drive.daemon.pid)
 
 
-async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving(server: ForkServer) -> None:
+async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving(server: Daemons) -> None:
     """`ulimit -v`: whether the MemoryErrors end it, or the kernel does, as when memory runs out: the robots stand."""
     async with driving(server, Reading(with_blobs=True)) as drive:
         resource.prlimit(drive.daemon.pid, resource.RLIMIT_AS, (2**20, 2**20))
@@ -85,7 +84,7 @@ async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving(se
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing(
-    server: ForkServer, number: signal.Signals
+    server: Daemons, number: signal.Signals
 ) -> None:
     async with driving(server, Reading()) as drive:
         guardian = guardian_of(drive.daemon)
@@ -99,7 +98,7 @@ async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing
         assert robot.velocities[-1][0] <= robot.stops[0] < ended_s
 
 
-async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(server: ForkServer) -> None:
+async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(server: Daemons) -> None:
     async with driving(server, Reading()) as drive:
         os.kill(guardian_of(drive.daemon), signal.SIGKILL)
         ended = await drive.daemon.logged("guardian.ended")
@@ -111,7 +110,7 @@ async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(s
         assert await end_at(drive, 0.0, killer(signal.SIGKILL)) <= LIMIT_S
 
 
-async def test_a_stopped_guardian_harms_nobody(server: ForkServer) -> None:
+async def test_a_stopped_guardian_harms_nobody(server: Daemons) -> None:
     async with driving(server, Reading()) as drive:
         os.kill(guardian_of(drive.daemon), signal.SIGSTOP)
         seen = [len(robot.velocities) for robot in drive.robots]
@@ -127,7 +126,7 @@ async def test_a_stopped_guardian_harms_nobody(server: ForkServer) -> None:
 
 
 async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped_guardian(
-    server: ForkServer, tmp_path: Path
+    server: Daemons, tmp_path: Path
 ) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text(IDLE)

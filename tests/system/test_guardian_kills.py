@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fork_server import ForkServer, fork_server
+from tests.support.fork_server import Daemons
 from tests.support.killing import LIMIT_S, driving, end_at, killer
 from tests.support.unwatched_robot import Reading
 
@@ -22,7 +22,7 @@ READINGS = (
 )
 
 
-async def kill_one(server: ForkServer, chance: random.Random) -> float:
+async def kill_one(server: Daemons, chance: random.Random) -> float:
     reading, after_s = chance.choice(READINGS), chance.uniform(SHORTEST_S, LONGEST_S)
     async with driving(server, reading) as drive:
         return await end_at(drive, after_s, killer(signal.SIGKILL))
@@ -34,15 +34,15 @@ async def test_a_daemon_killed_at_a_random_moment_leaves_no_robot_moving(tmp_pat
     print(f"seed {seed}")  # noqa: T201
     chances = [random.Random(seed + number) for number in range(KILLS)]
     took_s: list[float] = []
-    async with fork_server(tmp_path) as server:
+    server = Daemons(tmp_path)
 
-        async def kill_in_turn() -> None:
-            while chances:
-                took_s.append(await kill_one(server, chances.pop()))
+    async def kill_in_turn() -> None:
+        while chances:
+            took_s.append(await kill_one(server, chances.pop()))
 
-        async with asyncio.TaskGroup() as tasks:
-            for _ in range(AT_ONCE):
-                tasks.create_task(kill_in_turn())
+    async with asyncio.TaskGroup() as tasks:
+        for _ in range(AT_ONCE):
+            tasks.create_task(kill_in_turn())
     took_s.sort()
     print(f"stood after: median {took_s[KILLS // 2]:.4f} s, longest {took_s[-1]:.4f} s")  # noqa: T201
     assert len(took_s) == KILLS
