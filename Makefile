@@ -14,14 +14,22 @@ WEB := hostlink/api/web
 
 CHAOS_S ?= 600
 
+MUTANTS ?= 8
+MUTANTS_SEED ?= 1
+
+PURE := hostlink/protocol/*,hostlink/messages/*,hostlink/robot/*,hostlink/diagnosis/*
+
 WORKERS ?= $(shell echo $$((2 * $$(nproc))))# of make test: half of its time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo test check bench fuzz web screenshots firmware chain soak netns format clean
+.PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware chain soak netns format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
 	@echo "make test    run every test"
+	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found"
+	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
+	@echo "make mutants  change the core at places that a seed draws: what no test notices (MUTANTS=20 MUTANTS_SEED=7)"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
@@ -60,8 +68,22 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 test: $(VENV)/.dev $(CLIENTS)
 	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet"
-	$(BIN)/python -m pytest -m quiet
+	$(BIN)/coverage run -m pytest tests/unit
+	$(BIN)/coverage report --include=$(PURE) --fail-under=100
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet" --ignore=tests/unit
+	$(BIN)/python -m pytest -m quiet --ignore=tests/unit
+
+coverage: $(VENV)/.dev
+	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest tests/unit tests/property tests/integration
+	$(BIN)/coverage report
+	$(BIN)/coverage report --include=$(PURE) --fail-under=100
+
+mutants: $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[mutants]'
+	$(BIN)/python tools/mutants.py --seed $(MUTANTS_SEED) --count $(MUTANTS)
+
+test-pythons:
+	tools/test_pythons.sh
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check .

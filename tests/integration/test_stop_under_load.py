@@ -29,6 +29,8 @@ from tests.support.virtual_world import CATALOG, World, world
 from tests.support.waiting import expect
 from tools.faults import Script
 
+pytestmark = pytest.mark.quiet
+
 STOP = bytes(48)
 LINE_S = 0.020  # one velocity on the line, and what the passthrough adds
 FAST = Velocity(linear_x_m_s=0.3)

@@ -4,6 +4,8 @@ import pytest
 
 from tools.bench_crowd import Load, measure
 
+pytestmark = pytest.mark.quiet
+
 LONGEST_MEDIAN_MS = 50.0  # on a machine that does other things too
 MOST_MIB = 200.0
 

@@ -13,6 +13,8 @@ import pytest
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import Process, serve
 
+pytestmark = pytest.mark.quiet
+
 ATTACKERS = 1300
 DESCRIPTORS = 1024
 HALF = b"GET /api/robots HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "

@@ -20,6 +20,8 @@ from tests.support.process import HOSTLINK
 from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
 from tests.support.waiting import expect
 
+pytestmark = pytest.mark.quiet
+
 WITHOUT = "guardian = false\n"
 IDLE = "[link]\nidle_timeout_s = 0.6\nsilence_timeout_s = 0.6\n"
 

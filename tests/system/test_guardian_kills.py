@@ -12,6 +12,8 @@ from tests.support.fork_server import Daemons
 from tests.support.killing import LIMIT_S, driving, end_at, killer
 from tests.support.unwatched_robot import Reading
 
+pytestmark = pytest.mark.quiet
+
 KILLS = int(os.environ.get("HOSTLINK_KILLS", "100"))
 AT_ONCE = 3
 SHORTEST_S, LONGEST_S = 0.0, 0.3

@@ -12,11 +12,14 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import aiohttp
+import pytest
 
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import FakeDevice, fake_device, pose, topic
 from tests.support.process import Process, serve
 from tests.support.waiting import expect
+
+pytestmark = pytest.mark.quiet
 
 GOOD = 98
 TICK_S = 0.05
