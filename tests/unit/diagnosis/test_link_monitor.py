@@ -145,7 +145,7 @@ def test_another_baud_is_judged_by_what_comes_after_it() -> None:
     told.open(now_s=0.0)
     monitor = LinkMonitor(told, now_s=0.0)
     told.receive(b"noise" * 10, now_s=0.5)
-    monitor.see_baud(115200, now_s=1.0)
+    monitor.set_baud(115200, now_s=1.0)
     told.receive(b"more", now_s=1.5)
     monitor.look(2.0)
     evidence = monitor.evidence(2.0, silent_s=0.5)
