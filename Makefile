@@ -19,7 +19,8 @@ MUTANTS_SEED ?= 1
 
 PURE := hostlink/protocol/*,hostlink/messages/*,hostlink/robot/*,hostlink/diagnosis/*
 
-WORKERS ?= $(shell echo $$((2 * $$(nproc))))# of make test: half of its time is waiting
+CORES := $(shell nproc)
+WORKERS ?= $(shell echo $$((2 * $(CORES))))# of make test: half of its time is waiting
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
 .PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware chain soak netns format clean
@@ -71,7 +72,7 @@ test: $(VENV)/.dev $(CLIENTS)
 	$(BIN)/coverage run -m pytest tests/unit
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet" --ignore=tests/unit
-	$(BIN)/python -m pytest -m quiet --ignore=tests/unit
+	$(BIN)/python -m pytest -n $(CORES) -m quiet --ignore=tests/unit
 
 coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest tests/unit tests/property tests/integration

@@ -48,6 +48,7 @@ async def settled(made: Board) -> dict[str, float]:
 
 
 @pytest.mark.long
+@pytest.mark.quiet
 @pytest.mark.timeout(SOAK_S + 90)
 async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
     async with chain("cortex-m3", with_esp=True) as (daemon, made), aiohttp.ClientSession() as session:

@@ -23,6 +23,7 @@ def draw_seed() -> int:
     return int(os.environ.get("HOSTLINK_CHAOS_SEED") or (1 if is_ci else secrets.randbelow(1_000_000)))
 
 
+@pytest.mark.long
 @pytest.mark.quiet
 @pytest.mark.timeout(SECONDS + 120)
 async def test_whatever_is_played_the_robot_stops_and_the_daemon_lives() -> None:

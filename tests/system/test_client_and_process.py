@@ -12,6 +12,8 @@ from tests.support.process import serve, simulated
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
+pytestmark = pytest.mark.quiet
+
 
 def free_ports() -> tuple[int, int]:
     """Two ports that were free a moment ago."""

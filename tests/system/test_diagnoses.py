@@ -17,6 +17,8 @@ from hostlink.sim.run import run_over_tcp
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import run
 
+pytestmark = pytest.mark.quiet
+
 PATIENCE_S = 25.0
 LOOK_S = 0.2
 CODES = {

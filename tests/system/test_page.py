@@ -21,7 +21,7 @@ from tests.support.rosbridge import client
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect, expect_never
 
-pytestmark = pytest.mark.asyncio(loop_scope="module")
+pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.quiet]
 
 SEEN_S = 1.0  # within this time the page shows that nobody answers
 MOST_STREAMS = 6  # that a browser opens to one address

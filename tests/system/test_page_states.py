@@ -18,7 +18,7 @@ from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = pytest.mark.asyncio(loop_scope="module")
+pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.quiet]
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
 PICTURES = Path("build/screenshots")
