@@ -178,10 +178,9 @@ class Directory:
 
     def _name(self, entry: _Entry, replaces: int | None, now_s: float) -> Named | None:
         """None: the one that has the name elsewhere may be this one, come from another address."""
-        if replaces is not None:
-            name = self._entries[replaces].name
-            if name is not None:
-                return Named(name, not self._names.has_twins(entry.origin))
+        name = None if replaces is None else self._entries[replaces].name
+        if name is not None:
+            return Named(name, not self._names.has_twins(entry.origin))
         named = self._names.choose(entry.origin)
         holder = self._by_name.get(entry.origin.own)
         if holder is not None and named.is_new_number:

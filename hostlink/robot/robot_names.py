@@ -117,11 +117,9 @@ class RobotNames:
         return owner is None or (owner.own == name and len(self._of_own[name]) == 1)
 
     def _numbered(self, own: str) -> str:
-        for number in itertools.count(2):
-            name = f"{own[: LONGEST_NAME - len(f'_{number}')]}_{number}"
-            if name not in self._owners and name not in self._configured:
-                return name
-        raise AssertionError  # there is always one more number
+        numbers = (f"_{number}" for number in itertools.count(2))
+        names = (own[: LONGEST_NAME - len(number)] + number for number in numbers)
+        return next(name for name in names if name not in self._owners and name not in self._configured)
 
 
 def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None:
