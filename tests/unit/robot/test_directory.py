@@ -510,3 +510,12 @@ def test_several_names_at_one_address_go_to_those_who_have_them() -> None:
     assert accepted(ours, 1, HOME, paper_robot("robot_1")) == ("robot_1", None)
     assert accepted(ours, 2, HOME, paper_robot("robot_0")) == ("robot_0", None)
     assert accepted(ours, 3, HOME, plain_robot()) == ("third", None)
+
+
+def test_one_that_leaves_before_it_is_decided_leaves_nothing_behind() -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.talk(1)
+    assert isinstance(ours.claim(2, HOME, paper_robot()), Undecided)
+    ours.leave(2)
+    assert beside(ours, 3, HOME, paper_robot(), 1) == "robot_0_2"
