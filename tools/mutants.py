@@ -15,8 +15,10 @@ from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from difflib import unified_diff
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import MutationVisitor
@@ -44,7 +46,6 @@ class Mutant:
     module: str
     operator: str
     occurrence: int  # of the operator in the module
-    line: int
 
     def source(self) -> str:
         """The module with the change."""
@@ -54,8 +55,8 @@ class Mutant:
     def describe(self) -> str:
         """Where it is, and the lines before and after."""
         before, after = self._original().splitlines(), self.source().splitlines()
-        first = next(number for number, pair in enumerate(zip(before, after, strict=False)) if pair[0] != pair[1])
-        return f"{self.module}:{first + 1}\n  - {before[first].strip()}\n  + {after[first].strip()}"
+        _, _, where, *lines = unified_diff(before, after, n=0, lineterm="")
+        return "\n  ".join([f"{self.module}:{where.split(',')[0].split()[1][1:]}", *lines])
 
     def _original(self) -> str:
         return (ROOT / self.module).read_text()
@@ -81,9 +82,24 @@ def _mutants(module: str) -> Iterator[tuple[object, Mutant]]:
     for name in operator_names():
         if get_operator(name).arguments():
             continue
-        positions = [position for node in nodes for position in _operator(name).mutation_positions(node)]
-        for occurrence, (start, end) in enumerate(positions):
-            yield (start, end), Mutant(module, name, occurrence, start[0])
+        places = [(node, place) for node in nodes for place in _operator(name).mutation_positions(node)]
+        for occurrence, (node, place) in enumerate(places):
+            if not _is_declaration(node):
+                yield place, Mutant(module, name, occurrence)
+
+
+def _is_declaration(node: Any) -> bool:
+    """Whether it is part of an annotation or a mark between parameters: no test can notice a change of it."""
+    child = node
+    while (parent := child.parent) is not None and parent.type not in ("suite", "file_input"):
+        if parent.type == "annassign":
+            return child is parent.children[1]
+        if parent.type == "tfpdef" or (child is node and parent.type == "parameters"):
+            return True
+        if parent.type == "funcdef" and child is parent.annotation:
+            return True
+        child = parent
+    return False
 
 
 def survives(mutant: Mutant, folder: Path) -> bool:

@@ -10,7 +10,7 @@ from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.errors import FrameTooLarge
 from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsAsked
+from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsAsked, TopicsNegotiated
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.session import Session
 
@@ -150,3 +150,11 @@ def test_another_baud_is_judged_by_what_comes_after_it() -> None:
     monitor.look(2.0)
     evidence = monitor.evidence(2.0, silent_s=0.5)
     assert (evidence.baud, evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (115200, 54, 4)
+
+
+def test_it_knows_whether_topics_were_negotiated() -> None:
+    told = session()
+    monitor = LinkMonitor(told, now_s=0.0)
+    assert not monitor.was_negotiated
+    monitor.note(TopicsNegotiated((TWIST,), is_changed=True, gap_at=None), 1.0)
+    assert monitor.was_negotiated

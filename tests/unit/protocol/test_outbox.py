@@ -323,3 +323,13 @@ def test_the_age_of_the_oldest_frame_is_that_of_what_really_waits() -> None:
     outbox.begin_waiting(1.05)
     assert outbox.oldest_s(1.1) == pytest.approx(0.05)
     assert outbox.slowest_wait_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("uart_bytes_s", "longest"), [(960, 56), (2160, 56), (3000, 76), (3840, 104), (11520, 104), (None, float("inf"))]
+)
+def test_while_the_robot_moves_a_frame_leaves_only_if_a_stop_behind_it_is_on_the_wire_in_one_turn(
+    uart_bytes_s: int | None, longest: float
+) -> None:
+    """A turn's bytes but for a stop, never more than the ring, never less than a velocity."""
+    assert Outbox(uart_bytes_s=uart_bytes_s).prompt_bytes == pytest.approx(longest)

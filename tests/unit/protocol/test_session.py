@@ -345,3 +345,30 @@ def test_a_last_frame_goes_to_an_id_that_is_nobody_elses() -> None:
     assert host.sent() == []
     host.session.send_last(encode(LED.topic_id + 1, b"\x01"))
     assert host.sent() == [Frame(LED.topic_id + 1, b"\x01")]
+
+
+def test_each_frame_to_the_device_is_counted_with_its_bytes() -> None:
+    host = Host(LED)
+    counts = host.session.counts
+    frames, size = counts.frames_to_device, counts.bytes_to_device
+    host.session.publish("/led", b"\x01")
+    host.sent()
+    assert (counts.frames_to_device - frames, counts.bytes_to_device - size) == (1, 9)
+
+
+def test_the_time_to_an_answer_begins_with_the_request_for_topics() -> None:
+    host = Host()
+    host.sent()
+    host.hear(TIME + wire(LED) + TIME, after_s=0.2)
+    assert host.session.device_clock.answer_s == pytest.approx(0.2)
+    host.session.publish("/led", b"\x01")
+    host.sent()
+    host.hear(TIME, after_s=1.0)
+    assert host.session.device_clock.answer_s == pytest.approx(0.2)
+
+
+def test_a_topic_to_the_device_has_its_id() -> None:
+    host = Host(LED)
+    assert host.session.topic_id("/led") == LED.topic_id
+    with pytest.raises(UnknownTopic):
+        host.session.topic_id("/nope")
