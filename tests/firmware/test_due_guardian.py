@@ -22,7 +22,7 @@ def test_the_firmware_stands_in_time(frame: bytes, policy: Retry) -> None:
         with node(policy) as device:
             device.feed(VELOCITY + frame[:cut])
             device.spin(1.0)
-            heard, waiting = device.heard(), stop_sequence(100, BUFFER_BYTES)
+            heard, waiting = device.heard(), stop_sequence((100,), BUFFER_BYTES)
             for turn in range(round(LIMIT_S / TURN_S)):
                 while waiting and waiting[0][0] <= turn * TURN_S:
                     device.feed(waiting.pop(0)[1])
@@ -42,7 +42,7 @@ def test_the_simulated_robots_device_does_too() -> None:
         device.subscribe("/long", twist.name, twist.md5, lambda _: None)  # 1 of 256 passes by chance
         device.from_host.send(VELOCITY + LONG[:cut], 1.0)
         device.spin(1.0)
-        waiting = stop_sequence(100, BUFFER_BYTES)
+        waiting = stop_sequence((100,), BUFFER_BYTES)
         for turn in range(round(LIMIT_S / TURN_S)):
             while waiting and waiting[0][0] <= turn * TURN_S:
                 device.from_host.send(waiting.pop(0)[1], 1.0 + turn * TURN_S)

@@ -1,17 +1,18 @@
 """The daemon on uvloop: its transports, readers and sockets differ from those of asyncio."""
 
 import asyncio
+import os
 import signal
-from collections.abc import AsyncIterator
+import subprocess
 from pathlib import Path
 
 import aiohttp
 import pytest
 
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.fork_server import ForkServer, fork_server
+from tests.support.fork_server import Daemons
 from tests.support.killing import LIMIT_S, driving, end_at, killer
-from tests.support.process import run, serve
+from tests.support.process import HOSTLINK, run, serve
 from tests.support.pty_pair import pty_pair
 from tests.support.unwatched_robot import Reading
 from tests.support.waiting import expect
@@ -27,9 +28,8 @@ def is_loaded(library: str, pid: int) -> bool:
 
 
 @pytest.fixture
-async def server(tmp_path: Path) -> AsyncIterator[ForkServer]:
-    async with fork_server(tmp_path) as ready:
-        yield ready
+async def server(tmp_path: Path) -> Daemons:
+    return Daemons(tmp_path)
 
 
 async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
@@ -57,7 +57,7 @@ async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
         assert not [line for line in daemon.log if str(line["event"]).endswith(".crashed")]
 
 
-async def test_a_killed_daemon_leaves_no_robot_moving(server: ForkServer) -> None:
+async def test_a_killed_daemon_leaves_no_robot_moving(server: Daemons) -> None:
     """The guardian has duplicates of the descriptors of uvloop's transports."""
     async with driving(server, Reading(), *ON_UVLOOP) as drive:
         guardian = int(drive.daemon.log("guardian.started")[-1]["pid"])
@@ -65,9 +65,14 @@ async def test_a_killed_daemon_leaves_no_robot_moving(server: ForkServer) -> Non
         assert await end_at(drive, 0.1, killer(signal.SIGKILL)) < LIMIT_S
 
 
-async def test_a_loop_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_unknown_loop_is_one_line() -> None:
     assert await run("serve", "--loop", "trio") == (2, "", "hostlink: --loop: trio is none of asyncio, uvloop\n")
+
+
+def test_a_loop_that_is_not_installed_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "uvloop.py").write_text("raise ImportError")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    command = [HOSTLINK, "serve", *ON_UVLOOP]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20, env=environment)
     message = 'hostlink: --loop: uvloop is not installed: pip install "hostlink[uvloop]"\n'
-    assert await run("serve", *ON_UVLOOP) == (2, "", message)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (2, "", message)

@@ -147,7 +147,7 @@ def test_another_baud_is_judged_by_what_comes_after_it() -> None:
     told.receive(b"noise" * 10, now_s=0.5)
     monitor.set_baud(115200, now_s=1.0)
     told.receive(b"more", now_s=1.5)
-    monitor.look(2.0)
+    monitor.sample(2.0)
     evidence = monitor.evidence(2.0, silent_s=0.5)
     assert (evidence.baud, evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (115200, 54, 4)
 
@@ -156,5 +156,5 @@ def test_it_knows_whether_topics_were_negotiated() -> None:
     told = session()
     monitor = LinkMonitor(told, now_s=0.0)
     assert not monitor.was_negotiated
-    monitor.note(TopicsNegotiated((TWIST,), is_changed=True, gap_at=None), 1.0)
+    monitor.observe(TopicsNegotiated((TWIST,), is_changed=True, gap_at=None), 1.0)
     assert monitor.was_negotiated
