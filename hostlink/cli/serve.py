@@ -140,6 +140,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
         raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
+    new_loop = loop_factory(loop)
     logs.configure(level=log_level)
     file = check_config or config
     settings = merge(load(file) if file else Config(), listen=listen, serial=serial, api=api, messages=messages)
@@ -150,7 +151,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         return
     for warning in warnings:
         log.warning("config.suspicious", reason=warning)
-    with asyncio.Runner(loop_factory=loop_factory(loop)) as runner:
+    with asyncio.Runner(loop_factory=new_loop) as runner:
         runner.run(_serve(fitted(settings, limit()), Notifier(os.environ)))
 
 
