@@ -1,5 +1,6 @@
 """Every document that is named in the tree exists, and so does the section that is named with it."""
 
+import ast
 import functools
 import os
 import re
@@ -93,3 +94,25 @@ def test_a_document_that_is_not_there_is_found(text: str, found: list[str]) -> N
 )
 def test_a_link_to_what_is_not_there_is_found(text: str, found: list[str]) -> None:
     assert list(broken_links(text, folder=ROOT / "docs")) == found
+
+
+WAY = re.compile(r"^\| `(hostlink/[\w/]+\.py)` \| `([\w.]+)` \|", re.MULTILINE)
+
+
+def ways(text: str) -> list[list[tuple[str, str]]]:
+    """The tables of files and functions of "A reader's way"."""
+    section = text.partition("## A reader's way")[2].partition("\n## ")[0]
+    return [found for table in section.split("\n\n") if (found := WAY.findall(table))]
+
+
+def test_the_reader_s_way_names_functions_that_exist_and_no_file_twice() -> None:
+    both = ways((ROOT / "CONTRIBUTING.md").read_text())
+    assert len(both) == 2
+    for way in both:
+        assert len({file for file, _ in way}) == len(way) > 8
+        for file, function in way:
+            owner, _, name = function.partition(".")
+            tree = ast.parse((ROOT / file).read_text())
+            found = next(each for each in tree.body if isinstance(each, ast.ClassDef) and each.name == owner)
+            methods = {each.name for each in found.body if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)}
+            assert name in methods, f"{file}: {function}"
