@@ -69,13 +69,15 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 test: $(VENV)/.dev $(CLIENTS)
 	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
-	$(BIN)/coverage run -m pytest tests/unit
+	$(BIN)/coverage run -m pytest -n $(CORES) tests/unit
+	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet" --ignore=tests/unit
 	$(BIN)/python -m pytest -n $(CORES) -m quiet --ignore=tests/unit
 
 coverage: $(VENV)/.dev
-	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest tests/unit tests/property tests/integration
+	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration
+	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
 
