@@ -12,7 +12,7 @@ import pytest
 
 from hostlink.cli.systemd import Notifier
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import run, serve
+from tests.support.process import free_port, run, serve
 
 WATCHDOG_S = 0.4
 
@@ -101,7 +101,8 @@ def test_the_watchdog_is_fed_twice_in_its_time(environment: dict[str, str], inte
 
 async def test_a_configuration_is_checked_without_being_served(tmp_path: Path) -> None:
     path = tmp_path / "hostlink.toml"
-    path.write_text('[[serial]]\npath = "/dev/ttyACM0"\n[api]\nport = 9191\n')
+    port = free_port()
+    path.write_text(f'[[serial]]\npath = "/dev/ttyACM0"\n[tcp]\nport = {port}\n[api]\nport = 9191\n')
     status, out, err = await run("serve", "--check-config", str(path))
     assert (status, err) == (0, "")
     assert "a device on /dev/ttyACM0 at 57600 baud\nprograms on http://127.0.0.1:9191\n" in out
