@@ -163,4 +163,4 @@ def _explain(error: OSError | OverflowError) -> str:
         return "is in use: another host for rosserial runs; stop it, or choose another port with --listen HOST:PORT"
     is_lookup = isinstance(error, socket.gaierror)  # its numbers are not the system's
     reason = error.strerror if is_lookup or error.errno is None else os.strerror(error.errno)
-    return f"cannot be listened on: {reason}"
+    return f"cannot be listened on: {reason or error}"  # Python 3.13 has a text alone for an address of no interface
