@@ -163,7 +163,7 @@ class Client(asyncio.Protocol):
         more = (f"Sec-WebSocket-Key: {key}", "Sec-WebSocket-Version: 13", "", "")
         transport.write("\r\n".join((*head, *more)).encode())
 
-    def say(self, **request: Any) -> None:
+    def send(self, **request: Any) -> None:
         """One text frame, masked with zeros."""
         body = json.dumps(request).encode()
         if self.transport is None:
@@ -215,7 +215,7 @@ async def clients(to: Server, count: int, compression: str = "none") -> AsyncIte
     loop = asyncio.get_running_loop()
     found = [(await loop.create_connection(Client, *to.api))[1] for _ in range(count)]
     for client in found:
-        client.say(op="subscribe", topic="/bench", compression=compression)
+        client.send(op="subscribe", topic="/bench", compression=compression)
     await asyncio.sleep(SETTLE_S)
     try:
         yield found
@@ -353,7 +353,7 @@ async def beside_a_stuck_client(scale: float) -> list[dict[str, Any]]:
     found: dict[bool, list[float]] = {}
     for is_stuck in (False, True):
         async with daemon() as host, device(host) as writer, clients(host, 1) as good, clients(host, 1) as other:
-            other[0].say(op="subscribe", topic="/image")
+            other[0].send(op="subscribe", topic="/image")
             if is_stuck and other[0].transport is not None:
                 other[0].transport.pause_reading()
 

@@ -66,7 +66,7 @@ def measure(policy: Policy, deliveries: list[list[tuple[float, bytes]]], dice: r
                 wait_s = turn(uart, pieces, device, now_s)
                 now_s += policy.loop_s if wait_s is None else wait_s
             sent += sum(len(piece) for _, piece in delivery)
-            received += len(device.heard())
+            received += len(device.received())
     return sent // len(FRAME) - received, sent - received * len(FRAME)
 
 

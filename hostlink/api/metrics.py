@@ -94,7 +94,7 @@ class _Graph(Collector):
             value=self._hub.isolation.crashes["link"],
         )
         yield CounterMetricFamily(
-            "hostlink_messages_unheard", "Messages of devices that were not known in time", value=self._hub.unheard
+            "hostlink_messages_unheard", "Messages of devices that were not known in time", value=self._hub.undelivered
         )
         crashes = CounterMetricFamily("hostlink_crashes", "Faults of hostlink, by what they ended", labels=["what"])
         for what, count in self._hub.isolation.crashes.items():

@@ -223,7 +223,7 @@ class ApiServer:
                     client.messages_from_client += 1
                     now_s = loop.time()
                     is_flooding, before_s = now_s < before_s + FLOOD_GAP_S, now_s
-                    await turns.take(functools.partial(rosbridge.receive, message.data), is_flooding=is_flooding)
+                    await turns.run(functools.partial(rosbridge.receive, message.data), is_flooding=is_flooding)
                     if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
                         await self._refuse_flood(socket)
                         break

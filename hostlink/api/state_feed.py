@@ -210,7 +210,7 @@ class StateFeed:
             self._spent_s += now_s() - began_s
 
         while not is_done:
-            await self._turns.take(work_on_some, is_flooding=True)
+            await self._turns.run(work_on_some, is_flooding=True)
 
 
 def _essence(view: RobotView) -> object:

@@ -301,7 +301,7 @@ async def links_view(hub: Hub) -> dict[str, object]:
         links.extend(msgspec.Raw(msgspec.json.encode(view)) for view in islice(views, 1))
 
     for _ in hub.links():
-        await turns.take(add, is_flooding=True)
+        await turns.run(add, is_flooding=True)
     return {**link_history_view(hub), "links": links}
 
 

@@ -24,7 +24,7 @@ class Mailbox(Generic[Item]):
             self.dropped += 1
         self._queue.put_nowait(item)
 
-    def take_all(self) -> list[Item]:
+    def pop_all(self) -> list[Item]:
         """What waits now, without waiting.
 
         Raises:

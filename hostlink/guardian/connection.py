@@ -37,7 +37,7 @@ class Connection:
     def events(self, now_s: float) -> int:
         """What poll() should wait for."""
         wanted = select.POLLIN if self._is_readable else 0
-        return wanted | select.POLLOUT if self._writer.take_due(now_s) else wanted
+        return wanted | select.POLLOUT if self._writer.pop_due(now_s) else wanted
 
     def next_s(self) -> float | None:
         """When there is more to write; None: never."""
@@ -77,7 +77,7 @@ class Connection:
 
     def _write(self, now_s: float) -> None:
         try:
-            while waiting := self._writer.take_due(now_s):
+            while waiting := self._writer.pop_due(now_s):
                 self._writer.written(os.write(self.descriptor, waiting))
         except BlockingIOError:
             return  # poll() returns when there is room

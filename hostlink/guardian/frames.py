@@ -4,7 +4,7 @@ There is no frame here that moves a robot: of a velocity only the topic ids can 
 """
 
 TWIST_BYTES = 48  # geometry_msgs/Twist: six float64
-ZEROS = 3  # as many as the daemon's own farewell: a single one can be lost on a radio
+ZEROS = 3  # as many as the daemon's own shutdown: a single one can be lost on a radio
 INTERVAL_S = 0.05
 STOP_REQUEST = b"\xff\xfe\x00\x00\xff\x0b\x00\xf4"  # id 11
 
@@ -45,7 +45,7 @@ class StopWriter:
         self._waiting = b""
         self._is_begun = False
 
-    def take_due(self, now_s: float) -> bytes:
+    def pop_due(self, now_s: float) -> bytes:
         """What should be written by now, `now_s` after the daemon's end, and was not."""
         if not self._is_begun:  # not before: a sequence may be long, and connections many
             self._is_begun = True

@@ -91,12 +91,12 @@ class Guardian:
     ) -> None:
         """A link has these velocity topics; `connection` gives its descriptor while it is open."""
         self._roster.watch(number, Watched(connection, tuple(topic_ids), claim_bytes))
-        self._tell()
+        self._send_next()
 
     def release(self, number: int) -> None:
         """A link has ended, or is no robot's any more."""
         self._roster.release(number)
-        self._tell()
+        self._send_next()
 
     def start(self) -> None:
         """Start the process, now or as soon as it can be."""
@@ -109,9 +109,9 @@ class Guardian:
         self._missing, self._asked, self._is_incomplete = "", None, False
         self._started_at_s = loop.time()
         log.info("guardian.started", pid=self._process.pid)
-        loop.add_reader(self._channel, self._hear)
+        loop.add_reader(self._channel, self._receive)
         self._later(self._ping_s, self._check)
-        self._tell()
+        self._send_next()
 
     def goodbye(self) -> None:
         """The daemon has stopped the robots by itself: end the process, which sends nothing."""
@@ -127,7 +127,7 @@ class Guardian:
 
     # -- the process --------------------------------------------------------------------------------------------------
 
-    def _tell(self) -> None:
+    def _send_next(self) -> None:
         """Send what the process does not know yet, as far as there is room."""
         if self._channel is None:
             return
@@ -137,7 +137,7 @@ class Guardian:
             try:
                 _send(self._channel, record, descriptor)
             except BlockingIOError:
-                loop.add_writer(self._channel, self._tell)
+                loop.add_writer(self._channel, self._send_next)
                 return
             except OSError as error:
                 self._lose(error.strerror or str(error))
@@ -145,7 +145,7 @@ class Guardian:
             self._roster.confirm(is_held=descriptor is not None)
         loop.remove_writer(self._channel)
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         assert self._channel is not None  # noqa: S101 - a reader is removed with its channel
         try:
             answer = self._channel.recv(ANSWER_BYTES)

@@ -37,7 +37,7 @@ def main(descriptor: int) -> None:
     connections: dict[int, Connection] = {}
     if not listen(channel, connections):
         stop(list(connections.values()))
-    os._exit(0)  # closes what is held, without the interpreter's own farewell
+    os._exit(0)  # closes what is held, without the interpreter's own shutdown
 
 
 def prepare() -> None:

@@ -193,9 +193,9 @@ class Hub:
         return name if device is None else device.shown.of(name)
 
     @property
-    def unheard(self) -> int:
+    def undelivered(self) -> int:
         """Messages that were lost because it was not known in time which device sent them."""
-        return self._identities.unheard
+        return self._identities.undelivered
 
     async def shutdown(self) -> None:
         """Stop every robot, request silence of every device, end every link; bounded by SHUTDOWN_TIMEOUT_S.

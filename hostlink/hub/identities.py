@@ -45,7 +45,7 @@ class Identities:
         self, affected: Affected, directory: Directory, *, spawn: Callable[[Coroutine[Any, Any, object], str], None]
     ) -> None:
         self.devices: dict[int, Device] = {}
-        self.unheard = 0  # messages of devices that left before it was known who they are, or had too many
+        self.undelivered = 0  # messages of devices that left before it was known who they are, or had too many
         self._affected, self._directory = affected, directory
         self._spawn = spawn
 
@@ -60,13 +60,13 @@ class Identities:
 
     def keep(self, device: Device, message: MessageReceived) -> None:
         """It is not known yet who the device is: its messages are passed on later."""
-        self.unheard += device.early.add(message)
+        self.undelivered += device.early.add(message)
 
     def forget(self, link: Link) -> None:
         """The link has ended, or another replaces it."""
         device = self.devices.pop(link.number, None)
         if device is not None:
-            self.unheard += len(device.early)
+            self.undelivered += len(device.early)
             self._leave_graph(device)
             self._affected.gates.release(str(link))  # a device may drive another
             self._directory.leave(link.number)

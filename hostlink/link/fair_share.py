@@ -84,7 +84,7 @@ class Turns:
         self._share = share
         self._cost_s = TURN_S  # of the first piece nobody knows
 
-    async def take(self, work: Callable[[], None], *, is_flooding: bool) -> None:
+    async def run(self, work: Callable[[], None], *, is_flooding: bool) -> None:
         """Do a piece of work when it is its turn."""
         began_s = await self.begin(is_flooding=is_flooding)
         try:

@@ -134,7 +134,7 @@ class Node:
     def sent(self) -> bytes:
         return _taken(library().node_sent, self._handle)
 
-    def heard(self) -> list[bytes]:
+    def received(self) -> list[bytes]:
         data = _taken(library().node_heard, self._handle)
         out_of: list[bytes] = []
         while data:

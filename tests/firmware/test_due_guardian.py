@@ -22,13 +22,13 @@ def test_the_firmware_stands_in_time(frame: bytes, policy: Retry) -> None:
         with node(policy) as device:
             device.feed(VELOCITY + frame[:cut])
             device.spin(1.0)
-            heard, waiting = device.heard(), stop_sequence((100,), BUFFER_BYTES)
+            heard, waiting = device.received(), stop_sequence((100,), BUFFER_BYTES)
             for turn in range(round(LIMIT_S / TURN_S)):
                 while waiting and waiting[0][0] <= turn * TURN_S:
                     device.feed(waiting.pop(0)[1])
                 while (wait_s := device.spin(1.0 + turn * TURN_S)) is not None:
                     assert wait_s < TURN_S + 0.001
-                heard += device.heard()
+                heard += device.received()
             assert heard[-1] == bytes(48), cut
 
 

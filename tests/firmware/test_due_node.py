@@ -54,7 +54,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_frames(
                 twin.from_host.send(piece, now_s)
                 ended_s = spin(device, now_s)
                 assert spin(twin, now_s) == pytest.approx(ended_s)
-                assert device.heard() == heard
+                assert device.received() == heard
                 heard.clear()
                 assert device.sent() == twin.to_host.take(now_s + 1.0)
                 assert device.is_configured == twin.is_configured
@@ -73,10 +73,10 @@ def test_any_bytes_at_any_time_and_it_finds_the_next_good_frame(
             now_s = spin(device, now_s) + pause_s
         for _ in range(10):
             now_s = spin(device, now_s + 0.3)
-        device.heard()
+        device.received()
         device.feed(LED)
         spin(device, now_s + 0.3)
-        assert device.heard()[-1:] == [b"\x01"]
+        assert device.received()[-1:] == [b"\x01"]
 
 
 @given(pieces=st.lists(st.integers(1, 20), min_size=1), pause_s=st.floats(0.0, 0.04), junk=st.binary(max_size=10))
@@ -93,7 +93,7 @@ def test_the_default_keeps_a_frame_through_any_gap_up_to_a_quarter_of_a_second(
             at += size
             assert device.spin(now_s) is None, "it never waits"
             now_s += pause_s
-        assert device.heard() == [b"\x22" * 48]
+        assert device.received() == [b"\x22" * 48]
 
 
 def test_the_default_does_not_lose_a_frame_to_what_stands_before_it() -> None:
@@ -110,7 +110,7 @@ def test_the_default_does_not_lose_a_frame_to_what_stands_before_it() -> None:
             device.feed(junk + LED + LED)
             spin(device, 1.0)
             spin(device, 1.5)
-            assert device.heard()[-1:] == [b"\x01"], junk
+            assert device.received()[-1:] == [b"\x01"], junk
 
 
 def test_topics_time_log_parameters_and_stop() -> None:
@@ -163,7 +163,7 @@ def test_ids_and_sizes_that_no_topic_has_are_refused(frame: bytes, retry: Retry)
     with node(retry) as device:
         device.feed(frame + LED)
         spin(device, 1.0)
-        assert device.heard() == [b"\x01"]
+        assert device.received() == [b"\x01"]
         assert device.refused + device.dropped_from_host > 0
 
 
@@ -301,7 +301,7 @@ def test_a_frame_found_among_bytes_that_are_read_again_has_its_own_quarter_of_a_
         device.spin(1.24)
         device.feed(LED[8:])
         device.spin(1.26)
-        assert device.heard() == [b"\x01"]
+        assert device.received() == [b"\x01"]
 
 
 @pytest.mark.parametrize("topic_id", [1, 7, 99, 100, 102, 65535])
@@ -310,7 +310,7 @@ def test_a_false_header_does_not_make_the_default_deaf(topic_id: int) -> None:
     with node() as device:
         device.feed(encode(topic_id, bytes(510))[:7] + LED)
         spin(device, 1.0)
-        assert device.heard() == [b"\x01"]
+        assert device.received() == [b"\x01"]
 
 
 @pytest.mark.parametrize("retries", [True, False])
@@ -330,7 +330,7 @@ def test_the_same_frames_also_at_the_pace_of_the_line(retries: bool, story: list
             sent_at_s += round(pause_s, 3)
             while now_s < sent_at_s:
                 now_s += turn(device, twin, line, now_s)
-                assert device.heard() == heard
+                assert device.received() == heard
                 heard.clear()
             for end in (line, twin.from_host):
                 end.send(data, sent_at_s)

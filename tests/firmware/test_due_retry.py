@@ -38,5 +38,5 @@ def test_the_best_is_the_default() -> None:
         assert default.spin(1.0) is None
         default.feed(b"\x65\x00\x01\x99")
         assert default.spin(1.2) is None
-        assert default.heard() == [b"\x01"]
+        assert default.received() == [b"\x01"]
     assert max(Retry) is Retry.KEEP_STATE

@@ -71,16 +71,16 @@ async def test_roles_on_the_websocket() -> None:
         assert refusal.value.status == 401
         async with host.session.ws_connect(f"{host.url}/?token={READ}") as socket:
             watcher = Client(socket)
-            await watcher.say(op="set_level", level="error")
+            await watcher.send(op="set_level", level="error")
             for op in ("publish", "drive", "advertise", "advertise_service", "unadvertise", "service_response"):
-                await watcher.say(op=op, topic="/robot_0/velocity_commands", type="geometry_msgs/Twist", msg={})
-                assert (await watcher.hear())["msg"] == f"{op}: the token may only read"
-            await watcher.say(op="call_service", service="/rosapi/set_param", args={"name": "a", "value": "1"})
-            assert (await watcher.hear())["result"] is False
+                await watcher.send(op=op, topic="/robot_0/velocity_commands", type="geometry_msgs/Twist", msg={})
+                assert (await watcher.receive())["msg"] == f"{op}: the token may only read"
+            await watcher.send(op="call_service", service="/rosapi/set_param", args={"name": "a", "value": "1"})
+            assert (await watcher.receive())["result"] is False
             assert "/robot_0/odometry" in (await watcher.call("/rosapi/topics"))["topics"]
             assert host.hub.robots.find("robot_0").gate.holder is None
         async with host.session.ws_connect(host.url, headers=bearer(DRIVE)) as socket:
-            await Client(socket).say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.2}})
+            await Client(socket).send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.2}})
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
             assert [client["token"] for client in await views(host)] == ["phone"]
 

@@ -159,7 +159,7 @@ async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_
         assert (await world.lost()).dropped == ("robot_0",)
         await world.stands()
         assert (await world.change()).is_connected
-        poses.take_all()
+        poses.pop_all()
         await anext(poses)
         await anext(odometry)
         await anext(events)

@@ -310,7 +310,7 @@ async def test_a_program_on_the_websocket_that_vanishes_leaves_a_standing_robot(
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await greeted(device)
         twist = {"linear": {"x": 0.2}, "angular": {"z": 0.5}}
-        await program.say(op="publish", topic="/robot_0/velocity_commands", msg=twist)
+        await program.send(op="publish", topic="/robot_0/velocity_commands", msg=twist)
         assert await device.velocity() == CURVE
         if way == "close":
             await program.socket.close()

@@ -147,15 +147,17 @@ async def test_a_service_that_each_asks_for_is_that_of_its_name_else_that_of_all
         return (await device.frame(105))[5:]
 
     async def offer(program: Any, name: str) -> None:
-        await program.say(op="advertise_service", service=name, type="std_srvs/SetBool")
+        await program.send(op="advertise_service", service=name, type="std_srvs/SetBool")
         await expect(lambda: host.hub.services.provider(name))
 
     async def answered(program: Any, device: FakeDevice, word: str) -> None:
         async with asyncio.TaskGroup() as tasks:
             asking = tasks.create_task(ask(device))
-            call = await program.hear()
+            call = await program.receive()
             values = {"success": True, "message": word}
-            await program.say(op="service_response", service=call["service"], id=call["id"], values=values, result=True)
+            await program.send(
+                op="service_response", service=call["service"], id=call["id"], values=values, result=True
+            )
         assert asking.result() == word.encode()
 
     async with daemon(CONFIGURED) as host, two_alike(host, second=OTHER) as (one, other), client(host) as program:
@@ -266,7 +268,7 @@ async def test_what_a_device_says_while_it_is_not_known_who_it_is_is_heard_later
         async with fake_device(host.tcp, robot_topics()) as back:
             await back.send(b"".join(pose(x / 10) for x in range(5)))
             await expect(lambda: len(heard) == 5)
-            assert host.hub.unheard == 0
+            assert host.hub.undelivered == 0
     assert heard == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 

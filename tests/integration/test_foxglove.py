@@ -47,12 +47,12 @@ async def test_a_player_shows_a_robot_by_what_it_is_told_alone() -> None:
         assert "/clock" not in graph
         reader = reader_of(graph)
         for name in wanted:
-            await player.say(op="subscribe", id=f"subscribe:{name}:1", topic=name, compression="cbor-raw")
+            await player.send(op="subscribe", id=f"subscribe:{name}:1", topic=name, compression="cbor-raw")
         await subscribed(host, wanted)
         await device.send(pose(1.0, 2.0, 0.5) + encode(Id.LOG, encode_log(Log(2, "warm"))))
         read = {}
         for _ in wanted:
-            frame = await player.hear_binary()
+            frame = await player.receive_binary()
             package, name = graph[frame["topic"]][0].split("/")
             read[frame["topic"]] = reader.deserialize_ros1(frame["msg"]["bytes"], f"{package}/msg/{name}")
             assert frame["msg"]["secs"] > 1_700_000_000
@@ -63,14 +63,14 @@ async def test_a_player_shows_a_robot_by_what_it_is_told_alone() -> None:
 
 async def test_the_graph_is_looked_at_while_messages_flow() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host, level="none") as player:
-        await player.say(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
+        await player.send(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
         await subscribed(host, ["/robot_0/odometry"])
         for number in range(3):
             for service, args in (
                 ("/rosapi/topics_and_raw_types", {}), (NODES, {}), ("/rosapi/node_details", {"node": "/robot_0"}),
                 ("/rosapi/service_type", {"service": NODES}),
             ):  # fmt: skip
-                await player.say(op="call_service", id=f"{service}:{number}", service=service, args=args)
+                await player.send(op="call_service", id=f"{service}:{number}", service=service, args=args)
             await device.send(pose(float(number)))
         async with asyncio.timeout(5):
             frames = [await player.socket.receive() for _ in range(15)]
@@ -85,9 +85,9 @@ async def test_the_graph_is_looked_at_while_messages_flow() -> None:
 
 async def test_a_topic_that_comes_while_it_looks_is_there_at_the_next_look() -> None:
     async with daemon() as host, client(host, level="none") as player:
-        await player.say(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
+        await player.send(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
         assert set(await look(player)) == {"/rosout"}
         async with fake_device(host.tcp, robot_topics()) as device:
             assert (await look(player))["/robot_0/odometry"][0] == "geometry_msgs/Pose2D"
             await device.send(pose(7.0))
-            assert (await player.hear_binary())["topic"] == "/robot_0/odometry"
+            assert (await player.receive_binary())["topic"] == "/robot_0/odometry"

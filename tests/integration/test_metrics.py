@@ -27,10 +27,10 @@ async def metrics(host: Daemon) -> dict[str, float]:
 async def test_links_robots_and_clients() -> None:
     device_labels = "[('peer', '127.0.0.1'), ('robot', 'robot_0')]"
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odometry")
+        await program.send(op="subscribe", topic="/robot_0/odometry")
         await program.call("/rosapi/get_time")  # by now the subscription stands
         await device.send(b"noise" + pose(1.0, 2.0, 0.5))
-        await program.hear()
+        await program.receive()
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
         seen = await metrics(host)
         assert seen["hostlink_links[]"] == 1

@@ -57,7 +57,7 @@ async def test_a_reset_by_somebody_is_at_the_origin_and_no_restart(way: str) -> 
         if way == "rest":
             assert (await host.rest("POST", "/api/robots/robot_0/odometry/reset"))[0] == 200
         else:
-            await program.say(op="publish", topic="/robot_0/reset_odometry", msg={})
+            await program.send(op="publish", topic="/robot_0/reset_odometry", msg={})
         assert await device.frame(101) == b""
         shown = await tell(host, device, 0.0)
     assert (shown["pose"]["x_m"], shown["restarts"]) == (0.0, 0)

@@ -306,7 +306,7 @@ def test_one_that_does_not_read_its_answers_is_too_slow() -> None:
     async def test(made: Scene) -> None:
         one = rosbridge(made, Role.DRIVE)
         for _ in range(MAX_RESULTS + 1):
-            one.say(op="drive", robot=ROBOT, linear=0.0, angular=0.0)
+            one.send(op="drive", robot=ROBOT, linear=0.0, angular=0.0)
         assert one.queue.is_too_slow
 
     play(test)

@@ -62,16 +62,16 @@ async def test_a_stop_of_all_reaches_the_others_first() -> None:
 async def test_rosbridge_says_why(name: str) -> None:
     async with small_robot() as host, host.session.ws_connect(host.url) as socket:
         client = Client(socket)
-        await client.say(op="set_level", level="error")
-        await client.say(op="publish", id="p", topic=name, type="geometry_msgs/Twist", msg=TWIST)
-        assert await client.hear() == {"op": "status", "level": "error", "msg": REASON, "id": "p"}
+        await client.send(op="set_level", level="error")
+        await client.send(op="publish", id="p", topic=name, type="geometry_msgs/Twist", msg=TWIST)
+        assert await client.receive() == {"op": "status", "level": "error", "msg": REASON, "id": "p"}
 
 
 async def test_the_drive_operation_says_why() -> None:
     async with small_robot() as host, host.session.ws_connect(host.url) as socket:
         client = Client(socket)
-        await client.say(op="drive", id="d", robot="robot_0", linear=0.1, angular=0.0)
-        assert await client.hear() == {
+        await client.send(op="drive", id="d", robot="robot_0", linear=0.1, angular=0.0)
+        assert await client.receive() == {
             "op": "drive_result", "id": "d", "result": False, "kind": "FrameTooLarge", "reason": REASON,
         }  # fmt: skip
 

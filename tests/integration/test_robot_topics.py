@@ -31,11 +31,11 @@ def types(host: Daemon) -> dict[str, str]:
 
 async def test_odometry_and_transform_come_as_ros_programs_expect_them() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odom")
-        await program.say(op="subscribe", topic="/tf")
+        await program.send(op="subscribe", topic="/robot_0/odom")
+        await program.send(op="subscribe", topic="/tf")
         await heard(host, "/robot_0/odom", "/tf")
         await device.send(pose(1.0, 2.0, 0.0))
-        odometry, transform = (await program.hear())["msg"], (await program.hear())["msg"]["transforms"][0]
+        odometry, transform = (await program.receive())["msg"], (await program.receive())["msg"]["transforms"][0]
     assert odometry["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
     assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("odom", "base_link")
     assert odometry["pose"]["covariance"][0] == 0.001
@@ -55,10 +55,10 @@ async def test_nothing_is_made_while_nobody_listens_and_no_clock_ever() -> None:
 
 async def test_a_pose_that_is_none_is_not_told() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odom")
+        await program.send(op="subscribe", topic="/robot_0/odom")
         await heard(host, "/robot_0/odom")
         await device.send(encode(125, struct.pack("<3d", float("nan"), 0.0, 0.0)) + pose(1.0))
-        assert (await program.hear())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
+        assert (await program.receive())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ async def test_a_pose_that_is_none_is_not_told() -> None:
 async def test_cmd_vel_drives_through_the_same_gate(name: str, message: dict[str, object]) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         async with client(host) as program:
-            await program.say(op="publish", topic=f"/robot_0/{name}", msg=message)
+            await program.send(op="publish", topic=f"/robot_0/{name}", msg=message)
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
             assert host.hub.robots.find("robot_0").gate.holder == "client 1"
         assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
@@ -83,21 +83,21 @@ async def test_a_stamp_that_is_too_old_is_refused_where_that_is_configured() -> 
     config = Config(robots={"robot_0": RobotConfig(cmd_vel_max_age_s=1.0)})
     async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         old, fresh = {"linear": {"x": 0.1}}, {"linear": {"x": 0.2}}
-        await program.say(
+        await program.send(
             op="publish", topic="/robot_0/cmd_vel_stamped", msg={"header": {"stamp": {"secs": 5}}, "twist": old}
         )
-        assert "cmd_vel_max_age_s allows 1" in (await program.hear())["msg"]
-        await program.say(op="publish", topic="/robot_0/cmd_vel_stamped", msg={"twist": fresh})
+        assert "cmd_vel_max_age_s allows 1" in (await program.receive())["msg"]
+        await program.send(op="publish", topic="/robot_0/cmd_vel_stamped", msg={"twist": fresh})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
 
 
 async def test_what_the_gate_sends_is_seen_on_cmd_vel_too() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         await expect(lambda: not host.hub.robots.find("robot_0").gate.is_active)
-        await program.say(op="subscribe", topic="/robot_0/cmd_vel")
+        await program.send(op="subscribe", topic="/robot_0/cmd_vel")
         await heard(host, "/robot_0/cmd_vel")
-        await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 5.0}})
-        assert (await program.hear())["msg"]["linear"]["x"] == 1.0
+        await program.send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 5.0}})
+        assert (await program.receive())["msg"]["linear"]["x"] == 1.0
 
 
 async def test_a_remote_control_drives_by_cmd_vel() -> None:
@@ -129,7 +129,7 @@ async def test_names_that_the_device_uses_itself_are_the_devices() -> None:
 
 async def test_a_device_that_comes_later_takes_its_names_back_and_leaves_them_again() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odom", type="nav_msgs/Odometry")
+        await program.send(op="subscribe", topic="/robot_0/odom", type="nav_msgs/Odometry")
         await heard(host, "/robot_0/odom")
         async with fake_device(host.tcp, [ODOM._replace(topic_id=125)]):
             await expect(lambda: "hostlink" not in publishers(host, "/robot_0/odom"))
@@ -139,17 +139,17 @@ async def test_a_device_that_comes_later_takes_its_names_back_and_leaves_them_ag
 async def test_a_page_with_a_wrong_type_takes_no_topic_away() -> None:
     async with daemon() as host, client(host) as program:
         for name in ("cmd_vel", "odom", "odometry"):
-            await program.say(op="advertise", topic=f"/robot_0/{name}", type="std_msgs/String")
+            await program.send(op="advertise", topic=f"/robot_0/{name}", type="std_msgs/String")
         await expect(lambda: len(host.hub.topics.all()) == 4)
         async with fake_device(host.tcp, robot_topics()) as device:
             assert types(host)["/robot_0/odometry"] == "geometry_msgs/Pose2D"
             assert types(host)["/robot_0/cmd_vel"] == "geometry_msgs/Twist"
-            await program.say(op="publish", topic="/robot_0/cmd_vel", type="std_msgs/String", msg={"data": "go"})
-            assert "wanted geometry_msgs/Twist, got std_msgs/String" in (await program.hear())["msg"]
-            await program.say(op="subscribe", topic="/robot_0/odom")
+            await program.send(op="publish", topic="/robot_0/cmd_vel", type="std_msgs/String", msg={"data": "go"})
+            assert "wanted geometry_msgs/Twist, got std_msgs/String" in (await program.receive())["msg"]
+            await program.send(op="subscribe", topic="/robot_0/odom")
             await heard(host, "/robot_0/odom")
             await device.send(pose(1.0))
-            assert (await program.hear())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
+            assert (await program.receive())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
 
 
 async def test_two_robots_have_frames_of_their_own() -> None:
@@ -159,12 +159,12 @@ async def test_two_robots_have_frames_of_their_own() -> None:
         fake_device(host.tcp, robot_topics("robot_1")) as second,
         client(host) as program,
     ):
-        await program.say(op="subscribe", topic="/tf")
+        await program.send(op="subscribe", topic="/tf")
         await heard(host, "/tf")
         await first.send(pose(1.0))
-        frames = [(await program.hear())["msg"]["transforms"][0]]
+        frames = [(await program.receive())["msg"]["transforms"][0]]
         await second.send(pose(1.0))
-        frames.append((await program.hear())["msg"]["transforms"][0])
+        frames.append((await program.receive())["msg"]["transforms"][0])
     assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames] == [
         ("odom", "base_link"),
         ("robot_1/odom", "robot_1/base_link"),
@@ -174,10 +174,10 @@ async def test_two_robots_have_frames_of_their_own() -> None:
 async def test_robots_that_are_configured_have_the_same_frames_whoever_comes_first() -> None:
     config = Config(robots={"robot_0": RobotConfig(), "robot_1": RobotConfig()})
     async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odom")
+        await program.send(op="subscribe", topic="/robot_0/odom")
         await heard(host, "/robot_0/odom")
         await device.send(pose(1.0))
-        assert (await program.hear())["msg"]["child_frame_id"] == "robot_0/base_link"
+        assert (await program.receive())["msg"]["child_frame_id"] == "robot_0/base_link"
 
 
 async def test_names_frames_and_the_transform_are_configurable() -> None:
@@ -192,10 +192,10 @@ async def test_names_frames_and_the_transform_are_configurable() -> None:
     ):
         assert {"/odom", "/cmd_vel"} < types(host).keys()
         assert not {"/robot_0/odom", "/robot_0/cmd_vel", "/robot_0/cmd_vel_stamped", "/tf"} & types(host).keys()
-        await program.say(op="subscribe", topic="/odom")
+        await program.send(op="subscribe", topic="/odom")
         await heard(host, "/odom")
         await device.send(pose(1.0))
-        odometry = (await program.hear())["msg"]
+        odometry = (await program.receive())["msg"]
     assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("world", "base_footprint")
 
 
@@ -210,10 +210,10 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_tells() -> None
         fake_device(host.tcp, [told, robot_topics()[1]]) as device,
         client(host) as program,
     ):
-        await program.say(op="subscribe", topic="/robot_0/odom")
+        await program.send(op="subscribe", topic="/robot_0/odom")
         await heard(host, "/robot_0/odom")
         await device.send(encode(125, message))
-        odometry = (await program.hear())["msg"]
+        odometry = (await program.receive())["msg"]
     assert odometry["pose"]["pose"]["position"]["x"] == 3.0
     assert odometry["pose"]["covariance"] == covariance
     assert odometry["twist"]["covariance"][35] == 0.01

@@ -93,7 +93,7 @@ async def test_every_answer_is_what_the_type_of_its_service_says() -> None:
 
 async def test_services_are_known_by_node_host_and_type() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
-        await program.say(op="advertise_service", service="/mine", type="std_srvs/Empty")
+        await program.send(op="advertise_service", service="/mine", type="std_srvs/Empty")
         await expect(lambda: host.hub.services.provider("/mine"))
         assert await program.call("/rosapi/service_node", service="/mine") == {"node": "/client_1"}
         assert await program.call("/rosapi/service_node", service="/none") == {"node": ""}
@@ -136,18 +136,18 @@ async def test_parameters_are_those_that_devices_get() -> None:
 )
 async def test_what_cannot_be_answered_has_a_reason(service: str, arguments: dict[str, str], reason: str) -> None:
     async with daemon() as host, client(host) as program:
-        await program.say(op="call_service", service=service, args=arguments)
-        answer = await program.hear()
+        await program.send(op="call_service", service=service, args=arguments)
+        answer = await program.receive()
     assert answer["result"] is False
     assert reason in answer["values"]
 
 
 async def test_cbor_raw_is_the_payload_as_it_came() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
+        await program.send(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
         await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         await device.send(pose(1.0, 2.0, 0.5))
-        heard = await program.hear_binary()
+        heard = await program.receive_binary()
     assert (heard["op"], heard["topic"]) == ("publish", "/robot_0/odometry")
     reader = get_typestore(Stores.ROS1_NOETIC)
     read = reader.deserialize_ros1(heard["msg"]["bytes"], "geometry_msgs/msg/Pose2D")
@@ -157,66 +157,66 @@ async def test_cbor_raw_is_the_payload_as_it_came() -> None:
 async def test_cbor_has_typed_arrays() -> None:
     topics = [topic(Id.PUBLISHER, 125, "/array", "std_msgs/Float32MultiArray")]
     async with daemon() as host, fake_device(host.tcp, topics) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/array", compression="cbor")
+        await program.send(op="subscribe", topic="/array", compression="cbor")
         await expect(lambda: host.hub.topics.find("/array").subscribers)
         await device.send(encode(125, bytes(8) + struct.pack("<I2f", 2, 1.5, -2.0)))
-        data = (await program.hear_binary())["msg"]["data"]
+        data = (await program.receive_binary())["msg"]["data"]
     assert isinstance(data, cbor2.CBORTag)
     assert (data.tag, struct.unpack("<2f", data.value)) == (85, (1.5, -2.0))
 
 
 async def test_a_program_offers_a_service_that_a_device_calls() -> None:
     async with daemon() as host, fake_device(host.tcp, TOGGLE) as device, client(host) as program:
-        await program.say(op="advertise_service", service="/toggle", type="std_srvs/SetBool")
+        await program.send(op="advertise_service", service="/toggle", type="std_srvs/SetBool")
         await expect(lambda: host.hub.services.provider("/toggle"))
         await device.send(encode(125, b"\x01"))
-        call = await program.hear()
+        call = await program.receive()
         assert (call["op"], call["service"], call["args"]) == ("call_service", "/toggle", {"data": True})
         values = {"success": True, "message": "ok"}
-        await program.say(op="service_response", id=call["id"], service="/toggle", values=values, result=True)
+        await program.send(op="service_response", id=call["id"], service="/toggle", values=values, result=True)
         assert await device.frame(100) == b"\x01\x02\x00\x00\x00ok"
 
 
 async def test_a_program_that_leaves_fails_the_calls_that_wait_for_it() -> None:
     async with daemon() as host, client(host) as caller:
         async with client(host) as program:
-            await program.say(op="advertise_service", service="/slow", type="std_srvs/Trigger")
+            await program.send(op="advertise_service", service="/slow", type="std_srvs/Trigger")
             await expect(lambda: host.hub.services.provider("/slow"))
-            await caller.say(op="call_service", id="1", service="/slow", timeout=60)
-            assert (await program.hear())["op"] == "call_service"
-        answer = await caller.hear()
+            await caller.send(op="call_service", id="1", service="/slow", timeout=60)
+            assert (await program.receive())["op"] == "call_service"
+        answer = await caller.receive()
     assert (answer["id"], answer["result"], answer["values"]) == ("1", False, "no service named /slow")
 
 
 async def test_a_failure_of_a_program_s_service_is_passed_on_and_an_unasked_answer_is_harmless() -> None:
     async with daemon() as host, client(host) as caller, client(host) as program:
-        await program.say(op="service_response", id="nobody", service="/odd", values={}, result=True)
-        await program.say(op="advertise_service", service="/odd", type="std_srvs/Trigger")
+        await program.send(op="service_response", id="nobody", service="/odd", values={}, result=True)
+        await program.send(op="advertise_service", service="/odd", type="std_srvs/Trigger")
         await expect(lambda: host.hub.services.provider("/odd"))
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(caller.say(op="call_service", service="/odd"))
-            call = await program.hear()
-        await program.say(op="service_response", id=call["id"], service="/odd", values="out of order", result=False)
-        answer = await caller.hear()
+            tasks.create_task(caller.send(op="call_service", service="/odd"))
+            call = await program.receive()
+        await program.send(op="service_response", id=call["id"], service="/odd", values="out of order", result=False)
+        answer = await caller.receive()
         assert (answer["result"], answer["values"]) == (False, "/odd: out of order")
-        await program.say(op="unadvertise_service", service="/odd")
+        await program.send(op="unadvertise_service", service="/odd")
         await expect(lambda: host.hub.services.provider("/odd") is None)
 
 
 async def test_device_logs_are_on_rosout() -> None:
     async with daemon() as host, fake_device(host.tcp, []) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/rosout")
+        await program.send(op="subscribe", topic="/rosout")
         await expect(lambda: host.hub.topics.find("/rosout").subscribers)
         await device.send(encode(Id.LOG, encode_log(Log(2, "warm"))))
-        message = (await program.hear())["msg"]
+        message = (await program.receive())["msg"]
     assert (message["level"], message["msg"]) == (4, "warm")
     assert message["header"]["stamp"]["secs"] > 1_700_000_000
 
 
 async def test_an_action_is_refused_instead_of_waited_for() -> None:
     async with daemon() as host, client(host) as program:
-        await program.say(op="send_action_goal", id="g", action="/dock", action_type="x")
-        assert await program.hear() == {
+        await program.send(op="send_action_goal", id="g", action="/dock", action_type="x")
+        assert await program.receive() == {
             "op": "action_result", "id": "g", "action": "/dock", "values": "no actions here", "status": 6,
             "result": False,
         }  # fmt: skip

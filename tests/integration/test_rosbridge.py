@@ -21,10 +21,10 @@ async def subscribed(host: Daemon, name: str) -> None:
 @pytest.mark.parametrize("name", ["/robot_0/odometry", "robot_0/odometry"])
 async def test_a_message_comes_under_the_name_that_the_client_used(name: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic=name)
+        await program.send(op="subscribe", topic=name)
         await expect(lambda: len(host.hub.topics.find(name).subscribers) == 2)  # the robot's own odometry too
         await device.send(pose(1.0, 2.0, 0.5))
-        assert await program.hear() == {"op": "publish", "topic": name, "msg": {"x": 1.0, "y": 2.0, "theta": 0.5}}
+        assert await program.receive() == {"op": "publish", "topic": name, "msg": {"x": 1.0, "y": 2.0, "theta": 0.5}}
 
 
 async def test_nan_is_null_and_bytes_are_base64() -> None:
@@ -33,19 +33,19 @@ async def test_nan_is_null_and_bytes_are_base64() -> None:
         topic(Id.PUBLISHER, 126, "/t", "std_msgs/Float32"),
     ]
     async with daemon() as host, fake_device(host.tcp, topics) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/image")
-        await program.say(op="subscribe", topic="/t")
+        await program.send(op="subscribe", topic="/image")
+        await program.send(op="subscribe", topic="/t")
         await subscribed(host, "/t")
         await device.send(encode(125, bytes(8) + b"\x03\x00\x00\x00\x01\x02\x03") + encode(126, b"\x00\x00\xc0\x7f"))
-        assert (await program.hear())["msg"]["data"] == "AQID"
-        assert (await program.hear())["msg"] == {"data": None}
+        assert (await program.receive())["msg"]["data"] == "AQID"
+        assert (await program.receive())["msg"] == {"data": None}
 
 
 async def test_a_program_drives_a_robot_and_its_end_stops_it() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         async with client(host) as program:
-            await program.say(op="advertise", topic="/robot_0/velocity_commands", type="geometry_msgs/Twist")
-            await program.say(
+            await program.send(op="advertise", topic="/robot_0/velocity_commands", type="geometry_msgs/Twist")
+            await program.send(
                 op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.2}, "angular": {"z": 0.5}}
             )
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
@@ -54,30 +54,30 @@ async def test_a_program_drives_a_robot_and_its_end_stops_it() -> None:
 
 async def test_programs_talk_to_each_other_without_a_device() -> None:
     async with daemon() as host, client(host) as speaker, client(host) as listener:
-        await listener.say(op="subscribe", topic="/chat", type="std_msgs/String")
+        await listener.send(op="subscribe", topic="/chat", type="std_msgs/String")
         await subscribed(host, "/chat")
-        await speaker.say(op="publish", topic="/chat", type="std_msgs/msg/String", msg={"data": "hello"})
-        assert (await listener.hear())["msg"] == {"data": "hello"}
+        await speaker.send(op="publish", topic="/chat", type="std_msgs/msg/String", msg={"data": "hello"})
+        assert (await listener.receive())["msg"] == {"data": "hello"}
 
 
 async def test_a_throttled_subscription_gets_the_newest_that_waited() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/robot_0/odometry", throttle_rate=200, queue_length=1)
+        await program.send(op="subscribe", topic="/robot_0/odometry", throttle_rate=200, queue_length=1)
         await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         for number in range(5):
             await device.send(pose(float(number)))
-        assert [(await program.hear())["msg"]["x"] for _ in range(2)] == [0.0, 4.0]
+        assert [(await program.receive())["msg"]["x"] for _ in range(2)] == [0.0, 4.0]
 
 
 async def test_unsubscribe_by_id_and_whole() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         for number in ("a", "b"):
-            await program.say(op="subscribe", id=number, topic="/robot_0/odometry")
-        await program.say(op="unsubscribe", id="a", topic="/robot_0/odometry")
+            await program.send(op="subscribe", id=number, topic="/robot_0/odometry")
+        await program.send(op="unsubscribe", id="a", topic="/robot_0/odometry")
         await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         await device.send(pose(1.0))
-        assert (await program.hear())["msg"]["x"] == 1.0
-        await program.say(op="unsubscribe", topic="/robot_0/odometry")
+        assert (await program.receive())["msg"]["x"] == 1.0
+        await program.send(op="unsubscribe", topic="/robot_0/odometry")
         await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 1)
 
 
@@ -87,15 +87,15 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
         topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/trigger", "std_srvs/Trigger"),
     ]
     async with daemon() as host, fake_device(host.tcp, topics) as device, client(host) as program:
-        await program.say(op="call_service", id="x1", service="/trigger", args={})
+        await program.send(op="call_service", id="x1", service="/trigger", args={})
         assert await device.frame(100) == b""
         await device.send(encode(125, b"\x01\x02\x00\x00\x00ok"))
-        assert await program.hear() == {
+        assert await program.receive() == {
             "op": "service_response", "id": "x1", "service": "/trigger", "result": True,
             "values": {"success": True, "message": "ok"},
         }  # fmt: skip
-        await program.say(op="call_service", id="x2", service="/nope")
-        answer = await program.hear()
+        await program.send(op="call_service", id="x2", service="/nope")
+        answer = await program.receive()
     assert (answer["id"], answer["result"], answer["values"]) == (
         "x2",
         False,
@@ -131,19 +131,19 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
 async def test_what_is_wrong_is_told_and_the_client_stays(request_text: str, reason: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.socket.send_str(request_text)
-        status = await program.hear()
+        status = await program.receive()
         assert (status["op"], status["level"]) == ("status", "error")
         assert reason in status["msg"]
-        await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
+        await program.send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
 async def test_a_client_that_did_not_ask_for_status_gets_none() -> None:
     with capture_logs() as lines:
         async with daemon() as host, client(host, level="none") as program:
-            await program.say(op="dance")
-            await program.say(op="call_service", id="1", service="/nope")
-            assert (await program.hear())["op"] == "service_response"
+            await program.send(op="dance")
+            await program.send(op="call_service", id="1", service="/nope")
+            assert (await program.receive())["op"] == "service_response"
     assert [line["op"] for line in lines if line["event"] == "client.unknown_op"] == ["dance"]
 
 
@@ -164,7 +164,7 @@ async def test_half_a_frame_and_a_huge_one_end_only_their_own_connection() -> No
             with contextlib.suppress(ConnectionError):
                 await other.send_str('"' + "x" * 2_000_000 + '"')
             assert (await other.receive()).type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED)
-        await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
+        await program.send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -179,18 +179,18 @@ async def test_a_client_that_never_reads_costs_the_robot_nothing() -> None:
         await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
         for number in range(3000):
             await device.send(pose(float(number)))
-        await program.say(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
+        await program.send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.1}})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 3000)
 
 
 async def test_a_client_that_a_fault_of_hostlink_ends_is_closed_and_its_robot_stopped() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.say(op="subscribe", topic="/chat", type="std_msgs/String")
+        await program.send(op="subscribe", topic="/chat", type="std_msgs/String")
         await expect(lambda: host.hub.topics.find("/chat").subscribers)
-        await program.say(op="drive", robot="robot_0", linear=0.2, angular=0.0)
+        await program.send(op="drive", robot="robot_0", linear=0.2, angular=0.0)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
-        assert (await program.hear())["result"] is True
+        assert (await program.receive())["result"] is True
         host.hub.topics.find("/chat").subscribers[0].fail(ValueError("a defect"))
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
         closing = await program.socket.receive(timeout=5.0)

@@ -31,8 +31,8 @@ async def silent_connections(address: tuple[str, int], count: int, *, local_host
 async def test_an_address_that_is_not_allowed_hears_nothing_and_is_counted() -> None:
     config = Config(tcp=TcpConfig(allow=(f"{ROBOT}/32",)))
     async with daemon(config) as host:
-        async with fake_device(host.tcp, local_host=CROWD) as stranger:
-            await stranger.closed()
+        async with fake_device(host.tcp, local_host=CROWD) as refused:
+            await refused.closed()
         async with fake_device(host.tcp, robot_topics(), local_host=ROBOT):
             links = await host.get("/api/links")
     assert [link["peer"].split(":")[0] for link in links["links"]] == [ROBOT]

@@ -42,7 +42,7 @@ class TestBoth:
         async with daemon() as host, fake_device(host.tcp, infos) as device:
             await expect(lambda: host.hub.topics.find(name).devices)
             async with client(host) as program:
-                await program.say(**{**DRIVE, "topic": name})
+                await program.send(**{**DRIVE, "topic": name})
                 await heard(device, topic_id, is_zero=False)
                 began_s = asyncio.get_running_loop().time()
             await heard(device, topic_id, is_zero=True)
@@ -105,8 +105,8 @@ async def test_a_locked_robot_is_locked_on_its_second_topic() -> None:
         assert (await host.rest("POST", "/api/robots/robot_0/lock"))[0] == 200
         await heard(device, 102, is_zero=True)
         async with client(host) as program:
-            await program.say(**{**DRIVE, "topic": "/robot_0/arm_vel"})
-            assert "locked" in (await program.hear())["msg"]
+            await program.send(**{**DRIVE, "topic": "/robot_0/arm_vel"})
+            assert "locked" in (await program.receive())["msg"]
 
 
 async def test_a_twist_that_is_no_velocity_by_its_name_stays_as_it_was_sent() -> None:
@@ -133,8 +133,8 @@ class TestAsAnyRobot:
         async with daemon() as host, fake_device(host.tcp, infos) as device, client(host) as program:
             await expect(lambda: host.hub.topics.find(name).devices)
             publish(host.hub, name, {"linear": {"x": 0.2}}, source="a person", priority=60)
-            await program.say(**{**DRIVE, "topic": name})
-            assert "a person drives it with a higher priority" in (await program.hear())["msg"]
+            await program.send(**{**DRIVE, "topic": name})
+            assert "a person drives it with a higher priority" in (await program.receive())["msg"]
             await heard(device, topic_id, is_zero=False)
 
     async def test_its_driver_leaves_and_it_stops_at_once(

@@ -196,10 +196,10 @@ async def test_a_hundred_frames_in_one_segment() -> None:
     """100 reach a Python subscriber | 4 do. Here: 100 reach a program on the WebSocket, in order."""
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await expect(lambda: host.hub.topics.find(ODOMETRY).publishers)
-        await program.say(op="subscribe", topic=ODOMETRY)
+        await program.send(op="subscribe", topic=ODOMETRY)
         await expect(lambda: len(host.hub.topics.find(ODOMETRY).subscribers) == 2)  # the robot's pose is read too
         await device.send(b"".join(pose(float(number)) for number in range(100)))
-        assert [(await program.hear())["msg"]["x"] for _ in range(100)] == list(range(100))
+        assert [(await program.receive())["msg"]["x"] for _ in range(100)] == list(range(100))
 
 
 async def test_each_reconnect() -> None:

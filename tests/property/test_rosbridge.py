@@ -77,9 +77,9 @@ def test_no_client_can_break_itself_or_another(said: list[tuple[int, str | bytes
 async def still_works(here: World) -> None:
     """A client as good as new does what clients do."""
     speaker, listener = here.client(), here.client()
-    listener.say(op="subscribe", topic="/fresh", type="std_msgs/String")
-    speaker.say(op="publish", topic="fresh", msg={"data": "x"})
-    listener.say(op="call_service", id=1, service="/rosapi/topics")
+    listener.send(op="subscribe", topic="/fresh", type="std_msgs/String")
+    speaker.send(op="publish", topic="fresh", msg={"data": "x"})
+    listener.send(op="call_service", id=1, service="/rosapi/topics")
     heard = await listener.answers()
     assert heard[0] == {"op": "publish", "topic": "/fresh", "msg": {"data": "x"}}
     assert "/fresh" in heard[1]["values"]["topics"]
@@ -96,7 +96,7 @@ def test_ids_that_come_and_go_leave_what_is_asked_for(said: list[tuple[str, obje
         async with world() as here:
             peer, wanted = here.client(), set[tuple[str, object]]()
             for topic, request_id, is_wanted in said:
-                peer.say(op="subscribe" if is_wanted else "unsubscribe", topic=topic, id=request_id)
+                peer.send(op="subscribe" if is_wanted else "unsubscribe", topic=topic, id=request_id)
                 if is_wanted:
                     wanted.add((topic, request_id))
                 elif request_id is None:
@@ -104,6 +104,6 @@ def test_ids_that_come_and_go_leave_what_is_asked_for(said: list[tuple[str, obje
                 else:
                     wanted.discard((topic, request_id))
             assert len(peer.client.participant._subscriptions) == len({topic for topic, _ in wanted})
-            assert peer.heard() == []
+            assert peer.received() == []
 
     run_virtual(run())

@@ -37,7 +37,7 @@ class Program:
         self.answers: list[Any] = []
 
     def read(self) -> None:
-        for heard in self.peer.heard():
+        for heard in self.peer.received():
             if heard["op"] == "call_service":
                 self.asked.append(heard)
             elif heard["op"] == "service_response":
@@ -47,12 +47,12 @@ class Program:
         kind, what, more = action
         match kind:
             case "offer":
-                self.peer.say(op="advertise_service", service=what, type=more)
+                self.peer.send(op="advertise_service", service=what, type=more)
             case "take back":
-                self.peer.say(op="unadvertise_service", service=what)
+                self.peer.send(op="unadvertise_service", service=what)
             case "call":
                 self.calls.append(number)
-                self.peer.say(op="call_service", id=number, service=what, timeout=more)
+                self.peer.send(op="call_service", id=number, service=what, timeout=more)
             case "answer" if self.asked:
                 asked = self.asked.pop(0)
                 said = {"op": "service_response", "id": asked["id"], "service": asked["service"]}

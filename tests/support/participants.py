@@ -124,7 +124,7 @@ class RosbridgeProgram:
         self._answers: dict[str, asyncio.Future[Mapping[str, Any]]] = {}
         self._tasks = tasks
         self._received: list[bytes] = []
-        self.say(op="set_level", level="error")
+        self.send(op="set_level", level="error")
 
     @property
     def participant(self) -> Participant:
@@ -133,11 +133,11 @@ class RosbridgeProgram:
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
         type_ = CATALOG.message(type_name)
         assert type_ is not None
-        self.say(op="publish", topic=topic, type=type_name, msg=type_.decode(payload))
+        self.send(op="publish", topic=topic, type=type_name, msg=type_.decode(payload))
         self.settle()
 
     def subscribe(self, topic: str, *, interval_s: float = 0.0, queue_length: int = 0) -> None:
-        self.say(op="subscribe", topic=topic, throttle_rate=interval_s * 1000, queue_length=queue_length)
+        self.send(op="subscribe", topic=topic, throttle_rate=interval_s * 1000, queue_length=queue_length)
 
     def received(self) -> list[bytes]:
         self.settle()
@@ -146,13 +146,13 @@ class RosbridgeProgram:
 
     def serve(self, answer: Answer) -> None:
         self._served = answer
-        self.say(op="advertise_service", service=SERVICE, type=SERVICE_TYPE)
+        self.send(op="advertise_service", service=SERVICE, type=SERVICE_TYPE)
         self.settle()
 
     async def call(self, service: str, request: Mapping[str, object]) -> Mapping[str, object]:
         key = str(next(self._numbers))
         self._answers[key] = asyncio.get_running_loop().create_future()
-        self.say(op="call_service", id=key, service=service, args=request)
+        self.send(op="call_service", id=key, service=service, args=request)
         while not self._answers[key].done():
             await asyncio.sleep(0.01)
             self.settle()
@@ -162,16 +162,16 @@ class RosbridgeProgram:
         return answer["values"]  # type: ignore[no-any-return]
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:  # noqa: ARG002 - as the other kinds have it
-        self.say(op="drive", id="drive", robot=robot, linear=speed_m_s, angular=0.0)
+        self.send(op="drive", id="drive", robot=robot, linear=speed_m_s, angular=0.0)
         self.settle()
 
     def settle(self) -> None:
         """Read all that waits, and answer what is called."""
         self.participant.flush(asyncio.get_running_loop().time())
         for waiting in iter(self.queue.pop, None):
-            self._hear(json.loads(waiting.item.data))
+            self._receive(json.loads(waiting.item.data))
 
-    def _hear(self, said: dict[str, Any]) -> None:
+    def _receive(self, said: dict[str, Any]) -> None:
         if said["op"] == "publish":
             type_ = CATALOG.message(TEXT_TYPE if said["topic"] == TEXT else "geometry_msgs/Pose2D")
             assert type_ is not None
@@ -188,14 +188,14 @@ class RosbridgeProgram:
     async def _answer(self, said: dict[str, Any]) -> None:
         assert self._served is not None
         values = await self._served(said["args"])
-        self.say(op="service_response", id=said["id"], service=SERVICE, values=values, result=True)
+        self.send(op="service_response", id=said["id"], service=SERVICE, values=values, result=True)
 
     def _size_of(self, outgoing: Outgoing) -> int:
         if self.is_failing:
             raise Defect
         return len(outgoing.data)
 
-    def say(self, **request: Any) -> None:
+    def send(self, **request: Any) -> None:
         self._client.receive(json.dumps(request))
 
 

@@ -20,23 +20,23 @@ class Client:
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
 
-    async def say(self, **request: Any) -> None:
+    async def send(self, **request: Any) -> None:
         await self.socket.send_str(json.dumps(request))
 
-    async def hear(self) -> dict[str, Any]:
+    async def receive(self) -> dict[str, Any]:
         async with asyncio.timeout(TIMEOUT_S):
             heard: dict[str, Any] = json.loads(await self.socket.receive_str())
             return heard
 
-    async def hear_binary(self) -> dict[str, Any]:
+    async def receive_binary(self) -> dict[str, Any]:
         async with asyncio.timeout(TIMEOUT_S):
             heard: dict[str, Any] = cbor2.loads(await self.socket.receive_bytes())
             return heard
 
     async def call(self, service: str, /, **arguments: Any) -> Any:
         """The values of a call that must succeed."""
-        await self.say(op="call_service", id=service, service=service, args=arguments)
-        answer = await self.hear()
+        await self.send(op="call_service", id=service, service=service, args=arguments)
+        answer = await self.receive()
         assert (answer["op"], answer["id"], answer["result"]) == ("service_response", service, True), answer
         return answer["values"]
 
@@ -45,5 +45,5 @@ class Client:
 async def client(host: Daemon, *, level: str = "error") -> AsyncIterator[Client]:
     async with host.session.ws_connect(host.url) as socket:
         new = Client(socket)
-        await new.say(op="set_level", level=level)
+        await new.send(op="set_level", level=level)
         yield new

@@ -18,17 +18,17 @@ from tests.support.fake_device import CATALOG
 
 
 class Peer:
-    """One client: it sends requests, and keeps all that came since the last `heard`."""
+    """One client: it sends requests, and keeps all that came since the last `received`."""
 
     def __init__(self, name: str, hub: Hub, tasks: asyncio.TaskGroup) -> None:
         self.queue = client_queue()
         self.client = RosbridgeClient(name, hub, self.queue, spawn=tasks.create_task)
-        self.say(op="set_level", level="info")
+        self.send(op="set_level", level="info")
 
-    def say(self, **request: Any) -> None:
+    def send(self, **request: Any) -> None:
         self.client.receive(json.dumps(request))
 
-    def heard(self) -> list[Any]:
+    def received(self) -> list[Any]:
         """JSON and CBOR messages, oldest first."""
         heard = []
         while (waiting := self.queue.pop()) is not None:
@@ -40,7 +40,7 @@ class Peer:
         """What came once everything that is under way and ready has run."""
         for _ in range(5):
             await asyncio.sleep(0)
-        return self.heard()
+        return self.received()
 
 
 class World:
@@ -69,7 +69,7 @@ async def world() -> AsyncIterator[World]:
 
 async def call(peer: Peer, service: str, args: object = None, **more: Any) -> Any:
     """The values of a call."""
-    peer.say(op="call_service", id="call", service=service, args=args, **more)
+    peer.send(op="call_service", id="call", service=service, args=args, **more)
     (answer,) = [frame for frame in await peer.answers() if frame["op"] == "service_response"]
     assert (answer["id"], answer["service"]) == ("call", service)
     return answer["values"]
@@ -77,5 +77,5 @@ async def call(peer: Peer, service: str, args: object = None, **more: Any) -> An
 
 async def offered(here: World, type_name: str = "std_srvs/SetBool") -> Peer:
     server = here.client()
-    server.say(op="advertise_service", service="switch", type=type_name)
+    server.send(op="advertise_service", service="switch", type=type_name)
     return server

@@ -32,10 +32,10 @@ class Host:
         self.now_s = 100.0
         self.events = self.session.open(now_s=self.now_s)
         if infos:
-            self.hear(TIME + wire(*infos) + TIME)
+            self.receive(TIME + wire(*infos) + TIME)
             self.sent()
 
-    def hear(self, data: bytes, *, after_s: float = 0.01) -> list[events.Event]:
+    def receive(self, data: bytes, *, after_s: float = 0.01) -> list[events.Event]:
         self.now_s += after_s
         self.events = self.session.receive(data, now_s=self.now_s)
         return self.events

@@ -60,4 +60,4 @@ async def test_a_script_that_does_not_run_for_a_while_is_no_cut_but_it_holds_not
             with pytest.raises(HostlinkError, match=r"this program did not run for \d\.\d s"):
                 await robot.drive(0.2, 0.0)
             await me.settle()
-            assert changes.take_all() == []
+            assert changes.pop_all() == []

@@ -60,7 +60,7 @@ async def test_a_command_prints_only_what_is_printable(arguments: tuple[str, ...
         fake_device(host.tcp, TOPICS) as device,
         asyncio.TaskGroup() as tasks,
     ):
-        await Client(socket).say(op="advertise", topic=f"/{HOSTILE}", type="std_msgs/String")
+        await Client(socket).send(op="advertise", topic=f"/{HOSTILE}", type="std_msgs/String")
         await Client(socket).call("/rosapi/topics")
         talking = tasks.create_task(say_text(device))
         _, out, err = await run(*arguments, "--url", host.url)

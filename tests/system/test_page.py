@@ -103,7 +103,7 @@ async def driven_by_a_program(scene: Scene, *, priority: int) -> AsyncIterator[N
 
         async def drive() -> None:
             while True:
-                await program.say(op="drive", robot="robot_0", linear=0.0, angular=0.3, priority=priority)
+                await program.send(op="drive", robot="robot_0", linear=0.0, angular=0.3, priority=priority)
                 await asyncio.sleep(LEASE_S / 4)
 
         driving = tasks.create_task(drive())

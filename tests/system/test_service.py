@@ -24,7 +24,7 @@ class Systemd:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         self.socket.bind(address)
 
-    async def heard(self, wanted: str) -> str:
+    async def received(self, wanted: str) -> str:
         """The next message with this line in it."""
         async with asyncio.timeout(20):
             while True:

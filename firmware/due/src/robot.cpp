@@ -118,8 +118,8 @@ bool Robot::tell_fault(const Wheel& wheel, const char* side) {
 
 void Robot::stop() {
   is_commanded_ = false;
-  left_.halt();
-  right_.halt();
+  left_.stop_at_once();
+  right_.stop_at_once();
   hal_.drive(0, 0);
 }
 

@@ -19,14 +19,14 @@ void MinimumJerk::aim(float target) {
   length_s_ = magnitude(target - value_) * kSecondsPerTick;
 }
 
-void MinimumJerk::halt() {
+void MinimumJerk::stop_at_once() {
   value_ = target_ = from_ = 0.0f;
   elapsed_s_ = length_s_ = 0.0f;
 }
 
 void MinimumJerk::begin_at_zero() {
   const float target = target_;
-  halt();
+  stop_at_once();
   aim(target);
 }
 
@@ -85,7 +85,7 @@ float RecentSpeed::seconds() const {
 
 void Wheel::aim(float ticks_s) {
   if (ticks_s == 0.0f) {
-    set_point_.halt();
+    set_point_.stop_at_once();
   } else {
     set_point_.aim(ticks_s);
   }

@@ -12,7 +12,7 @@ namespace hostlink {
 class MinimumJerk {
  public:
   void aim(float target);  // the same target again changes nothing
-  void halt();             // be at zero now
+  void stop_at_once();     // be at zero now
   void begin_at_zero();    // go to the target from a standstill
   float step(float dt_s);
   float value() const { return value_; }
@@ -81,7 +81,7 @@ class Wheel {
   explicit Wheel(const Gains& gains) : pid_(gains) {}
 
   void aim(float ticks_s);  // zero is no ramp but a stop
-  void halt() { set_point_.halt(); }
+  void stop_at_once() { set_point_.stop_at_once(); }
   // One turn of the loop with the edges that the encoder counted in it; returns how far the wheel rolled, in ticks.
   int32_t step(uint32_t edges, float dt_s);
 

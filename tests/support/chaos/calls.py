@@ -41,12 +41,12 @@ async def call(stage: Stage, action: Action) -> None:
         elif provider == "device":
             work.append(tasks.create_task(quietly(serve, stage, dice, service, type_name, manner)))
         await asyncio.sleep(2 * SETTLE_S)
-        await quietly(ask, stage, dice, frames.service_client(service, type_name, buffer_bytes), what)
+        await quietly(request, stage, dice, frames.service_client(service, type_name, buffer_bytes), what)
         for each in work:
             each.cancel()
 
 
-async def ask(stage: Stage, dice: random.Random, infos: list[TopicInfo], what: str) -> None:
+async def request(stage: Stage, dice: random.Random, infos: list[TopicInfo], what: str) -> None:
     """Reports how long it waited, and for what."""
     requests_to, answers_by = infos
     async with stage.device(dice) as connection:

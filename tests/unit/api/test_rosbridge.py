@@ -31,10 +31,10 @@ def statuses(heard: list[Any]) -> list[str]:
 async def test_a_type_is_inferred_also_when_the_topic_comes_later() -> None:
     async with world() as here:
         speaker, listener = here.client(), here.client()
-        listener.say(op="subscribe", topic="/chat")
+        listener.send(op="subscribe", topic="/chat")
         assert "/chat" not in (await call(here.client(), "/rosapi/topics"))["topics"]
-        speaker.say(op="publish", **CHAT, msg={"data": "hello"})
-        assert messages(listener.heard()) == [{"data": "hello"}]
+        speaker.send(op="publish", **CHAT, msg={"data": "hello"})
+        assert messages(listener.received()) == [{"data": "hello"}]
         assert "/chat" in (await call(here.client(), "/rosapi/topics"))["topics"]
 
 
@@ -43,60 +43,60 @@ async def test_every_spelling_of_a_topic_is_echoed_as_it_was_written() -> None:
     async with world() as here:
         listener = here.client()
         for spelling in spellings:
-            listener.say(op="subscribe", topic=spelling)
-        here.client().say(op="publish", **CHAT, msg={"data": "x"})
-        assert [frame["topic"] for frame in listener.heard()] == spellings
+            listener.send(op="subscribe", topic=spelling)
+        here.client().send(op="publish", **CHAT, msg={"data": "x"})
+        assert [frame["topic"] for frame in listener.received()] == spellings
 
 
 async def test_a_program_hears_itself_if_it_subscribes() -> None:
     async with world() as here:
         peer = here.client()
-        peer.say(op="subscribe", **CHAT)
-        peer.say(op="publish", topic="chat", msg={"data": "me"})
-        assert messages(peer.heard()) == [{"data": "me"}]
+        peer.send(op="subscribe", **CHAT)
+        peer.send(op="publish", topic="chat", msg={"data": "me"})
+        assert messages(peer.received()) == [{"data": "me"}]
 
 
 async def test_a_topic_is_advertised_until_its_last_id_takes_it_back() -> None:
     async with world() as here:
         peer = here.client()
         for number in ("a", "b"):
-            peer.say(op="advertise", id=number, **CHAT)
-        peer.say(op="unadvertise", id="a", topic="chat")
+            peer.send(op="advertise", id=number, **CHAT)
+        peer.send(op="unadvertise", id="a", topic="chat")
         assert here.hub.topics.find("/chat").publishers == {peer.client.participant}
-        peer.say(op="unadvertise", id="b", topic="/chat")
+        peer.send(op="unadvertise", id="b", topic="/chat")
         assert here.hub.topics.find_or_none("/chat") is None
-        peer.say(op="advertise", id="c", **CHAT)
-        peer.say(op="unadvertise", topic="/chat")
+        peer.send(op="advertise", id="c", **CHAT)
+        peer.send(op="unadvertise", topic="/chat")
         assert here.hub.topics.find_or_none("/chat") is None
 
 
 async def test_another_type_is_an_error_until_nobody_uses_the_topic() -> None:
     async with world() as here:
         first, second = here.client(), here.client()
-        first.say(op="advertise", **CHAT)
-        second.say(op="subscribe", topic="/chat")
-        second.say(op="advertise", topic="/chat", type="std_msgs/Int32")
-        assert statuses(second.heard()) == ["/chat: wanted std_msgs/String, got std_msgs/Int32"]
+        first.send(op="advertise", **CHAT)
+        second.send(op="subscribe", topic="/chat")
+        second.send(op="advertise", topic="/chat", type="std_msgs/Int32")
+        assert statuses(second.received()) == ["/chat: wanted std_msgs/String, got std_msgs/Int32"]
         first.client.participant.leave()
-        second.say(op="publish", topic="/chat", type="std_msgs/Int32", msg={"data": 7})
-        assert messages(second.heard()) == [{"data": 7}]
+        second.send(op="publish", topic="/chat", type="std_msgs/Int32", msg={"data": 7})
+        assert messages(second.received()) == [{"data": 7}]
 
 
 async def test_the_last_message_of_a_latched_topic_goes_to_who_comes_later() -> None:
     async with world() as here:
         speaker = here.client()
-        speaker.say(op="advertise", latch=True, topic="/map", type="std_msgs/String")
-        speaker.say(op="publish", latch=True, topic="/map", msg={"data": "old"})
-        speaker.say(op="publish", latch=True, topic="/map", msg={"data": "new"})
-        speaker.say(op="publish", latch=True, topic="/unsaid", type="std_msgs/String", msg={"data": "too"})
+        speaker.send(op="advertise", latch=True, topic="/map", type="std_msgs/String")
+        speaker.send(op="publish", latch=True, topic="/map", msg={"data": "old"})
+        speaker.send(op="publish", latch=True, topic="/map", msg={"data": "new"})
+        speaker.send(op="publish", latch=True, topic="/unsaid", type="std_msgs/String", msg={"data": "too"})
         listener = here.client()
         for topic in ("/map", "/unsaid"):
-            listener.say(op="subscribe", topic=topic)
-        assert messages(listener.heard()) == [{"data": "new"}, {"data": "too"}]
+            listener.send(op="subscribe", topic=topic)
+        assert messages(listener.received()) == [{"data": "new"}, {"data": "too"}]
         speaker.client.participant.leave()
         late = here.client()
-        late.say(op="subscribe", topic="/map")
-        assert late.heard() == []
+        late.send(op="subscribe", topic="/map")
+        assert late.received() == []
 
 
 # -- subscriptions ----------------------------------------------------------------------------------------------------
@@ -106,16 +106,16 @@ def test_ids_of_a_topic_share_one_stream_at_the_pace_of_the_fastest() -> None:
     async def run() -> list[Any]:
         async with world() as here:
             listener, speaker = here.client(), here.client()
-            listener.say(op="subscribe", id="slow", throttle_rate=10_000, **CHAT)
-            listener.say(op="subscribe", id="fast", throttle_rate=100, **CHAT)
+            listener.send(op="subscribe", id="slow", throttle_rate=10_000, **CHAT)
+            listener.send(op="subscribe", id="fast", throttle_rate=100, **CHAT)
             for number in range(10):
-                speaker.say(op="publish", topic="/chat", msg={"data": str(number)})
+                speaker.send(op="publish", topic="/chat", msg={"data": str(number)})
                 await asyncio.sleep(0.06)
-            listener.say(op="unsubscribe", id="fast", topic="/chat")
+            listener.send(op="unsubscribe", id="fast", topic="/chat")
             for number in range(10, 90):
-                speaker.say(op="publish", topic="/chat", msg={"data": str(number)})
+                speaker.send(op="publish", topic="/chat", msg={"data": str(number)})
                 await asyncio.sleep(0.06)
-            return listener.heard()
+            return listener.received()
 
     assert [message["data"] for message in messages(run_virtual(run()))] == ["0", "2", "4", "6", "8"]
 
@@ -124,34 +124,34 @@ async def test_a_repeated_request_does_not_let_the_throttle_be_passed() -> None:
     async with world() as here:
         listener = here.client()
         for number in range(5):
-            listener.say(op="subscribe", id="a", throttle_rate=10_000, **CHAT)
-            here.client().say(op="publish", topic="/chat", msg={"data": str(number)})
-        assert len(messages(listener.heard())) == 1
+            listener.send(op="subscribe", id="a", throttle_rate=10_000, **CHAT)
+            here.client().send(op="publish", topic="/chat", msg={"data": str(number)})
+        assert len(messages(listener.received())) == 1
 
 
 async def test_two_compressions_of_one_topic_come_once_in_the_rawest_form() -> None:
     async with world() as here:
         listener, speaker = here.client(), here.client()
         for number, form in enumerate(["none", "cbor", "cbor-raw"]):
-            listener.say(op="subscribe", id=number, compression=form, **CHAT)
+            listener.send(op="subscribe", id=number, compression=form, **CHAT)
         forms = []
         for number in (2, 1, 0):
-            speaker.say(op="publish", topic="/chat", msg={"data": "x"})
-            (frame,) = listener.heard()
+            speaker.send(op="publish", topic="/chat", msg={"data": "x"})
+            (frame,) = listener.received()
             forms.append(frame["msg"].get("bytes") or frame["msg"])
-            listener.say(op="unsubscribe", id=number, topic="/chat")
+            listener.send(op="unsubscribe", id=number, topic="/chat")
         assert forms == [b"\x01\x00\x00\x00x", {"data": "x"}, {"data": "x"}]
-        speaker.say(op="publish", topic="/chat", msg={"data": "x"})
-        assert listener.heard() == []
+        speaker.send(op="publish", topic="/chat", msg={"data": "x"})
+        assert listener.received() == []
 
 
 async def test_png_is_plain_json_and_is_said_so() -> None:
     async with world() as here:
         listener = here.client()
-        listener.say(op="subscribe", compression="png", fragment_size=10, **CHAT)
-        assert statuses(listener.heard()) == ["subscribe: compression png is not offered, /chat comes as plain JSON"]
-        here.client().say(op="publish", topic="/chat", msg={"data": "x" * 100})
-        assert messages(listener.heard()) == [{"data": "x" * 100}]
+        listener.send(op="subscribe", compression="png", fragment_size=10, **CHAT)
+        assert statuses(listener.received()) == ["subscribe: compression png is not offered, /chat comes as plain JSON"]
+        here.client().send(op="publish", topic="/chat", msg={"data": "x" * 100})
+        assert messages(listener.received()) == [{"data": "x" * 100}]
 
 
 # -- values -----------------------------------------------------------------------------------------------------------
@@ -161,9 +161,9 @@ async def said(type_name: str, message: object) -> Any:
     """What one client hears of what another says: the message, or the reason why not."""
     async with world() as here:
         speaker, listener = here.client(), here.client()
-        listener.say(op="subscribe", topic="/t", type=type_name)
-        speaker.say(op="publish", topic="/t", msg=message)
-        return (messages(listener.heard()) or statuses(speaker.heard()))[0]
+        listener.send(op="subscribe", topic="/t", type=type_name)
+        speaker.send(op="publish", topic="/t", msg=message)
+        return (messages(listener.received()) or statuses(speaker.received()))[0]
 
 
 @pytest.mark.parametrize(
@@ -235,20 +235,20 @@ async def test_a_stamp_that_is_there_is_kept_and_now_is_any_time() -> None:
 async def test_actions_are_refused_in_words(op: str) -> None:
     async with world() as here:
         peer = here.client()
-        peer.say(op=op, id="g", action="/dock")
-        assert peer.heard() == [{"op": "status", "level": "error", "msg": f"{op}: no actions here", "id": "g"}]
+        peer.send(op=op, id="g", action="/dock")
+        assert peer.received() == [{"op": "status", "level": "error", "msg": f"{op}: no actions here", "id": "g"}]
 
 
 async def test_auth_is_accepted_and_an_unknown_op_does_no_harm() -> None:
     async with world() as here:
         peer = here.client()
-        peer.say(op="auth", mac="m", client="c", dest="d", rand="r", t=1, level="l", end=2)
-        assert peer.heard() == []
-        peer.say(op="dance", id="x")
-        assert statuses(peer.heard()) == ["unknown op 'dance'"]
-        peer.say(op="set_level", level="none")
-        peer.say(op="dance")
-        assert peer.heard() == []
+        peer.send(op="auth", mac="m", client="c", dest="d", rand="r", t=1, level="l", end=2)
+        assert peer.received() == []
+        peer.send(op="dance", id="x")
+        assert statuses(peer.received()) == ["unknown op 'dance'"]
+        peer.send(op="set_level", level="none")
+        peer.send(op="dance")
+        assert peer.received() == []
 
 
 async def test_fragments_are_put_together_in_any_order() -> None:
@@ -256,11 +256,11 @@ async def test_fragments_are_put_together_in_any_order() -> None:
     pieces = [text[at : at + 20] for at in range(0, len(text), 20)]
     async with world() as here:
         listener, speaker = here.client(), here.client()
-        listener.say(op="subscribe", topic="/chat")
+        listener.send(op="subscribe", topic="/chat")
         for number in reversed(range(len(pieces))):
-            speaker.say(op="fragment", id="f", num=number, total=len(pieces), data=pieces[number])
-        assert messages(listener.heard()) == [{"data": "ä" * 50}]
-        assert speaker.heard() == []
+            speaker.send(op="fragment", id="f", num=number, total=len(pieces), data=pieces[number])
+        assert messages(listener.received()) == [{"data": "ä" * 50}]
+        assert speaker.received() == []
 
 
 # -- bounds -----------------------------------------------------------------------------------------------------------
@@ -270,19 +270,19 @@ async def test_what_a_client_may_hold_is_bounded() -> None:
     async with world() as here:
         peer = here.client()
         for number in range(10_000):
-            peer.say(op="subscribe", topic=f"/topic_{number}", type="std_msgs/Bool")
-            peer.say(op="subscribe", id=number, topic="/one", type="std_msgs/Bool")
+            peer.send(op="subscribe", topic=f"/topic_{number}", type="std_msgs/Bool")
+            peer.send(op="subscribe", id=number, topic="/one", type="std_msgs/Bool")
             peer.queue.pop()
         assert sum(len(topic.subscribers) for topic in here.hub.topics.all()) == MAX_SUBSCRIPTIONS // 2 + 1
         for number in range(MAX_ADVERTISED + 50):
-            peer.say(op="advertise", id=number, latch=number < 50, topic=f"/mine_{number}", type="std_msgs/Bool")
-            peer.say(op="advertise_service", service=f"/mine_{number}", type="std_srvs/Empty")
+            peer.send(op="advertise", id=number, latch=number < 50, topic=f"/mine_{number}", type="std_msgs/Bool")
+            peer.send(op="advertise_service", service=f"/mine_{number}", type="std_srvs/Empty")
         assert len(peer.client.participant._advertised) == MAX_ADVERTISED
         assert sum(bool(topic.latched) for topic in here.hub.topics.all()) == MAX_LATCHED
         assert len(peer.client.participant._services) == MAX_SERVICES
-        peer.heard()
-        peer.say(op="subscribe", topic="x" * (MAX_TEXT + 1))
-        assert statuses(peer.heard()) == [f"subscribe: topic is longer than {MAX_TEXT} characters"]
+        peer.received()
+        peer.send(op="subscribe", topic="x" * (MAX_TEXT + 1))
+        assert statuses(peer.received()) == [f"subscribe: topic is longer than {MAX_TEXT} characters"]
 
 
 async def test_calls_under_way_are_bounded_and_each_is_answered() -> None:
@@ -290,7 +290,7 @@ async def test_calls_under_way_are_bounded_and_each_is_answered() -> None:
         await offered(here)
         caller = here.client()
         for number in range(MAX_CALLS + 3):
-            caller.say(op="call_service", id=number, service="/switch")
+            caller.send(op="call_service", id=number, service="/switch")
         refused = await caller.answers()
         assert [answer["id"] for answer in refused] == [MAX_CALLS, MAX_CALLS + 1, MAX_CALLS + 2]
         assert {answer["values"] for answer in refused} == {f"more than {MAX_CALLS} calls under way"}
@@ -300,9 +300,9 @@ async def test_many_quick_calls_in_one_read_are_all_answered() -> None:
     async with world() as here:
         caller, answers = here.client(), []
         for number in range(200):
-            caller.say(op="call_service", id=number, service="/rosapi/get_time")
+            caller.send(op="call_service", id=number, service="/rosapi/get_time")
             await caller.client.settle()
-            answers += caller.heard()
+            answers += caller.received()
         answers += await caller.answers()
         assert sorted(answer["id"] for answer in answers if answer["result"]) == list(range(200))
 
@@ -311,11 +311,11 @@ async def test_a_client_that_does_not_read_its_answers_is_not_read_from() -> Non
     async with world() as here:
         peer = here.client()
         for number in range(150):
-            peer.say(op="dance", id=number)
+            peer.send(op="dance", id=number)
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.01):
                 await peer.client.settle()
-        assert len(peer.heard()) == 150
+        assert len(peer.received()) == 150
         await peer.client.settle()
         assert not peer.queue.is_too_slow
 
@@ -326,12 +326,12 @@ async def test_a_gigabyte_of_nesting_costs_no_memory() -> None:
         deep = ["[" * 1_000_000, '{"op":' * 160_000, '{"op":"publish","topic":"/x","msg":' + '{"a":' * 200_000]
         for text in deep:
             peer.client.receive(text)
-        assert all("no JSON" in text for text in statuses(peer.heard()))
+        assert all("no JSON" in text for text in statuses(peer.received()))
         tracemalloc.start()
         for _ in range(340):
             for text in deep:
                 peer.client.receive(text)
-            peer.heard()
+            peer.received()
         held_bytes, peak_bytes = tracemalloc.get_traced_memory()
         tracemalloc.stop()
     assert held_bytes < 100_000
@@ -342,4 +342,4 @@ async def test_a_megabyte_of_lists_is_let_go() -> None:
     async with world() as here:
         peer = here.client()
         peer.client.receive('{"op":"subscribe","topic":"/x","id":[' + "[]," * 300_000 + "[]]}")
-        assert statuses(peer.heard()) == ["subscribe: id must be a number, or a text of at most 1024 characters"]
+        assert statuses(peer.received()) == ["subscribe: id must be a number, or a text of at most 1024 characters"]

@@ -34,11 +34,11 @@ async def test_arguments_may_be_a_list_in_the_order_of_the_fields() -> None:
 async def test_a_call_goes_to_the_program_complete_and_its_answer_comes_back_complete_and_once() -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
-        caller.say(op="call_service", id=7, service="/switch", args=[True])
+        caller.send(op="call_service", id=7, service="/switch", args=[True])
         (asked,) = await server.answers()
         assert (asked["op"], asked["service"], asked["args"]) == ("call_service", "switch", {"data": True})
         for _ in range(2):
-            server.say(op="service_response", id=asked["id"], service="switch", values={"success": True}, result=True)
+            server.send(op="service_response", id=asked["id"], service="switch", values={"success": True}, result=True)
         assert await caller.answers() == [
             {
                 "op": "service_response", "service": "/switch", "result": True, "id": 7,
@@ -59,9 +59,9 @@ async def test_a_call_goes_to_the_program_complete_and_its_answer_comes_back_com
 async def test_a_failure_has_its_reason_in_values(answer: dict[str, Any], reason: str) -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
-        caller.say(op="call_service", id=7, service="/switch")
+        caller.send(op="call_service", id=7, service="/switch")
         (asked,) = await server.answers()
-        server.say(op="service_response", id=asked["id"], service="switch", **answer)
+        server.send(op="service_response", id=asked["id"], service="switch", **answer)
         (heard,) = await caller.answers()
         assert heard["result"] is False
         assert reason in heard["values"]
@@ -72,13 +72,13 @@ async def test_what_a_service_answers_is_delivered_whatever_it_calls_its_result(
     """As rosbridge does: whether the service succeeded stands in its answer."""
     async with world() as here:
         server, caller = await offered(here), here.client()
-        caller.say(op="call_service", id=7, service="/switch")
+        caller.send(op="call_service", id=7, service="/switch")
         (asked,) = await server.answers()
         values = {"success": False, "message": "the door is open"}
-        server.say(op="service_response", id=asked["id"], service="switch", values=values, result=result)
+        server.send(op="service_response", id=asked["id"], service="switch", values=values, result=result)
         (heard,) = await caller.answers()
         assert (heard["values"], heard["result"]) == (values, True)
-        assert server.heard() == []
+        assert server.received() == []
 
 
 @pytest.mark.parametrize(
@@ -97,11 +97,11 @@ async def test_an_answer_that_is_none_fails_the_call_at_once_and_is_told_to_who_
 ) -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
-        caller.say(op="call_service", id=7, service="/switch")
+        caller.send(op="call_service", id=7, service="/switch")
         (asked,) = await server.answers()
-        server.say(op="service_response", id=asked["id"], service="switch", **answer)
+        server.send(op="service_response", id=asked["id"], service="switch", **answer)
         (heard,) = await caller.answers()
-        (status,) = server.heard()
+        (status,) = server.received()
         assert (heard["result"], status["level"], status["id"]) == (False, "error", asked["id"])
         assert reason in heard["values"]
         assert reason in status["msg"]
@@ -111,9 +111,9 @@ async def test_an_answer_that_nobody_waits_for_is_told_and_harmless() -> None:
     async with world() as here:
         server = await offered(here)
         for more in ({"id": "client 1 7"}, {}, {"id": 3}):
-            server.say(op="service_response", service="switch", values={}, result=True, **more)
+            server.send(op="service_response", service="switch", values={}, result=True, **more)
         assert (
-            server.heard()
+            server.received()
             == [
                 {
                     "op": "status",
@@ -128,39 +128,39 @@ async def test_an_answer_that_nobody_waits_for_is_told_and_harmless() -> None:
 async def test_what_is_offered_no_more_fails_the_calls_that_wait_for_it_and_no_others() -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
-        server.say(op="advertise_service", service="/other", type="std_srvs/Trigger")
-        caller.say(op="call_service", id=1, service="/switch")
-        caller.say(op="call_service", id=2, service="/other")
+        server.send(op="advertise_service", service="/other", type="std_srvs/Trigger")
+        caller.send(op="call_service", id=1, service="/switch")
+        caller.send(op="call_service", id=2, service="/other")
         asked = await server.answers()
-        server.say(op="unadvertise_service", service="/switch")
+        server.send(op="unadvertise_service", service="/switch")
         (heard,) = await caller.answers()
         assert (heard["id"], heard["result"], heard["values"]) == (1, False, "no service named /switch")
-        server.say(op="service_response", id=asked[1]["id"], service="/other", values={"success": True}, result=True)
+        server.send(op="service_response", id=asked[1]["id"], service="/other", values={"success": True}, result=True)
         assert [answer["id"] for answer in await caller.answers()] == [2]
 
 
 async def test_the_newest_offer_gets_the_calls_and_who_had_them_is_told_and_has_them_again() -> None:
     async with world() as here:
         first, caller = await offered(here), here.client()
-        caller.say(op="call_service", id=1, service="/switch")
+        caller.send(op="call_service", id=1, service="/switch")
         (asked,) = await first.answers()
         second = await offered(here)
         told = f"/switch: {second.client.participant.name} offers it too and gets the calls, as long as it is there"
-        assert statuses(first.heard()) == [told]
-        first.say(op="service_response", id=asked["id"], service="switch", values={"message": "first"}, result=True)
+        assert statuses(first.received()) == [told]
+        first.send(op="service_response", id=asked["id"], service="switch", values={"message": "first"}, result=True)
         assert (await caller.answers())[0]["values"]["message"] == "first"
-        caller.say(op="call_service", id=2, service="/switch")
-        assert (len(await second.answers()), first.heard()) == (1, [])
+        caller.send(op="call_service", id=2, service="/switch")
+        assert (len(await second.answers()), first.received()) == (1, [])
         second.client.participant.leave()
-        caller.say(op="call_service", id=3, service="/switch")
+        caller.send(op="call_service", id=3, service="/switch")
         assert [asked["op"] for asked in await first.answers()] == ["call_service"]
 
 
 async def test_who_offers_a_service_again_is_told_nothing() -> None:
     async with world() as here:
         server = await offered(here)
-        server.say(op="advertise_service", service="/switch", type="std_srvs/SetBool")
-        assert server.heard() == []
+        server.send(op="advertise_service", service="/switch", type="std_srvs/SetBool")
+        assert server.received() == []
 
 
 async def test_a_service_with_a_bug_fails_its_call_and_nothing_else() -> None:
@@ -170,7 +170,7 @@ async def test_a_service_with_a_bug_fails_its_call_and_nothing_else() -> None:
     async with world() as here:
         caller = here.client()
         here.hub.services.provide(Provider("/odd", "std_srvs/Trigger", "it", answer))
-        caller.say(op="call_service", id=7, service="/odd")
+        caller.send(op="call_service", id=7, service="/odd")
         (heard,) = await caller.answers()
         assert (heard["result"], heard["values"]) == (False, "/odd: ZeroDivisionError: a bug")
         assert (await call(caller, "/rosapi/get_param", ["/none", "8"])) == {"value": "8"}
@@ -179,17 +179,17 @@ async def test_a_service_with_a_bug_fails_its_call_and_nothing_else() -> None:
 async def test_a_type_that_nobody_defines_passes_as_it_is() -> None:
     async with world() as here:
         server, caller = await offered(here, "my_srvs/Odd"), here.client()
-        caller.say(op="call_service", id=7, service="/switch", args={"any": [1, None]})
+        caller.send(op="call_service", id=7, service="/switch", args={"any": [1, None]})
         (asked,) = await server.answers()
         assert asked["args"] == {"any": [1, None]}
-        server.say(op="service_response", id=asked["id"], service="switch", values={"x": 1}, result=True)
+        server.send(op="service_response", id=asked["id"], service="switch", values={"x": 1}, result=True)
         assert (await caller.answers())[0]["values"] == {"x": 1}
 
 
 async def test_a_program_that_leaves_fails_its_calls_at_once() -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
-        caller.say(op="call_service", id=7, service="/switch")
+        caller.send(op="call_service", id=7, service="/switch")
         await server.answers()
         server.client.participant.leave()
         (heard,) = await caller.answers()
@@ -200,14 +200,14 @@ def test_a_call_has_a_deadline_of_the_callers_choice() -> None:
     async def run() -> list[Any]:
         async with world() as here:
             _, caller = await offered(here), here.client()
-            caller.say(op="call_service", id=7, service="/switch", timeout=2)
+            caller.send(op="call_service", id=7, service="/switch", timeout=2)
             await asyncio.sleep(2.5)
-            short = caller.heard()
-            caller.say(op="call_service", id=8, service="/switch")
+            short = caller.received()
+            caller.send(op="call_service", id=8, service="/switch")
             await asyncio.sleep(59)
-            assert caller.heard() == []
+            assert caller.received() == []
             await asyncio.sleep(2)
-            return short + caller.heard()
+            return short + caller.received()
 
     heard = run_virtual(run())
     assert [answer["values"] for answer in heard] == ["/switch: no answer within 2 s", "/switch: no answer within 60 s"]
@@ -216,7 +216,7 @@ def test_a_call_has_a_deadline_of_the_callers_choice() -> None:
 async def test_hostlinks_own_services_are_nobody_elses() -> None:
     async with world() as here:
         thief = here.client()
-        thief.say(op="advertise_service", service="/rosapi/topics", type="rosapi/Topics")
-        assert statuses(thief.heard()) == ["/rosapi/topics is a service of hostlink's own"]
+        thief.send(op="advertise_service", service="/rosapi/topics", type="rosapi/Topics")
+        assert statuses(thief.received()) == ["/rosapi/topics is a service of hostlink's own"]
         thief.client.participant.leave()
         assert "/rosout" in (await call(here.client(), "/rosapi/topics"))["topics"]

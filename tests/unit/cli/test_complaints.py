@@ -1,4 +1,4 @@
-"""What libraries complain of: once in a while, and never a traceback for what a stranger sent."""
+"""What libraries complain of: once in a while, and never a traceback for what a client sent."""
 
 import asyncio
 import errno

@@ -129,7 +129,7 @@ def test_without_the_repetition_a_long_claim_would_swallow_every_zero() -> None:
 def test_what_a_connection_does_not_accept_is_kept_in_order() -> None:
     writer, sent = StopWriter((100,), BUFFER_BYTES), b""
     for step in range(1000):
-        part = writer.take_due(step / 1000)[:3]
+        part = writer.pop_due(step / 1000)[:3]
         writer.written(len(part))
         sent += part
     assert sent == b"".join(part for _, part in stop_sequence((100,), BUFFER_BYTES))
@@ -140,10 +140,10 @@ def test_what_a_connection_does_not_accept_is_kept_in_order() -> None:
 def test_the_writer_says_when_there_is_more() -> None:
     writer = StopWriter((100,), 0)
     assert not writer.is_done()
-    assert writer.take_due(0.0) == zero_frame(100)
+    assert writer.pop_due(0.0) == zero_frame(100)
     assert writer.next_s() == INTERVAL_S
     writer.written(56)
-    assert writer.take_due(INTERVAL_S - 0.001) == b""
+    assert writer.pop_due(INTERVAL_S - 0.001) == b""
     assert not writer.is_done()
 
 

@@ -11,7 +11,7 @@ from tests.support.session_host import LED, ODOMETRY, TIME, Host, wire
 
 def regular_device() -> Host:
     host = Host(ODOMETRY, LED)
-    host.hear(TIME, after_s=2.5)
+    host.receive(TIME, after_s=2.5)
     assert host.session.is_asking_time
     return host
 
@@ -20,7 +20,7 @@ def regular_device() -> Host:
 def test_time_requests_at_their_period_are_regular(period_s: float) -> None:
     host = Host(ODOMETRY)
     assert not host.session.is_asking_time  # two at once are part of a negotiation
-    host.hear(TIME, after_s=period_s)
+    host.receive(TIME, after_s=period_s)
     assert host.session.is_asking_time
 
 
@@ -28,7 +28,7 @@ def test_time_requests_at_their_period_are_regular(period_s: float) -> None:
 def test_time_requests_at_any_other_period_are_not(period_s: float) -> None:
     host = Host(ODOMETRY)
     for _ in range(5):
-        host.hear(TIME, after_s=period_s)
+        host.receive(TIME, after_s=period_s)
     assert not host.session.is_asking_time
 
 
@@ -39,7 +39,7 @@ def test_a_silent_regular_device_hears_a_request_before_its_link_ends() -> None:
     assert host.requests() == []
     host.wait(0.2)
     assert host.requests() == ["no_time_requests"]
-    host.hear(TIME + wire(ODOMETRY, LED) + TIME)
+    host.receive(TIME + wire(ODOMETRY, LED) + TIME)
     host.wait(3.4)
     assert host.requests() == []
 
@@ -48,7 +48,7 @@ def test_a_device_that_goes_on_talking_has_five_seconds_for_its_next_time_reques
     host = regular_device()
     for _ in range(49):
         host.wait(0.09)
-        host.hear(wire())
+        host.receive(wire())
         assert host.requests() == []
     host.wait(0.6)
     assert host.requests() == ["no_time_requests"]
@@ -91,7 +91,7 @@ def test_the_transition_table_is_what_happens() -> None:
 def test_no_request_leaves_while_the_device_answers_and_the_answer_grants_it() -> None:
     host = Host(ODOMETRY)
     host.wait(2.0)
-    host.hear(wire(ODOMETRY))
+    host.receive(wire(ODOMETRY))
     host.session.request_topics("claimed_twice")
     assert host.wait(0.45) == []
     host.wait(1.0)
@@ -100,8 +100,8 @@ def test_no_request_leaves_while_the_device_answers_and_the_answer_grants_it() -
 
 def test_an_unknown_id_is_no_reason_once_the_topics_came() -> None:
     host = Host(ODOMETRY)
-    host.hear(encode(140, b"?"))  # the last request is too young
-    host.hear(wire(ODOMETRY) + TIME)
+    host.receive(encode(140, b"?"))  # the last request is too young
+    host.receive(wire(ODOMETRY) + TIME)
     host.wait(1.5)
     assert host.requests() == []
 

@@ -24,21 +24,21 @@ def test_a_command_never_meets_the_new_meaning_of_its_id(is_urgent: bool) -> Non
     """Not even before the negotiation is over: one frame of a wrong size crashes a device."""
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01", is_urgent=is_urgent)
-    host.hear(wire(ODOMETRY, MOTOR))
+    host.receive(wire(ODOMETRY, MOTOR))
     assert host.sent() == []
 
 
 def test_a_call_never_meets_the_new_meaning_of_its_id() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     host.session.call("/set", b"\x01")
-    host.hear(wire(ODOMETRY, LED, TEXT) + TIME)
+    host.receive(wire(ODOMETRY, LED, TEXT) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
 def test_a_call_for_a_service_that_is_gone_is_forgotten() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     host.session.call("/set", b"\x01")
-    host.hear(wire(ODOMETRY, LED) + TIME)
+    host.receive(wire(ODOMETRY, LED) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
@@ -47,45 +47,45 @@ def test_the_answer_to_a_parameter_request_outlives_a_negotiation() -> None:
     host = Host()
     host.sent()
     host.session.answer_parameter("/gain", Parameter())
-    host.hear(wire(ODOMETRY, LED) + TIME)
+    host.receive(wire(ODOMETRY, LED) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME, Id.PARAMETER]
 
 
 def test_the_same_topics_again_cost_no_command() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
-    host.hear(wire(ODOMETRY, LED) + TIME)
+    host.receive(wire(ODOMETRY, LED) + TIME)
     assert host.sent()[-1] == Frame(100, b"\x01")
 
 
 def test_an_id_that_is_announced_for_the_first_time_drops_no_command() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
-    host.hear(wire(ODOMETRY, TEXT))
+    host.receive(wire(ODOMETRY, TEXT))
     assert host.sent() == [Frame(100, b"\x01")]
 
 
 def test_a_refused_topic_stays_refused_until_it_is_announced_anew() -> None:
     host = Host(ODOMETRY, WRONG_LED)
-    host.hear(wire(ODOMETRY))
+    host.receive(wire(ODOMETRY))
     with pytest.raises(WrongType, match="/led: wanted md5 right, got md5 wrong"):
         host.session.publish("/led", b"12345")
-    host.hear(wire(LED))
+    host.receive(wire(LED))
     host.session.publish("/led", b"\x01")
     assert host.sent() == [Frame(100, b"\x01")]
 
 
 def test_a_refused_topic_that_is_announced_no_more_is_unknown() -> None:
     host = Host(ODOMETRY, WRONG_LED)
-    host.hear(wire(ODOMETRY) + TIME)
+    host.receive(wire(ODOMETRY) + TIME)
     with pytest.raises(UnknownTopic, match="no topic named /led"):
         host.session.publish("/led", b"\x01")
 
 
 def test_a_topic_of_a_right_id_that_was_refused_before_is_usable() -> None:
     host = Host(WRONG_LED)
-    host.hear(TIME)
-    host.hear(wire(TEXT._replace(topic_id=100)) + TIME)
+    host.receive(TIME)
+    host.receive(wire(TEXT._replace(topic_id=100)) + TIME)
     assert [topic.name for topic in host.session.topics] == ["/text"]
 
 
@@ -103,7 +103,7 @@ def test_a_refusal_keeps_no_callers_alive() -> None:
 def test_a_last_topic_info_that_was_cut_off_is_requested() -> None:
     """Nothing but the bytes that wait tells that there was one: a lost last id leaves no gap."""
     host = Host()
-    host.hear(TIME + wire(ODOMETRY, LED, TEXT)[:-20])
+    host.receive(TIME + wire(ODOMETRY, LED, TEXT)[:-20])
     host.wait(1.1)
     assert host.requests() == ["damaged"]
 
@@ -111,16 +111,16 @@ def test_a_last_topic_info_that_was_cut_off_is_requested() -> None:
 def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_than_it_is_announced() -> None:
     host = Host()
     picture = encode(126, bytes(4000))
-    assert events.MessageReceived(BIG, bytes(4000)) in host.hear(wire(ODOMETRY, BIG) + picture)
-    host.hear(wire(ODOMETRY) + TIME)
-    assert host.hear(picture) == []
+    assert events.MessageReceived(BIG, bytes(4000)) in host.receive(wire(ODOMETRY, BIG) + picture)
+    host.receive(wire(ODOMETRY) + TIME)
+    assert host.receive(picture) == []
     assert host.session.rejected == {"too_long": 1}
 
 
 def test_a_size_holds_from_the_next_frame_on() -> None:
     host = Host()
     right, wrong = encode(125, bytes(24)), encode(125, bytes(23))
-    found = host.hear(wire(ODOMETRY) + wrong + right)
+    found = host.receive(wire(ODOMETRY) + wrong + right)
     assert [event for event in found if isinstance(event, events.MessageReceived)] == [
         events.MessageReceived(ODOMETRY, bytes(24))
     ]
@@ -169,7 +169,7 @@ def test_a_service_that_is_called_too_often_is_busy() -> None:
 def test_after_a_stop_nothing_leaves_any_more() -> None:
     host = Host(ODOMETRY, LED)
     host.session.stop()
-    host.hear(TIME)
+    host.receive(TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.STOP]
     host.session.publish("/led", b"\x01")
     host.wait(30.0)
@@ -189,7 +189,7 @@ def test_protocol_1_is_recognised_however_it_is_cut(size: int) -> None:
     body = b"\x7d\x00\xff\x00" + bytes(255)
     line = b"\xff\xff" + body + bytes([255 - sum(body) % 256]) + b"x" * 400
     host = Host()
-    found = [event for at in range(0, len(line), size) for event in host.hear(line[at : at + size], after_s=0.0)]
+    found = [event for at in range(0, len(line), size) for event in host.receive(line[at : at + size], after_s=0.0)]
     assert found == [events.Protocol1Recognised()]
 
 
@@ -198,7 +198,7 @@ def test_a_device_with_ten_thousands_of_topics_costs_no_more_than_its_bytes() ->
         line = wire(*(ODOMETRY._replace(topic_id=100 + number) for number in range(count)))
         host = Host()
         began = time.process_time()
-        host.hear(line)
+        host.receive(line)
         return time.process_time() - began
 
     assert is_linear(seconds, 2000)

@@ -71,7 +71,7 @@ def test_a_request_counts_whatever_its_type_and_its_size_are_known_as() -> None:
     refused = REQUESTS._replace(md5="wrong")
     sized = second(REQUESTS)._replace(type="std_msgs/Bool")
     host = Host(LED, refused, sized)
-    assert host.hear(encode(125, b"what") + encode(126, b"ever")) == [
+    assert host.receive(encode(125, b"what") + encode(126, b"ever")) == [
         events.ServiceRequested(refused, b"what"),
         events.ServiceRequested(sized, b"ever"),
     ]

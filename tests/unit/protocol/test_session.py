@@ -30,21 +30,21 @@ def test_without_an_answer_it_requests_again_every_two_seconds() -> None:
 
 def test_topics_are_known_after_a_frame_of_another_kind_or_half_a_second() -> None:
     host = Host()
-    assert host.hear(wire(ODOMETRY, LED)) == []
+    assert host.receive(wire(ODOMETRY, LED)) == []
     assert host.wait(0.4) == []
     assert host.wait(0.2) == [events.TopicsNegotiated((LED, ODOMETRY), is_changed=True, gap_at=None)]
     host = Host()
-    assert host.hear(wire(ODOMETRY) + TIME)[0] == events.TopicsNegotiated((ODOMETRY,), is_changed=True, gap_at=None)
+    assert host.receive(wire(ODOMETRY) + TIME)[0] == events.TopicsNegotiated((ODOMETRY,), is_changed=True, gap_at=None)
 
 
 def test_a_message_of_a_known_topic() -> None:
     host = Host(ODOMETRY)
-    assert host.hear(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
 
 
 def test_a_message_of_the_wrong_size_is_damage() -> None:
     host = Host(ODOMETRY)
-    assert host.hear(encode(125, bytes(23))) == []
+    assert host.receive(encode(125, bytes(23))) == []
     assert host.session.rejected == {"wrong_size": 1}
     assert host.session.counts.skipped_bytes == 31
 
@@ -52,7 +52,7 @@ def test_a_message_of_the_wrong_size_is_damage() -> None:
 def test_the_time_is_answered_first_with_the_clock_of_the_moment_of_sending() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
-    assert host.hear(TIME) == [events.TimeRequested()]
+    assert host.receive(TIME) == [events.TimeRequested()]
     assert host.sent() == [Frame(Id.TIME, bytes.fromhex("00000000 05000000")), Frame(100, b"\x01")]
 
 
@@ -60,10 +60,10 @@ def test_an_unknown_id_causes_at_most_one_request_a_second_and_three_in_all() ->
     host = Host(ODOMETRY)
     asked_at_s = []
     for _ in range(1000):
-        host.hear(encode(140, b"?"))
+        host.receive(encode(140, b"?"))
         if host.requests():
             asked_at_s.append(host.now_s)
-            host.hear(TIME + wire(ODOMETRY) + TIME)
+            host.receive(TIME + wire(ODOMETRY) + TIME)
     assert len(asked_at_s) == MAX_SAME_REQUESTS
     assert all(later - earlier >= 1.0 for earlier, later in itertools.pairwise(asked_at_s))
     assert host.session.counts.unknown_ids == 1000
@@ -72,8 +72,8 @@ def test_an_unknown_id_causes_at_most_one_request_a_second_and_three_in_all() ->
 def test_frames_before_the_answer_cause_no_second_request() -> None:
     host = Host()
     for _ in range(20):
-        host.hear(encode(125, bytes(24)))
-    host.hear(TIME + wire(ODOMETRY) + TIME)
+        host.receive(encode(125, bytes(24)))
+    host.receive(TIME + wire(ODOMETRY) + TIME)
     host.wait(3.0)
     assert host.session.counts.asks == 1
 
@@ -94,7 +94,7 @@ def test_a_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: 
         host.wait(1.2)
         if "gap" in host.requests():
             asks += 1
-            host.hear(TIME + wire(*infos) + TIME)
+            host.receive(TIME + wire(*infos) + TIME)
     assert asks == MAX_SAME_REQUESTS
 
 
@@ -104,10 +104,10 @@ def test_other_topics_are_a_new_cause_for_requests() -> None:
     for _ in range(MAX_SAME_REQUESTS):
         host.wait(1.2)
         assert "gap" in host.requests()
-        host.hear(TIME + wire(ODOMETRY, lost) + TIME)
+        host.receive(TIME + wire(ODOMETRY, lost) + TIME)
     host.wait(1.2)
     assert host.requests() == []
-    host.hear(TIME + wire(ODOMETRY._replace(name="/other"), lost) + TIME)
+    host.receive(TIME + wire(ODOMETRY._replace(name="/other"), lost) + TIME)
     assert host.requests() == ["gap"]
 
 
@@ -119,10 +119,10 @@ def test_a_new_session_has_counted_nothing_and_its_first_negotiation_is_one() ->
 
 def test_damage_during_a_negotiation_causes_a_request() -> None:
     host = Host()
-    host.hear(wire(ODOMETRY) + b"junk" + wire(LED) + TIME)
+    host.receive(wire(ODOMETRY) + b"junk" + wire(LED) + TIME)
     host.wait(1.1)
     assert host.requests() == ["damaged"]
-    host.hear(wire(ODOMETRY, LED) + TIME)
+    host.receive(wire(ODOMETRY, LED) + TIME)
     host.wait(1.1)
     assert host.requests() == []
 
@@ -132,7 +132,7 @@ def test_five_seconds_without_a_time_request_cause_a_request() -> None:
     for _ in range(3):
         host.wait(2.5)
         assert host.requests() == []
-        host.hear(TIME)
+        host.receive(TIME)
     host.wait(5.1)
     assert host.requests() == ["no_time_requests"]
 
@@ -140,9 +140,9 @@ def test_five_seconds_without_a_time_request_cause_a_request() -> None:
 def test_a_second_negotiation_replaces_the_first() -> None:
     host = Host(ODOMETRY, LED)
     other = ODOMETRY._replace(name="/battery", type="std_msgs/Float32")
-    found = host.hear(TIME + wire(other) + TIME)
+    found = host.receive(TIME + wire(other) + TIME)
     assert events.TopicsNegotiated((other,), is_changed=True, gap_at=None) in found
-    assert host.hear(encode(125, b"1234")) == [events.MessageReceived(other, b"1234")]
+    assert host.receive(encode(125, b"1234")) == [events.MessageReceived(other, b"1234")]
     with pytest.raises(UnknownTopic, match="no topic named /led"):
         host.session.publish("/led", b"\x01")
 
@@ -150,13 +150,13 @@ def test_a_second_negotiation_replaces_the_first() -> None:
 def test_a_negotiation_that_changes_ids_forgets_what_waits_for_the_old_ones() -> None:
     host = Host(ODOMETRY, LED)
     host.session.publish("/led", b"\x01")
-    host.hear(wire(ODOMETRY, TEXT._replace(topic_id=100)) + TIME)
+    host.receive(wire(ODOMETRY, TEXT._replace(topic_id=100)) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
 def test_the_same_topics_again_change_nothing() -> None:
     host = Host(ODOMETRY, LED)
-    found = host.hear(TIME + wire(ODOMETRY, LED) + TIME)
+    found = host.receive(TIME + wire(ODOMETRY, LED) + TIME)
     assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [False]
 
 
@@ -189,14 +189,14 @@ def test_a_device_that_announces_no_buffer_has_the_usual_one() -> None:
 def test_a_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> None:
     host = Host()
     wrong = LED._replace(md5="wrong")
-    found = host.hear(wire(ODOMETRY, wrong, TEXT) + TIME)
+    found = host.receive(wire(ODOMETRY, wrong, TEXT) + TIME)
     assert [(event.topic, str(event.reason)) for event in found if isinstance(event, events.TopicRefused)] == [
         (wrong, "/led: wanted md5 right, got md5 wrong")
     ]
     assert host.session.topics == (TEXT, ODOMETRY)
     with pytest.raises(WrongType):
         host.session.publish("/led", b"\x01")
-    assert host.hear(encode(100, b"\x01")) == []
+    assert host.receive(encode(100, b"\x01")) == []
     assert host.session.counts.refused_frames == 1
 
 
@@ -213,7 +213,7 @@ def test_services_in_both_directions() -> None:
     host.session.call("/set", b"request")
     host.session.respond(client[1], b"response")
     assert host.sent() == [Frame(100, b"request"), Frame(101, b"response")]
-    assert host.hear(encode(125, b"yes") + encode(126, b"?")) == [
+    assert host.receive(encode(125, b"yes") + encode(126, b"?")) == [
         events.ServiceResponded(server[0], b"yes"),
         events.ServiceRequested(client[0], b"?"),
     ]
@@ -223,7 +223,7 @@ def test_services_in_both_directions() -> None:
 
 def test_parameters_and_logs() -> None:
     host = Host(LED)
-    assert host.hear(
+    assert host.receive(
         encode(Id.PARAMETER, encode_parameter_request("/gain")) + encode(Id.LOG, encode_log(Log(2, "hot")))
     ) == [
         events.ParameterRequested("/gain"),
@@ -240,13 +240,13 @@ def test_parameters_and_logs() -> None:
 )
 def test_control_frames_that_make_no_sense_are_counted(frame: bytes) -> None:
     host = Host(LED)
-    assert host.hear(frame) == []
+    assert host.receive(frame) == []
     assert host.session.counts.malformed == 1
 
 
 def test_a_frame_of_a_device_with_an_id_that_only_the_host_may_use() -> None:
     host = Host(LED)
-    assert host.hear(encode(100, b"\x01")) == []
+    assert host.receive(encode(100, b"\x01")) == []
     assert host.session.counts.refused_frames == 1
 
 
@@ -254,31 +254,31 @@ def test_protocol_1_is_recognised_once() -> None:
     host = Host()
     body = b"\x0a\x00\x08\x00" + bytes(8)
     line = b"\xff\xff" + body + bytes([255 - sum(body) % 256])
-    found = [event for _ in range(3) for event in host.hear(line)]
+    found = [event for _ in range(3) for event in host.receive(line)]
     assert found == [events.Protocol1Recognised()]
 
 
 def test_a_frame_that_stalls_is_given_up() -> None:
     host = Host(ODOMETRY)
-    host.hear(b"\xff\xfe\x18\x00\xe7\x7d\x00half")
+    host.receive(b"\xff\xfe\x18\x00\xe7\x7d\x00half")
     host.wait(2.5)
     assert host.session.counts.skipped_bytes == 11
-    assert host.hear(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    assert host.receive(encode(125, bytes(24))) == [events.MessageReceived(ODOMETRY, bytes(24))]
 
 
 def test_a_frame_may_pause_for_two_seconds() -> None:
     host = Host(ODOMETRY)
     frame = encode(125, bytes(24))
-    host.hear(frame[:20])
+    host.receive(frame[:20])
     host.session.tick(now_s=host.now_s + 1.9)
-    assert host.hear(frame[20:], after_s=1.95) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    assert host.receive(frame[20:], after_s=1.95) == [events.MessageReceived(ODOMETRY, bytes(24))]
     assert host.session.counts.skipped_bytes == 0
 
 
 def test_a_larger_announced_buffer_lets_larger_frames_in() -> None:
     big = TopicInfo(Id.PUBLISHER, 125, "/image", "sensor_msgs/Image", "m", 5000)
     host = Host(big)
-    assert host.hear(encode(125, bytes(4000))) == [events.MessageReceived(big, bytes(4000))]
+    assert host.receive(encode(125, bytes(4000))) == [events.MessageReceived(big, bytes(4000))]
 
 
 def test_a_paced_device_is_waited_for() -> None:
@@ -359,11 +359,11 @@ def test_each_frame_to_the_device_is_counted_with_its_bytes() -> None:
 def test_the_time_to_an_answer_begins_with_the_request_for_topics() -> None:
     host = Host()
     host.sent()
-    host.hear(TIME + wire(LED) + TIME, after_s=0.2)
+    host.receive(TIME + wire(LED) + TIME, after_s=0.2)
     assert host.session.device_clock.answer_s == pytest.approx(0.2)
     host.session.publish("/led", b"\x01")
     host.sent()
-    host.hear(TIME, after_s=1.0)
+    host.receive(TIME, after_s=1.0)
     assert host.session.device_clock.answer_s == pytest.approx(0.2)
 
 

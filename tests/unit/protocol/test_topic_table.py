@@ -59,7 +59,7 @@ def many(count: int) -> bytes:
 
 def test_topics_over_the_bound_are_counted_and_are_one_event() -> None:
     host = Host()
-    found = host.hear(TIME + many(MAX_TOPICS + 50) + TIME)
+    found = host.receive(TIME + many(MAX_TOPICS + 50) + TIME)
     assert len(host.session.topics) == MAX_TOPICS
     assert host.session.counts.excess_topics == 50
     refused = [event for event in found if isinstance(event, events.TopicRefused)]
@@ -70,8 +70,8 @@ def test_topics_over_the_bound_are_counted_and_are_one_event() -> None:
 
 def test_a_topic_that_is_announced_again_is_not_over_the_bound() -> None:
     host = Host()
-    host.hear(TIME + many(MAX_TOPICS) + many(MAX_TOPICS) + TIME)
-    host.hear(many(MAX_TOPICS) + TIME)
+    host.receive(TIME + many(MAX_TOPICS) + many(MAX_TOPICS) + TIME)
+    host.receive(many(MAX_TOPICS) + TIME)
     assert host.session.counts.excess_topics == 0
 
 
