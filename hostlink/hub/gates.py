@@ -171,7 +171,7 @@ class Gates:
         while True:
             now_s = _now_s()
             for drivable in list(self._active):
-                if drivable.gate.is_active:
+                if drivable.gate.may_move or (drivable.gate.is_active and drivable.link is not None):
                     self._step(drivable, now_s)
                 elif not drivable.gate.is_claimed(now_s):
                     self._active.pop(drivable, None)

@@ -11,8 +11,9 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
-from tests.support.participants import publish, subscribe
+from tests.support.participants import Scene, play, publish, subscribe
 from tests.support.rosbridge import client
+from tests.support.scripted_device import ScriptedDevice
 from tests.support.waiting import expect
 
 ZERO = bytes(48)
@@ -202,3 +203,22 @@ async def test_a_velocity_of_no_numbers_is_refused(infos: list[TopicInfo], name:
         await expect(lambda: host.hub.topics.find(name).devices)
         with pytest.raises(BadRequest, match="finite numbers"):
             publish(host.hub, name, {"linear": {"x": float("nan")}})
+
+
+def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:
+    async def test(made: Scene) -> None:
+        infos = [*robot_topics("robot_2"), topic(Id.SUBSCRIBER, 102, "/robot_2/arm_vel", "geometry_msgs/Twist")]
+        for visit in range(5):
+            device = ScriptedDevice(made.hub, infos, address="10.0.0.3")
+            await asyncio.sleep(0.5)
+            robot = made.hub.robots.find("robot_2")
+            if visit == 0:
+                made.hub.emergency_stop.stop(robot)
+            assert device.link in {each.link for each in made.hub.gates._active}  # it hears its zero again and again
+            await device.aclose()
+            await asyncio.sleep(0.5)
+        assert robot not in made.hub.gates._active
+        made.hub.emergency_stop.release(robot)
+        assert [each.name for each in made.hub.gates._active if each.link is None] == []
+
+    play(test)
