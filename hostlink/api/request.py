@@ -79,7 +79,7 @@ class Request:
             return default
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
             raise BadRequest(f"{self.op}: {key} must be a number, not negative")
-        return min(float(value), float(2**53))
+        return float(min(value, 2**53))  # a whole number may be too large for a float
 
     def whole(self, key: str, default: int, largest: int) -> int:
         """A whole number from 0 to `largest`.

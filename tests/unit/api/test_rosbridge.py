@@ -25,6 +25,15 @@ def statuses(heard: list[Any]) -> list[str]:
     return [frame["msg"] for frame in heard if frame["op"] == "status"]
 
 
+async def test_a_whole_number_that_no_float_has_is_a_number() -> None:
+    async with world() as here:
+        peer, too_large = here.client(), 10**400
+        peer.say(op="subscribe", **CHAT, throttle_rate=too_large, queue_length=too_large)
+        peer.say(op="call_service", id="1", service="/rosapi/topics", timeout=too_large)
+        await asyncio.sleep(0.05)
+        assert [frame["result"] for frame in peer.heard()] == [True]
+
+
 # -- topics -----------------------------------------------------------------------------------------------------------
 
 
