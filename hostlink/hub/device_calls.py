@@ -24,6 +24,7 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
+from hostlink.hub.timeouts import expire
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable
@@ -77,7 +78,7 @@ class _Call:
         """Nobody waits for the answer any more."""
         self.is_over = True
         if self._timeout is not None:
-            self._timeout.reschedule(asyncio.get_running_loop().time())
+            expire(self._timeout)
 
 
 class DeviceCalls:

@@ -15,6 +15,7 @@ from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import Robot
 from hostlink.hub.services import Answer, Notify, Provider, Services
 from hostlink.hub.subscription import Subscription
+from hostlink.hub.timeouts import expire
 from hostlink.hub.topic import Receive, Subscriber, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
@@ -299,6 +300,6 @@ class Participant(Node):
         self._parts.topics.leave(self)
         self._parts.services.leave(self)
         for end in self._calls:
-            end.reschedule(asyncio.get_running_loop().time())
+            expire(end)
         self._advertised.clear()
         self._services.clear()

@@ -22,6 +22,7 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.node import Node
+from hostlink.hub.timeouts import expire
 from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -167,7 +168,7 @@ class Provider:
         """It is provided no more: every call that waits fails at once."""
         self._is_withdrawn = True
         for end in self._calls:
-            end.reschedule(asyncio.get_running_loop().time())
+            expire(end)
 
     @property
     def is_daemon(self) -> bool:

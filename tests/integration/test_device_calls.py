@@ -17,6 +17,7 @@ from hostlink.hub.services import DEVICE_TIMEOUT_S, Provider
 from hostlink.link.link import LinkEnd
 from hostlink.messages.message_type import MessageType, ServiceType
 from hostlink.protocol.control import Parameter, TopicInfo
+from hostlink.protocol.events import ServiceRequested
 from hostlink.protocol.frame import OVERHEAD_BYTES, Id
 from hostlink.protocol.outbox import MAX_REPLIES
 from tests.support.fake_device import CATALOG, topic
@@ -31,6 +32,7 @@ from tests.support.ros_lib_device import (
 )
 from tests.support.virtual_loop import run_virtual
 
+SAME_TURN_S = 5e-7  # within the resolution of the clock: behind what is due, in one turn of the loop
 LATEST_S = DEVICE_TIMEOUT_S + LAST_S
 UNKNOWN = ("0" * 32, "1" * 32)
 TRIGGER_RESPONSE = response_type("bool success\nstring message")
@@ -277,6 +279,31 @@ def test_a_device_that_was_asked_for_its_topics_meanwhile_hears_the_answer_to_it
             return await connected.device.call(b"")
 
     assert run_virtual(run()) == {"success": True, "message": "answer 2"}
+
+
+def test_a_call_that_is_given_up_as_its_deadline_comes_ends_no_link() -> None:
+    async def run() -> LinkEnd | None:
+        async with (
+            running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
+            ros_lib_device(hub, trigger(), TRIGGER_RESPONSE) as connected,
+        ):
+            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", never))
+            await connected.device.send(REQUESTS, b"")
+            await asyncio.sleep(0.5)
+            await connected.device.announce()
+            loop, accepted = asyncio.get_running_loop(), asyncio.Event()
+            first = next(iter(hub.device_calls._calls[connected.link.number].values()))[0]
+
+            def accept() -> None:
+                hub.device_calls.accept(connected.link, ServiceRequested(first.endpoint, b""))
+                accepted.set()
+
+            loop.call_at(first.deadline_s + SAME_TURN_S, accept)
+            async with asyncio.timeout(DEVICE_TIMEOUT_S):
+                await accepted.wait()
+            return connected.end
+
+    assert run_virtual(run()) is None
 
 
 # -- bounds -----------------------------------------------------------------------------------------------------------

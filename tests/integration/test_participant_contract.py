@@ -246,6 +246,31 @@ def test_one_that_leaves_while_it_is_called_fails_its_callers_at_once(make: Make
     play(test)
 
 
+@pytest.mark.parametrize("make", [plain, rest, rosbridge])
+def test_one_that_leaves_as_a_call_of_its_service_times_out_releases_all_that_it_has(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        async def never(_: Mapping[str, object]) -> Mapping[str, object]:
+            await asyncio.sleep(1000)
+            return {}
+
+        one, loop = make(made, Role.DRIVE), asyncio.get_running_loop()
+        one.serve(never)
+        asker = made.hub.join("asker")
+        calling = made.tasks.create_task(_refused(asker.call(SERVICE, {"data": True}, timeout_s=0.2)))
+        one.drive(ROBOT, 0.2, made.hub)
+        left: asyncio.Future[None] = loop.create_future()
+        same_turn_s = 5e-7  # within the resolution of the clock
+        loop.call_later(0.2 + same_turn_s, lambda: left.set_result(one.participant.leave()))
+        async with asyncio.timeout(1.0):
+            await left
+        await asyncio.sleep(0.1)
+        assert SERVICE in calling.result()
+        assert made.uses_of(one.participant) == []
+        assert made.speeds()[-1] == 0.0
+
+    play(test)
+
+
 async def _refused(call: Awaitable[object]) -> str:
     try:
         await call
