@@ -196,7 +196,7 @@ class Topic:
     def deliver_latched(self, subscriber: Subscriber) -> None:
         """Pass the last message of every publisher that latches; raises what the subscriber's callback raises."""
         at_s = asyncio.get_running_loop().time() if self.latched else 0.0
-        for source, payload in self.latched.items():
+        for source, payload in list(self.latched.items()):  # the callback may let one of them leave
             if payload is not None:
                 subscriber.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
 

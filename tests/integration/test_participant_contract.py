@@ -9,6 +9,7 @@ import pytest
 from hostlink.api.owners import Owners
 from hostlink.cli.demo import drive_robots
 from hostlink.errors import BadRequest, HostlinkError, RobotHeld
+from hostlink.hub.message import Message
 from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
@@ -291,6 +292,26 @@ def test_one_that_leaves_in_its_own_callback_takes_nothing_of_others_with_it(mak
         await asyncio.sleep(0.1)
         assert len(other.received()) == 2
         assert made.speeds()[-1] == 0.0
+        assert made.hub.isolation.crashes.total() == 0
+
+    play(test)
+
+
+def test_one_that_latched_may_leave_while_its_message_is_delivered() -> None:
+    async def test(made: Scene) -> None:
+        one, other, late = (plain(made, Role.DRIVE) for _ in range(3))
+        for each, said in ((one, "one"), (other, "other")):
+            each.participant.advertise(TEXT, TEXT_TYPE, is_latched=True)
+            each.participant.publish(TEXT, text(said))
+        heard: list[bytes] = []
+
+        def receive(message: Message) -> None:
+            heard.append(message.payload)
+            one.participant.leave()
+            late.participant.advertise(TEXT, TEXT_TYPE, is_latched=True)
+
+        late.participant.subscribe(TEXT, receive)
+        assert heard == [text("one"), text("other")]
         assert made.hub.isolation.crashes.total() == 0
 
     play(test)
