@@ -162,6 +162,7 @@ class Participant(Node):
             raise
 
         def close() -> None:
+            subscription.is_closed = True
             unsubscribe()
             self._subscriptions.pop(subscription, None)
 
@@ -294,6 +295,8 @@ class Participant(Node):
         if self.has_left:
             return
         self.has_left = True
+        for subscription in self._subscriptions:
+            subscription.is_closed = True  # its own zero is nothing to it any more
         self._parts.gates.release(self.name)
         for subscription in list(self._subscriptions):
             subscription.close()

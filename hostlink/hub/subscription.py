@@ -18,6 +18,7 @@ class Subscription:
         queue_length: int = 0,
     ) -> None:
         self.close: Callable[[], None] = lambda: None  # until it is in the graph
+        self.is_closed = False  # then nothing is delivered, not even of what is on its way
         self._deliver, self._on_held = deliver, on_held
         self._throttle = Throttle(interval_s=interval_s, queue_length=queue_length)
 
@@ -27,6 +28,8 @@ class Subscription:
 
     def receive(self, message: Message) -> None:
         """Deliver a message, or hold it back."""
+        if self.is_closed:
+            return
         ready = self._throttle.offer(message, message.at_s)
         if ready is not None:
             self._deliver(ready)
@@ -35,6 +38,6 @@ class Subscription:
 
     def flush(self, now_s: float) -> float | None:
         """Deliver what is due; returns when the next is."""
-        while (message := self._throttle.pop(now_s)) is not None:
+        while not self.is_closed and (message := self._throttle.pop(now_s)) is not None:
             self._deliver(message)
-        return self._throttle.due_s()
+        return None if self.is_closed else self._throttle.due_s()

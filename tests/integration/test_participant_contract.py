@@ -297,6 +297,38 @@ def test_one_that_leaves_in_its_own_callback_takes_nothing_of_others_with_it(mak
     play(test)
 
 
+def test_a_subscription_that_is_closed_receives_nothing_more_not_even_the_message_that_is_on_its_way() -> None:
+    async def test(made: Scene) -> None:
+        closing, closed, leaving, sending = (plain(made, Role.DRIVE) for _ in range(4))
+        heard: list[str] = []
+
+        def end_the_others(_: Message) -> None:
+            subscription.close()
+            leaving.participant.leave()
+
+        closing.participant.subscribe(TEXT, end_the_others)
+        subscription = closed.participant.subscribe(TEXT, lambda _: heard.append("closed"))
+        leaving.participant.subscribe(TEXT, lambda _: heard.append("left"))
+        sending.publish(TEXT, TEXT_TYPE, text("x"))
+        assert heard == []
+
+    play(test)
+
+
+def test_one_that_leaves_does_not_receive_its_own_zero() -> None:
+    async def test(made: Scene) -> None:
+        one = plain(made, Role.DRIVE)
+        robot, heard = made.hub.robots.find(ROBOT), []
+        one.participant.subscribe(robot.shown.velocity, lambda message: heard.append(Velocity.decode(message.payload)))
+        one.drive(ROBOT, 0.2, made.hub)
+        one.participant.leave()
+        assert heard == [Velocity(0.2)]
+        await asyncio.sleep(0.01)
+        assert made.speeds()[-1] == 0.0
+
+    play(test)
+
+
 def test_one_that_latched_may_leave_while_its_message_is_delivered() -> None:
     async def test(made: Scene) -> None:
         one, other, late = (plain(made, Role.DRIVE) for _ in range(3))
