@@ -28,6 +28,7 @@ MAX_LATCHED = 16  # topics; each keeps a message
 MAX_SUBSCRIPTIONS = 256
 MAX_SERVICES = 64
 MAX_CALLS = 64  # of services, under way at once
+MAX_NESTED = 8  # messages and commands, each sent in a callback that the one before caused
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,7 @@ class Participant(Node):
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
         self._calls: set[asyncio.Timeout] = set()
+        self._nested = 0  # what it is sending now, each in a callback that the one before caused
 
     # -- topics -------------------------------------------------------------------------------------------------------
 
@@ -119,7 +121,7 @@ class Participant(Node):
         """Send a payload to all who subscribe; a velocity is a command at this priority.
 
         Raises:
-            BadRequest: it may not publish, or the velocity is not finite.
+            BadRequest: it may not publish, the velocity is not finite, or its own callback has sent this too often.
             DeviceGone: the daemon stops, or the robot is not connected.
             RobotHeld: another drives the robot with a higher priority, or it is locked.
             FrameTooLarge, WrongType: it does not fit a device; all others have it.
@@ -129,7 +131,11 @@ class Participant(Node):
             raise DeviceGone(topic, ENDING)
         known = self._parts.topics.find_or_none(topic)
         if known is not None:
-            known.publish(payload, source=self, priority=self.priority if priority is None else priority)
+            self._begin_sending("publish")
+            try:
+                known.publish(payload, source=self, priority=self.priority if priority is None else priority)
+            finally:
+                self._nested -= 1
 
     def subscribe(
         self,
@@ -268,7 +274,21 @@ class Participant(Node):
         if link is not None and robot.link is not None and robot.link.number != link:
             raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
         wanted_priority = self.priority if priority is None else priority
-        return self._parts.gates.command(robot, velocity, owner=self.name, priority=wanted_priority)
+        self._begin_sending("drive")
+        try:
+            return self._parts.gates.command(robot, velocity, owner=self.name, priority=wanted_priority)
+        finally:
+            self._nested -= 1
+
+    def _begin_sending(self, what: str) -> None:
+        """Refuse what its own callback has sent too often.
+
+        A message that comes back to its sender, who sends it again, would use up the stack; then whoever is called
+        last would fail, also a robot's link.
+        """
+        if self._nested >= MAX_NESTED:
+            raise BadRequest(f"{what}: {self.name} sends in a callback what calls it back, again and again")
+        self._nested += 1
 
     # -- its end ------------------------------------------------------------------------------------------------------
 

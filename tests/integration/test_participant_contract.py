@@ -297,6 +297,49 @@ def test_one_that_leaves_in_its_own_callback_takes_nothing_of_others_with_it(mak
     play(test)
 
 
+@pytest.mark.parametrize("kind", ["publish", "drive"])
+def test_one_that_sends_in_its_callback_what_calls_it_back_ends_alone(kind: str) -> None:
+    async def test(made: Scene) -> None:
+        looping, watching = plain(made, Role.DRIVE), plain(made, Role.DRIVE)
+        robot, sent = made.hub.robots.find(ROBOT), plain(made, Role.DRIVE)
+
+        def send_again(message: Message) -> None:
+            if kind == "publish":
+                looping.participant.publish(message.topic, message.payload)
+            else:
+                looping.participant.drive(robot, Velocity.decode(message.payload))
+
+        looping.participant.subscribe(robot.shown.velocity, send_again)
+        watching.subscribe(robot.shown.velocity)
+        sent.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.1)
+        assert looping.participant.has_left
+        assert not watching.participant.has_left
+        assert made.hub.isolation.crashes == {"participant": 1}
+        sent.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.1)
+        assert made.speeds()[-1] == 0.2
+
+    play(test)
+
+
+def test_two_that_answer_each_other_without_end_disturb_no_third() -> None:
+    async def test(made: Scene) -> None:
+        one, other, third = (made.hub.join(name) for name in ("one", "other", "third"))
+        heard: list[bytes] = []
+        for who, answers_to, answers_on in ((one, "/ping", "/pong"), (other, "/pong", "/ping")):
+            who.advertise(answers_on, TEXT_TYPE)
+            who.subscribe(answers_to, lambda message, who=who, topic=answers_on: who.publish(topic, message.payload))
+        third.subscribe("/ping", lambda message: heard.append(message.payload))
+        third.publish("/ping", text("hello"))
+        assert one.has_left != other.has_left
+        assert not third.has_left
+        assert set(heard) == {text("hello")}
+        assert made.hub.isolation.crashes == {"participant": 1}
+
+    play(test)
+
+
 def test_a_subscription_that_is_closed_receives_nothing_more_not_even_the_message_that_is_on_its_way() -> None:
     async def test(made: Scene) -> None:
         closing, closed, leaving, sending = (plain(made, Role.DRIVE) for _ in range(4))
