@@ -45,6 +45,7 @@ class Driver:
         self._numbers = itertools.count(1)
         self._repeated: dict[str, _Repeated] = {}
         self._broken: dict[str, str] = {}
+        self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
         connection.handlers["drive_result"].append(self._receive_answer)
         connection.handlers["status"].append(self._receive_status)
 
@@ -74,6 +75,7 @@ class Driver:
 
     async def _command(self, repeated: _Repeated, link: int | None) -> int:
         """For the device that was driven before, if one was: else a new one would be driven on without notice."""
+        self._sent_s[str(repeated.request["robot"])] = repeated.sent_s
         request = {**repeated.request, "sent_s": repeated.sent_s, "link": link}
         answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
@@ -88,13 +90,23 @@ class Driver:
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection.
         """
-        request = {"id": f"{_COMMAND}{robot}", "sent_s": _now_s(), "link": link}
+        self._sent_s[robot] = _now_s()
+        request = {"id": f"{_COMMAND}{robot}", "sent_s": self._sent_s[robot], "link": link}
         await self._connection.send(_request(robot, *velocity, priority) | request)
 
     def let_go(self, robot: str) -> None:
         """Repeat it no more; the end of it is known to the caller."""
         self._repeated.pop(robot, None)
         self._broken.pop(robot, None)
+
+    async def send_zero(self, robot: str, priority: int) -> None:
+        """Follow the commands that may still be on their way with a zero: a stop goes another way, and overtakes them.
+
+        It is never too late, and not repeated; without a connection nothing is on its way.
+        """
+        if _now_s() <= self._sent_s.pop(robot, float("-inf")) + LEASE_S:
+            with contextlib.suppress(HostlinkError):
+                await self._connection.send({**_request(robot, 0.0, 0.0, priority), "id": f"zero:{robot}"})
 
     def break_all(self, reason: str) -> tuple[str, ...]:
         """The connection is lost; returns the robots that were driven."""
@@ -116,7 +128,7 @@ class Driver:
         if now_s > repeated.sent_s + LEASE_S:
             self._break(robot, f"this program did not run for {now_s - repeated.sent_s:.1f} s")
             return
-        repeated.sent_s = now_s
+        repeated.sent_s = self._sent_s[robot] = now_s
         request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "link": repeated.link}
         with contextlib.suppress(HostlinkError):  # the connection reports its loss to everybody
             await self._connection.send({**repeated.request, **request})

@@ -73,7 +73,10 @@ class Robot:
             HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
         """
         self._driver.let_go(self.name)
-        await self._http.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
+        try:
+            await self._http.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
+        finally:
+            await self._driver.send_zero(self.name, self.priority)
 
     async def lock(self, reason: str) -> None:
         """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.

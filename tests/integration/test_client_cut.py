@@ -119,6 +119,25 @@ async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
         assert world.known.gate.counts.commands == commands
 
 
+@pytest.mark.parametrize("is_held", [True, False])
+async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_held: bool) -> None:
+    async with driven() as world:
+        if not is_held:
+            await world.robot.stop()
+        world.line.set_line(Line.STALLS_SOCKETS)
+        for _ in range(3):  # shorter than what counts as a loss
+            if not is_held:
+                await world.robot.command(0.2, 0.0)
+            await asyncio.sleep(0.1)
+        await world.robot.stop()
+        gate = world.known.gate
+        assert gate.holder is None
+        world.line.set_line(Line.WORKS)
+        await expect(lambda: gate.holder is None and gate.current.is_zero)
+        await expect_never(lambda: not gate.current.is_zero, for_s=0.3)
+        assert world.me.is_connected
+
+
 async def test_during_the_cut_every_call_raises_at_once() -> None:
     async with driven() as world:
         world.line.set_line(Line.SWALLOWS)

@@ -14,6 +14,7 @@ class Line(Enum):
     WORKS = "works"
     SWALLOWS = "swallows"  # as a radio out of reach: what is sent is gone
     STALLS = "stalls"  # as a full tunnel: what is sent arrives when it works again
+    STALLS_SOCKETS = "stalls_sockets"  # as where a segment of theirs is lost: requests overtake what WebSockets send
 
 
 class Proxy:
@@ -58,10 +59,12 @@ class Proxy:
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             with contextlib.suppress(OSError):
+                is_socket = False
                 while data := await reader.read(READ_BYTES):
-                    if self._line is Line.STALLS:
+                    is_socket |= b"upgrade: websocket" in data.lower()
+                    if self._line is Line.STALLS or (is_socket and self._line is Line.STALLS_SOCKETS):
                         await self._works.wait()
-                    if self._line is Line.WORKS:
+                    if self._line in (Line.WORKS, Line.STALLS_SOCKETS):
                         writer.write(data)
                         await writer.drain()
             await self._works.wait()  # the end of one side is not passed on either
