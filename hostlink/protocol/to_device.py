@@ -106,18 +106,6 @@ class MessagesToDevice:
         info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
         self._outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
 
-    def answer(self, service: str, payload: bytes) -> None:
-        """Queue the response to a request of the device.
-
-        Raises:
-            UnknownTopic: the device does not call this service.
-            WrongType: the payload has not the size of the response's type, or the service was refused.
-            FrameTooLarge: the device's buffer is smaller.
-            DeviceBusy: too many requests and responses wait.
-        """
-        info = self._endpoint("service", service, Id.SERVICE_CLIENT_SUBSCRIBER)
-        self._outbox.put_reply(service, self._encode(info, payload))
-
     def response_endpoint(self, request: TopicInfo) -> TopicInfo:
         """Where the device receives the response to a request of this endpoint.
 

@@ -99,6 +99,7 @@ def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> N
 @example(ODOMETRY_TYPE, bytes(12) + b"\x01\x00\x00\x00a" + bytes(4 + 680))
 @example(ODOMETRY_TYPE, bytes(699))
 @example(ODOMETRY_TYPE, bytes(700))
+@example(ODOMETRY_TYPE, bytes(701))
 def test_what_the_full_decode_refuses_is_refused_and_nothing_else(type_name: str, payload: bytes) -> None:
     try:
         type_of(type_name).decode(payload)
