@@ -82,15 +82,15 @@ class Device:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
                 self._route_refused(info, robot)
 
-    def receive(self, message: MessageReceived) -> None:
-        """Pass a message of the device to whoever subscribes."""
+    def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
+        """Pass a message of the device to whoever subscribes; `at_s`: when it arrived, if not in the last read."""
         topic_id, now_s = message.topic.topic_id, self.link.heard_at_s
         if topic_id in self._stamped:
             self._observe_stamp(message.payload, now_s)
         topic = self.routes.get(topic_id)
         if topic is not None:
             try:
-                topic.publish(message.payload, source=self.link, at_s=now_s)
+                topic.publish(message.payload, source=self.link, at_s=now_s if at_s is None else at_s)
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
@@ -213,23 +213,23 @@ class EarlyMessages:
     """What a device sent while it was not known who it is, to be passed on later; over a bound the oldest goes."""
 
     def __init__(self) -> None:
-        self._waiting: deque[MessageReceived] = deque()
+        self._waiting: deque[tuple[MessageReceived, float]] = deque()
         self._bytes = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, message: MessageReceived) -> int:
-        """Returns how many went for it."""
+    def add(self, message: MessageReceived, at_s: float) -> int:
+        """Add one that arrived `at_s`; returns how many went for it."""
         before = len(self._waiting)
-        self._waiting.append(message)
+        self._waiting.append((message, at_s))
         self._bytes += len(message.payload)
         while len(self._waiting) > EARLY_MESSAGES or self._bytes > EARLY_BYTES:
-            self._bytes -= len(self._waiting.popleft().payload)
+            self._bytes -= len(self._waiting.popleft()[0].payload)
         return before + 1 - len(self._waiting)
 
-    def pop_all(self) -> list[MessageReceived]:
-        """All of them; none is left."""
+    def pop_all(self) -> list[tuple[MessageReceived, float]]:
+        """All of them, and when they arrived; none is left."""
         waiting = list(self._waiting)
         self._waiting.clear()
         self._bytes = 0

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import structlog
 
-from hostlink.errors import DeviceGone, HostlinkError, WrongType
+from hostlink.errors import BadRequest, DeviceGone, HostlinkError, WrongType
 from hostlink.hub.drivable import Drivable
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
@@ -80,9 +80,12 @@ class Gates:
         Raises:
             HostlinkError: as `command`.
             WrongType: it is none.
+            BadRequest: it arrived a lease ago or earlier, and means nothing any more.
         """
         if message.type_name != TWIST_TYPE:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
+        if _now_s() >= message.at_s + drivable.gate.lease_s:
+            raise BadRequest(f"{drivable.name}: the command waited longer than it holds")
         velocity = Velocity.decode(message.payload)
         self.command(drivable, velocity, owner=str(message.source), priority=message.priority, now_s=message.at_s)
 

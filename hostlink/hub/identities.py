@@ -60,7 +60,7 @@ class Identities:
 
     def keep(self, device: Device, message: MessageReceived) -> None:
         """It is not known yet who the device is: its messages are passed on later."""
-        self.undelivered += device.early.add(message)
+        self.undelivered += device.early.add(message, device.link.heard_at_s)
 
     def forget(self, link: Link) -> None:
         """The link has ended, or another replaces it."""
@@ -135,8 +135,8 @@ class Identities:
         self._affected.robot_topics.update(changed, touched | device.names)
         self._log_name(link, claim)
         device.is_undecided = False
-        for message in device.early.pop_all():
-            device.receive(message)
+        for message, at_s in device.early.pop_all():
+            device.receive(message, at_s)
 
     def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> Robot:
         before = self._affected.robots.of_link(device.link)

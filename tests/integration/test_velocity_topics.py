@@ -9,14 +9,17 @@ from hostlink.config import Config, RobotConfig
 from hostlink.errors import BadRequest, RobotHeld
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
+from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity_gate import LEASE_S
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
-from tests.support.participants import Scene, play, publish, subscribe
+from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, ROBOT, VELOCITY_ID, Scene, play, publish, subscribe
 from tests.support.rosbridge import client
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.waiting import expect
 
 ZERO = bytes(48)
+SPEED = struct.pack("<d", 0.77)
 NO_POSE = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
 SECOND = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/robot_0/arm_vel", "geometry_msgs/Twist")]
 DRIVE = {"op": "publish", "topic": "", "msg": {"linear": {"x": 0.3}}}
@@ -203,6 +206,29 @@ async def test_a_velocity_of_no_numbers_is_refused(infos: list[TopicInfo], name:
         await expect(lambda: host.hub.topics.find(name).devices)
         with pytest.raises(BadRequest, match="finite numbers"):
             publish(host.hub, name, {"linear": {"x": float("nan")}})
+
+
+def test_what_a_device_commanded_before_it_was_known_who_it_is_is_not_obeyed_late() -> None:
+    async def test(made: Scene) -> None:
+        drives = topic(Id.PUBLISHER, 126, f"/{NEIGHBOUR}/velocity_commands", "geometry_msgs/Twist")
+        made.robot.task.cancel()  # it answers nothing: whether the new one is the same takes time to find out
+        for _ in range(5):
+            await made.robot.send(ODOMETRY_ID, bytes(24))
+            await asyncio.sleep(0.1)
+        made.hub.join("driver").drive(made.hub.robots.find(ROBOT), Velocity(0.2))
+        device = ScriptedDevice(made.hub, [*robot_topics(ROBOT), drives], address="10.0.0.1")
+        await asyncio.sleep(0.1)
+        early = made.hub._identities.devices[device.link.number].early
+        sent_at_s = asyncio.get_running_loop().time()
+        await device.send(126, SPEED + bytes(40))
+        for _ in range(10):
+            await asyncio.sleep(0.1)
+            await device.send(ODOMETRY_ID, bytes(24))
+        assert len(early) == 0
+        twists = [(at_s, f.payload) for at_s, f in made.other.heard if f.topic_id == VELOCITY_ID]
+        assert not [at_s for at_s, twist in twists if twist[:8] == SPEED and at_s > sent_at_s + LEASE_S]
+
+    play(test)
 
 
 def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:

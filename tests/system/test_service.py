@@ -53,17 +53,17 @@ async def test_systemd_hears_of_the_start_of_each_heartbeat_and_of_the_stop(syst
     listener, address = systemd
     environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
     async with serve(environment=environment) as daemon:
-        await listener.heard("READY=1")
-        assert "STATUS=0 devices; robots: none" in await listener.heard("WATCHDOG=1")
+        await listener.received("READY=1")
+        assert "STATUS=0 devices; robots: none" in await listener.received("WATCHDOG=1")
         async with fake_device(daemon.tcp, robot_topics()):
             await daemon.read_log("robot.appeared")
             began_s = asyncio.get_running_loop().time()
             for _ in range(4):
-                await listener.heard("WATCHDOG=1")
+                await listener.received("WATCHDOG=1")
             assert asyncio.get_running_loop().time() - began_s < 4 * WATCHDOG_S  # it comes before it is due
-            await listener.heard("STATUS=1 devices; robots: robot_0")
+            await listener.received("STATUS=1 devices; robots: robot_0")
             daemon.child.send_signal(signal.SIGTERM)
-            await listener.heard("STOPPING=1")
+            await listener.received("STOPPING=1")
             assert await daemon.child.wait() == 0
 
 
@@ -71,11 +71,11 @@ async def test_a_stopped_process_says_nothing(systemd: tuple[Systemd, str]) -> N
     """The heartbeat is the event loop's own."""
     listener, address = systemd
     async with serve(environment={"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "100000"}) as daemon:
-        await listener.heard("WATCHDOG=1")
+        await listener.received("WATCHDOG=1")
         daemon.child.send_signal(signal.SIGSTOP)
         assert await listener.is_quiet_for(1.0)
         daemon.child.send_signal(signal.SIGCONT)
-        await listener.heard("WATCHDOG=1")
+        await listener.received("WATCHDOG=1")
 
 
 async def test_a_systemd_that_is_gone_stops_nothing(tmp_path: Path) -> None:
