@@ -69,7 +69,7 @@ class Driver:
             repeated.link = await self._command(repeated, None if before is None else before.link)
             repeated.sent_s = _now_s()
         except BaseException:  # a cancellation too: what nobody waits for is not repeated
-            if self._repeated.get(robot) is repeated:
+            if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.let_go(robot)
             raise
 

@@ -163,6 +163,9 @@ async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_hel
         assert time.monotonic() - began_s < NOTICED_S
         assert not world.robot.is_driven
         await world.stands()
+        world.line.set_line(Line.WORKS)
+        await expect(lambda: world.me.is_connected)
+        await world.robot.drive(0.1, 0.0)  # the loss was raised already
 
 
 async def test_a_connection_that_is_reset_comes_back_with_its_subscriptions_and_advertisements() -> None:
