@@ -73,7 +73,8 @@ test: $(VENV)/.dev $(CLIENTS)
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet" --ignore=tests/unit
-	$(BIN)/python -m pytest -n $(CORES) -m quiet --ignore=tests/unit
+	$(BIN)/python -m pytest -n $(CORES) -m "quiet and not alone" --ignore=tests/unit
+	$(BIN)/python -m pytest -m alone --ignore=tests/unit
 
 coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration

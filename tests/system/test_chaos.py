@@ -25,6 +25,7 @@ def draw_seed() -> int:
 
 @pytest.mark.long
 @pytest.mark.quiet
+@pytest.mark.alone
 @pytest.mark.timeout(SECONDS + 120)
 async def test_whatever_is_played_the_robot_stops_and_the_daemon_lives() -> None:
     outcome = await run(Wanted(seed=draw_seed(), seconds=SECONDS), print)
