@@ -28,10 +28,10 @@ def statuses(heard: list[Any]) -> list[str]:
 async def test_a_whole_number_that_no_float_has_is_a_number() -> None:
     async with world() as here:
         peer, too_large = here.client(), 10**400
-        peer.say(op="subscribe", **CHAT, throttle_rate=too_large, queue_length=too_large)
-        peer.say(op="call_service", id="1", service="/rosapi/topics", timeout=too_large)
+        peer.send(op="subscribe", **CHAT, throttle_rate=too_large, queue_length=too_large)
+        peer.send(op="call_service", id="1", service="/rosapi/topics", timeout=too_large)
         await asyncio.sleep(0.05)
-        assert [frame["result"] for frame in peer.heard()] == [True]
+        assert [frame["result"] for frame in peer.received()] == [True]
 
 
 # -- topics -----------------------------------------------------------------------------------------------------------
