@@ -94,7 +94,7 @@ async def measure(load: Load) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "hostlink.toml"
         config.write_text(load.config)
-        async with serve("--config", str(config)) as daemon, asyncio.TaskGroup() as tasks:
+        async with serve("--config", str(config), program=(HOSTLINK,)) as daemon, asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(read_away(daemon))
             async with driven(daemon) as robot, subscribed(load, daemon), crowd(load, daemon) as visitors:
                 before_s = cpu_s(daemon)

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import aiohttp
 
-from tests.support.process import Process, serve
+from tests.support.process import HOSTLINK, Process, serve
 from tools.bench_crowd import MANY, ROOT, cpu_s, read_away
 
 RATE_HZ = 10
@@ -76,7 +76,10 @@ async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
         config = Path(folder) / "hostlink.toml"
         config.write_text(MANY)
         options = [] if loop == "asyncio" else ["--loop", loop]
-        async with serve("--config", str(config), *options) as daemon, asyncio.TaskGroup() as tasks:
+        async with (
+            serve("--config", str(config), *options, program=(HOSTLINK,)) as daemon,
+            asyncio.TaskGroup() as tasks,
+        ):
             reading = tasks.create_task(read_away(daemon))
             async with crowd(fleet, daemon), driving(fleet, daemon):
                 await asyncio.sleep(SETTLE_S)

@@ -220,7 +220,8 @@ class Session(MessagesToDevice):
         fixed_bytes = None
         try:
             fixed_bytes = self._check(info)
-        except HostlinkError as reason:
+        except HostlinkError as error:
+            reason = error.with_traceback(None)  # with it, `found` and the error would keep each other alive
             self._refused[info.topic_id] = reason
             found.append(events.TopicRefused(info, reason))
         if info.kind is Id.SERVICE_CLIENT_PUBLISHER:

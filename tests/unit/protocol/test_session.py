@@ -1,6 +1,7 @@
 """The host's side of one device: what it asks, answers, refuses and forgets. Times are virtual."""
 
 import dataclasses
+import gc
 import itertools
 
 import pytest
@@ -184,6 +185,21 @@ def test_a_device_that_announces_no_buffer_has_the_usual_one() -> None:
     host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 8))
     with pytest.raises(FrameTooLarge):
         host.session.publish("/text", bytes(DEFAULT_BUFFER_BYTES - 7))
+
+
+def test_a_refused_topic_leaves_no_cycle_for_the_garbage_collector() -> None:
+    """A device that announces them without end made full collections of 20 ms, in which no stop leaves."""
+    wrong = wire(LED._replace(md5="wrong")) + TIME
+    host = Host(ODOMETRY)
+    host.receive(wrong)
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(50):
+            host.receive(wrong, after_s=1.0)
+        assert gc.collect() < 50
+    finally:
+        gc.enable()
 
 
 def test_a_refused_topic_is_an_event_and_its_messages_are_not_delivered() -> None:
