@@ -1,4 +1,4 @@
-"""What `except*` around a task group hides."""
+"""What `except*` around a task group hides, and time-outs that end before their time."""
 
 import asyncio
 
@@ -12,3 +12,9 @@ def raise_if_cancelled() -> None:
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
+
+
+def expire(timeout: asyncio.Timeout) -> None:
+    """Let a block under a time-out end now; it may be ending already, in this turn of the loop."""
+    if not timeout.expired():
+        timeout.reschedule(asyncio.get_running_loop().time())

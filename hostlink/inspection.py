@@ -27,6 +27,8 @@ from hostlink.protocol.control import (
 from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 
+_REQUESTS = (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+
 
 class Read(msgspec.Struct):
     """One line of a recording."""
@@ -175,7 +177,7 @@ class Inspection:
         while connection.to_device.pending_bytes:
             self._add_items(connection, connection.to_device.give_up(), self._from_host)
         for frame in connection.early:  # went to the device before the recording shows what its id means
-            self._message_to_device(connection, frame)
+            self._add_message(connection, frame, is_to_device=True)
 
     def _from_device(self, connection: "_Connection", frame: Frame) -> None:
         match frame.topic_id:
@@ -189,23 +191,22 @@ class Inspection:
             case kind if kind <= Id.SERVICE_CLIENT_SUBSCRIBER:
                 self._add_topic_info(connection, decode_topic_info(Id(kind), frame.payload))
             case topic_id if topic_id >= FIRST_TOPIC_ID:
-                self._message_from_device(connection, frame)
+                self._add_message(connection, frame, is_to_device=False)
 
     def _add_topic_info(self, connection: "_Connection", info: TopicInfo | None) -> None:
         if info is not None:
             self._topics.setdefault((info.kind, info.topic_id, info.name), info)
             connection.add_topic(info)
 
-    def _message_from_device(self, connection: "_Connection", frame: Frame) -> None:
+    def _add_message(self, connection: "_Connection", frame: Frame, *, is_to_device: bool) -> None:
         info = connection.topics.get(frame.topic_id)
-        if info is None or info.is_to_device:
+        if info is None or info.is_to_device is not is_to_device:
             return
-        if info.kind is Id.PUBLISHER:
-            self._messages.setdefault(info.name, _Series(self._type_of(info))).add(frame.payload)
-        elif info.kind is Id.SERVICE_SERVER_PUBLISHER:
-            self._count(info.name, self._responses)
+        if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER):
+            series = self._to_device if is_to_device else self._messages
+            series.setdefault(info.name, _Series(self._type_of(info))).add(frame.payload)
         else:
-            self._count(info.name, self._requests)
+            self._count(info.name, self._requests if info.kind in _REQUESTS else self._responses)
 
     def _from_host(self, connection: "_Connection", frame: Frame) -> None:
         if frame.topic_id == Id.PARAMETER:
@@ -213,20 +214,9 @@ class Inspection:
             if parameter is not None and connection.open_requests:
                 connection.open_requests.pop(0).reply = parameter
         elif frame.topic_id in connection.topics:
-            self._message_to_device(connection, frame)
+            self._add_message(connection, frame, is_to_device=True)
         elif frame.topic_id >= FIRST_TOPIC_ID:
             connection.early.append(frame)
-
-    def _message_to_device(self, connection: "_Connection", frame: Frame) -> None:
-        info = connection.topics.get(frame.topic_id)
-        if info is None or not info.is_to_device:
-            return
-        if info.kind is Id.SUBSCRIBER:
-            self._to_device.setdefault(info.name, _Series(self._type_of(info))).add(frame.payload)
-        elif info.kind is Id.SERVICE_SERVER_SUBSCRIBER:
-            self._count(info.name, self._requests)
-        else:
-            self._count(info.name, self._responses)
 
     def _count(self, service: str, counter: Counter[str]) -> None:
         self._services.setdefault(service)

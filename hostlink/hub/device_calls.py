@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import structlog
 
+from hostlink.cancellation import expire
 from hostlink.errors import (
     BadRequest,
     DeviceBusy,
@@ -24,7 +25,6 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
-from hostlink.hub.timeouts import expire
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable

@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import structlog
 
@@ -13,6 +13,7 @@ from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.link.link import Link, LinkEnd
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
 
@@ -157,11 +158,7 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; its gate is locked all the same.
         """
-        refusal = None
-        for drivable in drivables:
-            drivable.gate.lock(reason)
-            refusal = self._send_news(drivable) or refusal
-        _raise(refusal)
+        self._apply(lambda gate: gate.lock(reason), drivables)
 
     def close(self) -> None:
         """The daemon ends: no command is accepted any more, for good."""
@@ -185,12 +182,17 @@ class Gates:
                 await self._wake.wait()
 
     def _stop(self, drivables: Iterable[Drivable]) -> None:
-        refusal = None
         now_s = _now_s()
+        self._apply(lambda gate: gate.stop(now_s=now_s), drivables)
+
+    def _apply(self, change: Callable[[VelocityGate], None], drivables: Iterable[Drivable]) -> None:
+        """Change each gate and send what follows; the last refusal is raised once all are done."""
+        refusal = None
         for drivable in drivables:
-            drivable.gate.stop(now_s=now_s)
+            change(drivable.gate)
             refusal = self._send_news(drivable) or refusal
-        _raise(refusal)
+        if refusal is not None:
+            raise refusal
 
     def _activate(self, drivable: Drivable) -> None:
         self._active[drivable] = None
@@ -258,11 +260,6 @@ class Gates:
                 topic_ids.append(link.session.topic_id(drivable.velocity_topic))
                 longest_bytes = link.session.longest_to_device_bytes
                 self._guardian.watch(link.number, link.descriptor, topic_ids=topic_ids, claim_bytes=longest_bytes)
-
-
-def _raise(refusal: HostlinkError | None) -> None:
-    if refusal is not None:
-        raise refusal
 
 
 def _now_s() -> float:

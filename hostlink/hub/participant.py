@@ -7,6 +7,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.gates import ENDING, Gates
 from hostlink.hub.isolation import Isolation
@@ -15,7 +16,6 @@ from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import Robot
 from hostlink.hub.services import Answer, Notify, Provider, Services
 from hostlink.hub.subscription import Subscription
-from hostlink.hub.timeouts import expire
 from hostlink.hub.topic import Receive, Subscriber, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import structlog
 
+from hostlink.cancellation import expire
 from hostlink.errors import (
     BadRequest,
     DeviceBusy,
@@ -22,7 +23,6 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.node import Node
-from hostlink.hub.timeouts import expire
 from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
@@ -54,7 +54,14 @@ class DeviceService:
         self._late: asyncio.Future[None] | None = None  # an answer to a call that was given up may still come
 
     async def call(self, payload: bytes, *, timeout_s: float) -> bytes:
-        """The payload of the answer; DeviceBusy, DeviceGone, ServiceFailed or FrameTooLarge."""
+        """The payload of the answer.
+
+        Raises:
+            DeviceBusy: too many calls wait.
+            DeviceGone: the device is gone.
+            ServiceFailed: it did not answer in time.
+            FrameTooLarge: the device's buffer is smaller than the request.
+        """
         if self._calls > MAX_WAITING:
             raise DeviceBusy(self.name, self._calls)
         self._calls += 1
@@ -142,8 +149,7 @@ class Provider:
 
         Raises:
             UnknownTopic: it was withdrawn before it answered.
-            ServiceFailed: it did not answer in time.
-            ServiceFailed: it has a bug, which ends who provides it.
+            ServiceFailed: it did not answer in time, or has a bug, which ends who provides it.
             HostlinkError: what else it answers.
         """
         try:
@@ -190,7 +196,11 @@ class Services:
         self._names: defaultdict[Hashable, set[str]] = defaultdict(set)  # what a key offers
 
     def add_device_service(self, service: DeviceService) -> None:
-        """A device offers a service. BadRequest for a name of the daemon's own."""
+        """A device offers a service.
+
+        Raises:
+            BadRequest: the name is the daemon's own.
+        """
         program = self.provider(service.name)
         if program is not None and program.is_daemon:
             raise BadRequest(f"{service.name} is a service of hostlink's own")
@@ -206,7 +216,11 @@ class Services:
         self._names[service.key].add(service.name)
 
     def provide(self, provider: Provider) -> None:
-        """A program offers a service; BadRequest for a name of the daemon's own."""
+        """A program offers a service.
+
+        Raises:
+            BadRequest: the name is the daemon's own.
+        """
         name = provider.name
         before = self.provider(name)
         if before is not None and before.is_daemon and not provider.is_daemon:
@@ -271,7 +285,11 @@ class Services:
         return sorted((name, self.find(name).type_name) for name in self._providers.keys() | self._devices.keys())
 
     def find(self, name: str) -> DeviceService | Provider:
-        """Who gets the calls of that name; UnknownTopic if nobody offers it."""
+        """Who gets the calls of that name.
+
+        Raises:
+            UnknownTopic: nobody offers it.
+        """
         program = self.provider(name)
         if program is not None and program.is_daemon:
             return program
@@ -282,7 +300,11 @@ class Services:
         return found
 
     def type_of(self, name: str) -> ServiceType | None:
-        """The type of a service, if it has a definition; UnknownTopic if nobody offers it."""
+        """The type of a service, if it has a definition.
+
+        Raises:
+            UnknownTopic: nobody offers it.
+        """
         service = self.find(name)
         return self._catalog.service(service.type_name) if isinstance(service, Provider) else service.type
 

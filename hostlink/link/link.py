@@ -11,7 +11,7 @@ from enum import Enum
 
 import structlog
 
-from hostlink.cancellation import raise_if_cancelled
+from hostlink.cancellation import expire, raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
@@ -131,7 +131,7 @@ class Link:
         if self._end is None:
             self._end = reason
             if self._deadline is not None:
-                self._deadline.reschedule(asyncio.get_running_loop().time())
+                expire(self._deadline)
 
     def wake(self) -> None:
         """Something was put into the session's outbox."""

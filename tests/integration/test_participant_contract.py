@@ -50,14 +50,19 @@ def test_it_publishes_and_receives_what_is_published(make: Make) -> None:
     play(test)
 
 
+async def receives_a_pose(one: Any, made: Scene) -> None:
+    pose = POSE.pack(0.1, 0.2, 0.3)
+    one.subscribe(f"/{ROBOT}/odometry")
+    await made.robot.send(ODOMETRY_ID, pose)
+    await asyncio.sleep(0.1)
+    assert one.received() == [pose]
+
+
 @pytest.mark.parametrize("make", ALL)
 def test_it_receives_what_a_device_sends_byte_for_byte(make: Make) -> None:
     async def test(made: Scene) -> None:
         one = make(made, Role.DRIVE)
-        one.subscribe(f"/{ROBOT}/odometry")
-        await made.robot.send(ODOMETRY_ID, POSE.pack(0.1, 0.2, 0.3))
-        await asyncio.sleep(0.1)
-        assert one.received() == [POSE.pack(0.1, 0.2, 0.3)]
+        await receives_a_pose(one, made)
 
     play(test)
 
@@ -99,10 +104,7 @@ def test_it_drives_and_a_more_important_one_may_not_be_driven_over(make: Make) -
 def test_one_that_may_only_read_subscribes_and_changes_nothing(make: Make) -> None:
     async def test(made: Scene) -> None:
         one = make(made, Role.READ)
-        one.subscribe(f"/{ROBOT}/odometry")
-        await made.robot.send(ODOMETRY_ID, POSE.pack(1.0, 0.0, 0.0))
-        await asyncio.sleep(0.1)
-        assert one.received() == [POSE.pack(1.0, 0.0, 0.0)]
+        await receives_a_pose(one, made)
 
         async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
             return {}
