@@ -76,8 +76,11 @@ class MessageType:
         try:
             payload = encode(message)
         except UNCOMMON_LAYOUT:
-            self.fallbacks += 1
-            return validating_codec.encode(self.layout, message)
+            try:
+                payload = encode(_completed(message, self._zero))
+            except UNCOMMON_LAYOUT:
+                self.fallbacks += 1
+                return validating_codec.encode(self.layout, message)
         validating_codec.check_size(len(payload), self.name)
         return payload
 
@@ -96,6 +99,11 @@ class MessageType:
         except UNCOMMON_LAYOUT:
             self.fallbacks += 1
             return validating_codec.decode(self.layout, data)
+
+    @cached_property
+    def _zero(self) -> dict[str, object]:
+        """A message of nothing but zeros."""
+        return self.decode(validating_codec.encode(self.layout, {}))
 
     @cached_property
     def _encoder(self) -> Encoder:
@@ -117,6 +125,18 @@ class ServiceType:
     @property
     def md5(self) -> str:
         return _md5(self.request.md5_text + self.response.md5_text)
+
+
+def _completed(message: Mapping[str, object], zero: dict[str, object]) -> dict[str, object]:
+    """The message with zeros for the fields that are missing; one of UNCOMMON_LAYOUT if it has others."""
+    completed = {**zero, **message}
+    if len(completed) != len(zero):
+        raise LookupError("an unknown field")
+    for name, value in message.items():
+        default = zero[name]
+        if isinstance(default, dict):
+            completed[name] = _completed(value, default)  # type: ignore[arg-type]  # a TypeError if it is none
+    return completed
 
 
 def _collect_definitions(message: MessageType, definitions: dict[str, str]) -> None:

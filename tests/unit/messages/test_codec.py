@@ -4,6 +4,7 @@ import struct
 
 import pytest
 
+from hostlink.errors import BadRequest
 from hostlink.messages import validating_codec
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.codec import UNCOMMON_LAYOUT, compile_decoder, compile_encoder
@@ -68,10 +69,21 @@ def test_plain_messages_of_every_type_use_the_compiled_codec(elements: int) -> N
 
 
 def test_what_is_left_to_the_validating_codec_is_counted() -> None:
-    type_ = Catalog().message("geometry_msgs/Pose2D")
+    type_ = Catalog().message("std_msgs/Header")
     assert type_ is not None
-    assert type_.encode({"x": 1.0}) == struct.pack("<3d", 1.0, 0.0, 0.0)
+    assert type_.encode({"stamp": {"sec": 1, "nanosec": 2}}) == struct.pack("<4I", 0, 1, 2, 0)
     assert type_.fallbacks == 1
+
+
+def test_missing_fields_are_zero_without_the_validating_codec() -> None:
+    type_ = Catalog().message("geometry_msgs/Twist")
+    assert type_ is not None
+    assert type_.encode({"linear": {"x": 1.0}, "angular": {"z": 2.0}}) == struct.pack("<6d", 1, 0, 0, 0, 0, 2)
+    assert type_.encode({}) == bytes(48)
+    assert type_.fallbacks == 0
+    for wrong in ({"linear": [1.0]}, {"linear": {"w": 1.0}}, {"linear": None}, {"speed": 1.0}):
+        with pytest.raises(BadRequest):
+            type_.encode(wrong)
 
 
 def test_a_compiler_that_fails_is_no_uncommon_message() -> None:
