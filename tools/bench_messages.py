@@ -1,7 +1,8 @@
 """`make bench`, fourth part: what a message costs the daemon. Daemon, devices and program are processes of their own.
 
 Each of 30 robots sends a pose and a voltage and is driven by a program on the WebSocket; the others send poses.
-Writes build/bench_messages.json and prints a table; ends with status 1 when the daemon uses more than its bound.
+The yardstick, in the same minute: tools/bare_server.py, which reads the same crowd and does nothing with it.
+Writes build/bench_messages.json and prints a table; ends with status 1 when the daemon costs more than its bound.
 """
 
 import argparse
@@ -36,14 +37,14 @@ class Fleet:
     count: int
     seconds: float
     is_driven: bool
-    core_bound: float
+    bound: float  # times what a bare server of asyncio costs
 
 
 def fleets(share: float) -> list[Fleet]:
     """`share` 0.1 is a tenth of the time."""
     return [
-        Fleet("30 robots, two topics up and one down", "fleet", 30, 20 * share, is_driven=True, core_bound=0.08),
-        Fleet("1,000 robots, one topic up", "devices", 1000, 20 * share, is_driven=False, core_bound=0.20),
+        Fleet("30 robots, two topics up and one down", "fleet", 30, 20 * share, is_driven=True, bound=3.0),
+        Fleet("1,000 robots, one topic up", "devices", 1000, 20 * share, is_driven=False, bound=3.5),
     ]
 
 
@@ -63,7 +64,8 @@ def main() -> int:
     arguments.out.write_text(json.dumps(rows, indent=1) + "\n")
     for row in rows:
         core = f"{row['core']:.1%} of a core"
-        print(f"{row['what']:<42} {row['messages_s']:>8,.0f} messages/s {core:>16} {row['message_us']:>6.1f} us each")
+        each = f"{row['message_us']:.1f} us each, {row['ratio']:.1f} times a bare server's (at most {row['bound']:g})"
+        print(f"{row['what']:<42} {row['messages_s']:>8,.0f} messages/s {core:>16} {each}")
     missed = [row["what"] for row in rows if not row["is_enough"]]
     if missed:
         print("too expensive: " + ", ".join(missed))
@@ -72,6 +74,7 @@ def main() -> int:
 
 async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
     """One row of the table."""
+    bare_us = await bare_message_us(fleet)
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "hostlink.toml"
         config.write_text(MANY)
@@ -81,7 +84,7 @@ async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
             asyncio.TaskGroup() as tasks,
         ):
             reading = tasks.create_task(read_away(daemon))
-            async with crowd(fleet, daemon), driving(fleet, daemon):
+            async with crowd(fleet, daemon.tcp), driving(fleet, daemon):
                 await asyncio.sleep(SETTLE_S)
                 before = await frames(daemon, fleet.count)
                 before_s, began_s = cpu_s(daemon), asyncio.get_running_loop().time()
@@ -90,22 +93,45 @@ async def measure(fleet: Fleet, loop: str) -> dict[str, Any]:
                 seconds = asyncio.get_running_loop().time() - began_s
                 messages = await frames(daemon, fleet.count) - before
             reading.cancel()
-    core = used_s / seconds
+    message_us = used_s / messages * 1e6
     return {
         "what": fleet.what,
         "messages_s": messages / seconds,
-        "core": core,
-        "message_us": used_s / messages * 1e6,
-        "is_enough": core <= fleet.core_bound,
+        "core": used_s / seconds,
+        "message_us": message_us,
+        "bare_us": bare_us,
+        "ratio": message_us / bare_us,
+        "bound": fleet.bound,
+        "is_enough": message_us <= fleet.bound * bare_us,
     }
 
 
+async def bare_message_us(fleet: Fleet) -> float:
+    """What a read or a write costs a server that does nothing else."""
+    rate_hz = RATE_HZ if fleet.is_driven else 0
+    server = await asyncio.create_subprocess_exec(
+        sys.executable, ROOT / "tools" / "bare_server.py", str(fleet.count), str(fleet.seconds / 2), str(rate_hz),
+        stdout=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    if server.stdout is None:
+        raise AssertionError("a pipe was requested")
+    try:
+        port = int(await server.stdout.readline())
+        async with crowd(fleet, ("127.0.0.1", port)):
+            found: float = json.loads(await server.stdout.readline())["message_us"]
+            return found
+    finally:
+        if server.returncode is None:
+            server.kill()
+        await server.wait()
+
+
 @contextlib.asynccontextmanager
-async def crowd(fleet: Fleet, daemon: Process) -> AsyncIterator[None]:
+async def crowd(fleet: Fleet, host: tuple[str, int]) -> AsyncIterator[None]:
     """The robots, all connected."""
     seconds = fleet.seconds + 10
     child = await asyncio.create_subprocess_exec(
-        sys.executable, ROOT / "tools" / "crowd.py", fleet.crowd, str(fleet.count), "{}:{}".format(*daemon.tcp),
+        sys.executable, ROOT / "tools" / "crowd.py", fleet.crowd, str(fleet.count), "{}:{}".format(*host),
         str(seconds), stdout=asyncio.subprocess.PIPE,
     )  # fmt: skip
     if child.stdout is None:

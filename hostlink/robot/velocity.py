@@ -50,7 +50,7 @@ class Velocity(NamedTuple):
     @property
     def is_finite(self) -> bool:
         """Whether every component is a number."""
-        return all(math.isfinite(component) for component in self)
+        return all(map(math.isfinite, self))
 
     @property
     def linear_m_s(self) -> float:
