@@ -3,11 +3,12 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 TURN_S = 0.0002  # of all together; what drives a robot comes in between, within a few turns of the loop
 MAX_DEFERRALS = 3  # then one is let in though the turn is used up: nobody waits without end
 _SOME_S = 1e-9  # enough for one
-_Queue = deque[tuple[asyncio.Future[None], float]]
+_Queue = deque[tuple[Callable[[], None], float]]  # what lets in, and what that is expected to cost
 
 
 class FairShare:
@@ -38,11 +39,18 @@ class FairShare:
             deferrals += is_let_in  # those before have cost more than was expected
             turn = asyncio.get_running_loop().create_future()
             put = queue.appendleft if is_let_in else queue.append
-            put((turn, expected_s))
+            put((partial(_let_in, turn), expected_s))
             self.waits += 1
             self._expect_turn()
             await turn
             is_let_in = True
+
+    def call(self, work: Callable[[], None], expected_s: float, *, is_flooding: bool = False) -> None:
+        """Call `work`, which raises nothing, when it is its turn; it spends what it has computed."""
+        queue = self._flooding if is_flooding else self._calm
+        queue.append((work, expected_s))
+        self.waits += 1
+        self._expect_turn()
 
     def spend(self, seconds: float) -> None:
         """The caller has computed for this long. What is left of a turn stays until it is used up."""
@@ -70,11 +78,16 @@ class FairShare:
 
     def _let_in(self, queue: _Queue, left_s: float) -> float:
         while queue and left_s > 0:
-            turn, cost_s = queue.popleft()
-            if not turn.done():  # else its link has ended
-                turn.set_result(None)
-                left_s -= cost_s
+            let_in, expected_s = queue.popleft()
+            spent_s = self._spent_s
+            let_in()
+            left_s -= max(expected_s, self._spent_s - spent_s)
         return left_s
+
+
+def _let_in(turn: "asyncio.Future[None]") -> None:
+    if not turn.done():  # else whoever waited has ended
+        turn.set_result(None)
 
 
 class Turns:
@@ -95,6 +108,10 @@ class Turns:
     def is_free(self, *, is_flooding: bool) -> bool:
         """Whether a piece of work may be done without waiting."""
         return self._share.is_free(is_flooding=is_flooding)
+
+    def call(self, work: Callable[[], None], *, is_flooding: bool) -> None:
+        """Call a piece of work, which raises nothing, when it is its turn."""
+        self._share.call(work, self._cost_s, is_flooding=is_flooding)
 
     async def begin(self, *, is_flooding: bool) -> float:
         """Wait for the turn of a piece of work; returns when it begins."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import contextvars
 import dataclasses
 import math
 import time
@@ -11,7 +12,7 @@ from enum import Enum
 
 import structlog
 
-from hostlink.cancellation import expire, raise_if_cancelled
+from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
@@ -19,6 +20,7 @@ from hostlink.link.fair_share import FairShare, Turns
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
+from hostlink.protocol.outbox import Taken
 from hostlink.protocol.session import Session, SessionCounts
 from hostlink.transport.base import READ_BYTES, Transport
 
@@ -84,10 +86,15 @@ class Link:
         self._config = config
         self._on_event = on_event
         self._turns = Turns(FairShare() if share is None else share)
-        self._wake = asyncio.Event()
         self._is_drained = asyncio.Event()
-        self._sleeps_until_s = 0.0
-        self._deadline: asyncio.Timeout | None = None
+        self._is_behind = asyncio.Event()  # nothing more may be written: not yet open, not keeping up, at an end
+        self._is_behind.set()
+        self._is_write_due = self._is_read_due = self._is_flooding = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_s = math.inf
+        self._context = contextvars.copy_context()
+        self._finished: asyncio.Future[LinkEnd] = asyncio.get_running_loop().create_future()
+        self._failure: Exception | None = None
         self._end: LinkEnd | None = None
         self._trouble = _Trouble(self.opened_at_s)
         self._idle_limit_s = math.inf if config.idle_timeout_s is None else config.idle_timeout_s
@@ -100,24 +107,37 @@ class Link:
     async def run(self) -> LinkEnd:
         """Serve the connection until it ends; returns why."""
         end = LinkEnd.BROKEN
+        self._context = contextvars.copy_context()  # log lines have what the caller has bound
         try:
             async with asyncio.TaskGroup() as tasks:
-                writer = tasks.create_task(self._write(), name=f"link {self.number} writer")
+                writer = tasks.create_task(self._catch_up(), name=f"link {self.number} writer")
                 try:
-                    end = await self._read()
+                    end = await self._finished
                 finally:
                     writer.cancel()
+                if self._failure is not None:
+                    raise self._failure
         except* ConnectionRefusedError:  # by the transport: the device has no key
             end = LinkEnd.UNAUTHENTICATED
         except* OSError as broken:
+            end = LinkEnd.BROKEN
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
-            self._is_drained.set()  # nothing more will leave
+            self._close()
             if end is not LinkEnd.PEER_CLOSED:
                 await self._send_last()
             await self._transport.aclose()
         raise_if_cancelled()
         return self._end or end
+
+    def _close(self) -> None:
+        """Nothing is read or written any more."""
+        self._is_behind.set()
+        self._is_drained.set()
+        if not self._finished.done():
+            self._finished.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
 
     async def _send_last(self) -> None:
         """A link that ends from here leaves a standing robot; a connection that takes nothing is not waited for."""
@@ -130,14 +150,18 @@ class Link:
         """End the link soon; `run` returns the reason."""
         if self._end is None:
             self._end = reason
-            if self._deadline is not None:
-                expire(self._deadline)
+            self._finish(reason)
 
     def wake(self) -> None:
-        """Something was put into the session's outbox."""
+        """Something was put into the session's outbox: it leaves in the next turn of the loop."""
+        if self._finished.done():
+            return
         self._is_drained.clear()
-        self.session.begin_waiting(asyncio.get_running_loop().time())  # also while the writer is stuck
-        self._wake.set()
+        loop = asyncio.get_running_loop()
+        self.session.begin_waiting(loop.time())  # also while the device is behind
+        if not self._is_write_due:
+            self._is_write_due = True
+            loop.call_soon(self._guarded, self._write_due, context=self._context)
 
     async def drained(self) -> None:
         """Wait until everything that was queued has left."""
@@ -174,31 +198,49 @@ class Link:
         """What passed after the first `since` bytes from the device and to it, as far as it is kept."""
         return captured(self._from_device, self._to_device, since)
 
-    async def _read(self) -> LinkEnd:
-        loop = asyncio.get_running_loop()
-        try:
-            async with asyncio.timeout(None) as self._deadline:  # `end` sets it
-                if self._end is not None:
-                    return self._end
-                now_s = loop.time()
-                self._dispatch(self.session.open(now_s=now_s), now_s)
-                while data := await self._transport.receive():
-                    now_s = self.heard_at_s = loop.time()
-                    self._from_device.add(data, now_s)
-                    is_flooding = len(data) >= READ_BYTES
-                    for at in range(0, len(data), PIECE_BYTES):
-                        if not self._turns.is_free(is_flooding=is_flooding):
-                            now_s = await self._turns.begin(is_flooding=is_flooding)
-                        self._dispatch(self.session.receive(data[at : at + PIECE_BYTES], now_s=now_s), now_s)
-                        now_s = self._turns.end(now_s)
-                        if self._end is not None:
-                            return self._end
-                    self._trouble.report(self.session, now_s)
-        except TimeoutError:
-            return LinkEnd.STOPPED  # never seen: `end` has set the reason
-        finally:
-            self._deadline = None
-        return LinkEnd.PEER_CLOSED
+    # -- from the device ----------------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        """The transport is open."""
+        now_s = asyncio.get_running_loop().time()
+        self._dispatch(self.session.open(now_s=now_s), now_s)
+        self._transport.start(self._readable)
+
+    def _readable(self) -> None:
+        """Read at once while it is this link's turn, else later."""
+        if self._is_read_due or self._finished.done():
+            return
+        transport = self._transport
+        while transport.unread_bytes and not self._finished.done():
+            if transport.unread_bytes >= READ_BYTES:
+                self._is_flooding = True
+            if not self._turns.is_free(is_flooding=self._is_flooding):
+                self._is_read_due = True
+                self._turns.call(self._read_due, is_flooding=self._is_flooding)
+                return
+            self._context.run(self._guarded, self._read)
+        self._is_flooding = False
+        if transport.is_ended and not self._finished.done():
+            self._guarded(self._read_end)
+
+    def _read_due(self) -> None:
+        """It is this link's turn."""
+        self._is_read_due = False
+        if self._transport.unread_bytes and not self._finished.done():
+            self._context.run(self._guarded, self._read)
+        self._readable()
+
+    def _read(self) -> None:
+        """One piece, so that others may have their turn between two."""
+        now_s = self.heard_at_s = asyncio.get_running_loop().time()
+        data = self._transport.read(PIECE_BYTES)
+        self._from_device.add(data, now_s)
+        self._dispatch(self.session.receive(data, now_s=now_s), now_s)
+        self._trouble.report(self.session, self._turns.end(now_s))
+
+    def _read_end(self) -> None:
+        self._transport.read(1)  # raises what broke the connection
+        self._finish(LinkEnd.PEER_CLOSED)
 
     def _silent_at_s(self) -> float:
         """When the link ends if not a byte comes; sooner for a device that requests the time regularly."""
@@ -206,43 +248,94 @@ class Link:
         return self.heard_at_s + limit_s
 
     def _dispatch(self, found: list[Event], now_s: float) -> None:
+        self._is_write_due = True  # what the events lead to leaves together
         for event in found:
             self._on_event(self, event)
-        self.session.begin_waiting(now_s)
-        if self.session.wait_s(now_s) is not None or self._next_s() < self._sleeps_until_s:
-            self._wake.set()
+        if self.session.has_waiting or self._next_s() < self._timer_s:
+            self._write(now_s)
+        else:
+            self._is_write_due = False
 
     def _next_s(self) -> float:
         """When something is due without a byte from the device."""
         return min(self.session.deadline_s(), self._silent_at_s())
 
-    async def _write(self) -> None:
-        loop = asyncio.get_running_loop()
+    def _guarded(self, work: Callable[[], None]) -> None:
+        """Do what the event loop has called for; what it raises ends the link, and `run` raises it."""
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            if self._failure is None:
+                self._failure = error
+            self._finish(LinkEnd.CRASHED)
+
+    def _finish(self, end: LinkEnd) -> None:
+        if not self._finished.done():
+            self._finished.set_result(end)
+
+    # -- to the device ------------------------------------------------------------------------------------------------
+
+    async def _catch_up(self) -> None:
+        """Open the transport; then wait for a device that is behind."""
+        await self._transport.open()
+        self._is_behind.clear()
+        self._begin()
         while True:
-            self._wake.clear()
-            now_s = loop.time()
-            while taken := self.session.take(now_s=now_s, wall_ns=time.time_ns()):
-                async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
-                    await self._transport.send(taken.frame)
-                now_s = loop.time()
-                if taken.waiting_since_s is not None:
-                    self.command_latency.add(now_s - taken.waiting_since_s)
-                self._to_device.add(taken.frame, now_s)
-            if self._silent_at_s() <= now_s + SOON_S:
-                self.end(LinkEnd.IDLE)
-                return
-            deadline_s = self.session.deadline_s()
-            if deadline_s <= now_s + SOON_S:
-                self._dispatch(self.session.tick(now_s=now_s + SOON_S), now_s)
-                continue
+            await self._is_behind.wait()
+            async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
+                await self._transport.drain()
+            self._is_behind.clear()
+            self._write(asyncio.get_running_loop().time())
+
+    def _write_due(self) -> None:
+        if self._is_write_due:
+            self._write(asyncio.get_running_loop().time())
+
+    def _write(self, now_s: float) -> None:
+        """Write what may leave by now, and do what is due; then expect what is next."""
+        self._is_write_due = False
+        session = self.session
+        session.begin_waiting(now_s)
+        while not self._is_behind.is_set():
+            taken = session.take(now_s=now_s, wall_ns=time.time_ns())
+            if taken is not None:
+                self._send(taken, now_s)
+            elif session.deadline_s() <= now_s + SOON_S:
+                for event in session.tick(now_s=now_s + SOON_S):
+                    self._on_event(self, event)
+            else:
+                break
+        if self._silent_at_s() <= now_s + SOON_S:
+            self.end(LinkEnd.IDLE)
+        else:
+            self._expect(now_s)
+
+    def _send(self, taken: Taken, now_s: float) -> None:
+        if not self._transport.write(taken.frame):
+            self._is_behind.set()
+        if taken.waiting_since_s is not None:
+            self.command_latency.add(asyncio.get_running_loop().time() - taken.waiting_since_s)
+        self._to_device.add(taken.frame, now_s)
+
+    def _expect(self, now_s: float) -> None:
+        """Call `_write` again when something is due, at the latest."""
+        next_s = self._silent_at_s()
+        if not self._is_behind.is_set():
             wait_s = self.session.wait_s(now_s)
+            next_s = min(next_s, self.session.deadline_s(), math.inf if wait_s is None else now_s + wait_s)
             if wait_s is None:
                 self._is_drained.set()
-            next_s = min(deadline_s, self._silent_at_s())
-            self._sleeps_until_s = next_s if wait_s is None else min(next_s, now_s + wait_s)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout_at(self._sleeps_until_s):
-                    await self._wake.wait()
+        if next_s < self._timer_s:
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer_s = next_s
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_at(next_s, self._guarded, self._timer_due, context=self._context)
+
+    def _timer_due(self) -> None:
+        self._timer, self._timer_s = None, math.inf
+        if not self._finished.done():
+            self._write(asyncio.get_running_loop().time())
 
 
 class _Trouble:

@@ -71,6 +71,14 @@ class Outbox:
         """The longest frame that may leave while the robot moves."""
         return self._uart.prompt_bytes
 
+    @property
+    def has_waiting(self) -> bool:
+        """Whether any frame waits."""
+        return bool(
+            self._is_time_due or self._is_request_due or self._is_stop_due
+            or self._urgent or self._replies or self._commands
+        )  # fmt: skip
+
     def put_time(self) -> None:
         """Answer the time; the clock is read when the answer leaves."""
         self._is_time_due = True

@@ -113,6 +113,11 @@ class Session(MessagesToDevice):
             self.counts.bytes_to_device += len(taken.frame)
         return taken
 
+    @property
+    def has_waiting(self) -> bool:
+        """Whether any frame waits to be written."""
+        return self._outbox.has_waiting
+
     def wait_s(self, now_s: float) -> float | None:
         """Seconds until `take` gives a frame; None when nothing waits."""
         return self._outbox.wait_s(now_s)

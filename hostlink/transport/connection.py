@@ -17,40 +17,38 @@ class Connection(asyncio.BufferedProtocol):
     """
 
     def __init__(self, on_made: Callable[["Connection"], None] | None = None) -> None:
-        loop = asyncio.get_running_loop()
         self.transport: asyncio.Transport
+        self.is_writing_paused = False
+        self.is_ended = False
+        self.on_readable: Callable[[], None] = _ignore
         self._on_made = on_made
         self._received = bytearray()
-        self._is_paused = self._is_ended = self._is_writing_paused = False
+        self._is_paused = False
         self._error: Exception | None = None
-        self._readable: asyncio.Future[None] | None = None
         self._writable: asyncio.Future[None] | None = None
-        self._lost: asyncio.Future[None] = loop.create_future()
+        self._lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     @property
     def is_lost(self) -> bool:
         """Whether the connection is gone."""
         return self._lost.done()
 
-    async def receive(self) -> bytes:
-        """What has come; b"" at the end.
+    @property
+    def unread_bytes(self) -> int:
+        """What has come and was not read."""
+        return len(self._received)
+
+    def read(self, limit_bytes: int) -> bytes:
+        """What has come; b"" while there is nothing, and at the end.
 
         Raises:
-            OSError: the connection broke.
+            OSError: the connection broke, and everything before was read.
         """
-        while not self._received:
-            if self._error is not None:
-                raise self._error
-            if self._is_ended:
-                return b""
-            self._readable = asyncio.get_running_loop().create_future()
-            try:
-                await self._readable
-            finally:
-                self._readable = None
-        data = bytes(self._received)
-        self._received.clear()
-        if self._is_paused:
+        if not self._received and self._error is not None:
+            raise self._error
+        data = bytes(self._received[:limit_bytes])
+        del self._received[:limit_bytes]
+        if self._is_paused and not self._received:
             self._is_paused = False
             if not self.transport.is_closing():
                 self.transport.resume_reading()
@@ -64,7 +62,7 @@ class Connection(asyncio.BufferedProtocol):
         """
         if self._lost.done() or self.transport.is_closing():
             raise self._error or ConnectionResetError("connection lost")
-        if self._is_writing_paused:
+        if self.is_writing_paused:
             self._writable = asyncio.get_running_loop().create_future()
             try:
                 await self._writable
@@ -94,31 +92,31 @@ class Connection(asyncio.BufferedProtocol):
         if len(self._received) >= READ_BYTES and not self._is_paused:
             self._is_paused = True
             self.transport.pause_reading()
-        _wake(self._readable)
+        self.on_readable()
 
     def eof_received(self) -> bool:
         """The peer sends no more; what was sent to it may still leave."""
-        self._is_ended = True
-        _wake(self._readable)
+        self.is_ended = True
+        self.on_readable()
         return True
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._is_ended = True
+        self.is_ended = True
         self._error = exc
-        _wake(self._readable)
+        self.on_readable()
         if self._writable is not None and not self._writable.done():
             self._writable.set_exception(exc or ConnectionResetError("connection lost"))
         if not self._lost.done():
             self._lost.set_result(None)
 
     def pause_writing(self) -> None:
-        self._is_writing_paused = True
+        self.is_writing_paused = True
 
     def resume_writing(self) -> None:
-        self._is_writing_paused = False
-        _wake(self._writable)
+        self.is_writing_paused = False
+        if self._writable is not None and not self._writable.done():
+            self._writable.set_result(None)
 
 
-def _wake(waiter: "asyncio.Future[None] | None") -> None:
-    if waiter is not None and not waiter.done():
-        waiter.set_result(None)
+def _ignore() -> None:
+    """Nobody reads yet: what comes waits."""

@@ -48,33 +48,51 @@ def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> 
 
 
 class KeyedTransport:
-    """A transport that sends and receives nothing before both ends have proven the key."""
+    """A transport on which rosserial begins when both ends have proven the key."""
 
     def __init__(self, transport: Transport, key: bytes, *, on_refused: Callable[[str], None]) -> None:
-        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `receive` raises."""
+        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `open` raises."""
         self.peer, self.address = transport.peer, transport.address
         self._transport = transport
         self._key = key
         self._on_refused = on_refused
-        self._is_proven = asyncio.Event()
 
-    async def receive(self) -> bytes:
-        """What has come; the first call proves the key.
+    async def open(self) -> None:
+        """Prove the key.
 
         Raises:
             ConnectionRefusedError: the device cannot prove it.
         """
-        if not self._is_proven.is_set():
-            refusal = await self._prove()
-            if refusal is not None:
-                self._on_refused(refusal)
-                raise ConnectionRefusedError(refusal)
-            self._is_proven.set()
+        refusal = await self._prove()
+        if refusal is not None:
+            self._on_refused(refusal)
+            raise ConnectionRefusedError(refusal)
+
+    def start(self, on_readable: Callable[[], None]) -> None:
+        """As the transport below, and so everything that follows."""
+        self._transport.start(on_readable)
+
+    @property
+    def unread_bytes(self) -> int:
+        return self._transport.unread_bytes
+
+    @property
+    def is_ended(self) -> bool:
+        return self._transport.is_ended
+
+    def read(self, limit_bytes: int) -> bytes:
+        return self._transport.read(limit_bytes)
+
+    def write(self, data: bytes) -> bool:
+        return self._transport.write(data)
+
+    async def drain(self) -> None:
+        await self._transport.drain()
+
+    async def receive(self) -> bytes:
         return await self._transport.receive()
 
     async def send(self, data: bytes) -> None:
-        """Waits for the proof first."""
-        await self._is_proven.wait()
         await self._transport.send(data)
 
     def round_trip_s(self) -> float | None:

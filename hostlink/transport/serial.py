@@ -109,9 +109,13 @@ class SerialTransport(StreamTransport):
         """Go on at another rate; the port stays open, because opening one again may reset its board."""
         self._port.set_baud(baud)
 
-    async def send(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
+        """False also when it failed: `drain` raises why."""
+        return super().write(data) and self._port.write_error is None
+
+    async def drain(self) -> None:
         """Returns when the kernel has it."""
-        await super().send(data)
+        await super().drain()
         if self._port.write_error is not None:
             raise self._port.write_error
 
@@ -171,7 +175,7 @@ class _Port:
         return data
 
     def write(self, data: bytes) -> int:
-        """How much the kernel has taken. An error is kept for `send`: raised here, asyncio would log a traceback."""
+        """How much the kernel has taken. An error is kept for `drain`: raised here, asyncio would log a traceback."""
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:

@@ -2,8 +2,9 @@
 
 import asyncio
 import contextlib
+from collections.abc import Callable
 
-from hostlink.transport.base import CLOSE_TIMEOUT_S
+from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES
 from hostlink.transport.connection import Connection
 
 
@@ -16,15 +17,52 @@ class StreamTransport:
         self._is_closed = False
         connection.transport.set_write_buffer_limits(high=0)
 
+    async def open(self) -> None:
+        """It is open."""
+
+    def start(self, on_readable: Callable[[], None]) -> None:
+        """From now on `on_readable` is called whenever bytes have come, and at the end."""
+        self._connection.on_readable = on_readable
+        if self.unread_bytes or self.is_ended:
+            on_readable()
+
+    @property
+    def unread_bytes(self) -> int:
+        """What has come and was not read."""
+        return self._connection.unread_bytes
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether nothing more will come."""
+        return self._connection.is_ended
+
+    def read(self, limit_bytes: int) -> bytes:
+        """What has come; b"" while there is nothing, and at the end."""
+        return self._connection.read(limit_bytes)
+
+    def write(self, data: bytes) -> bool:
+        """One write, so one segment where it fits."""
+        connection = self._connection
+        if connection.transport.is_closing():
+            return False
+        connection.transport.write(data)
+        return not connection.is_writing_paused
+
+    async def drain(self) -> None:
+        """Returns when the system has what was written."""
+        await self._connection.drain()
+
     async def receive(self) -> bytes:
         """What has come; b"" at the end."""
-        return await self._connection.receive()
+        came = asyncio.Event()
+        self.start(came.set)
+        await came.wait()
+        return self.read(2 * READ_BYTES)
 
     async def send(self, data: bytes) -> None:
-        """One write, so one segment where it fits."""
-        if not self._connection.transport.is_closing():
-            self._connection.transport.write(data)
-        await self._connection.drain()
+        """Write and drain."""
+        self.write(data)
+        await self.drain()
 
     def round_trip_s(self) -> float | None:
         """Nobody measures it."""

@@ -41,13 +41,19 @@ class TcpTransport(StreamTransport):
 
     def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
         super().__init__(connection, peer=peer, address=address)
+        self._socket: socket.socket | None = connection.transport.get_extra_info("socket")
         self._sent_bytes = 0
         self._stall = Stall()
 
-    async def send(self, data: bytes) -> None:
-        """Returns when the peer keeps up with what was sent, so that what is next is chosen as late as can be."""
-        await super().send(data)
+    def write(self, data: bytes) -> bool:
+        """What is next is chosen as late as can be: when the peer keeps up with what was sent."""
+        is_through = super().write(data)
         self._sent_bytes += len(data)
+        return is_through and not self._is_stalled()
+
+    async def drain(self) -> None:
+        """Returns when the peer keeps up with what was sent."""
+        await super().drain()
         while self._is_stalled():  # noqa: ASYNC110 - the kernel sends no event
             await asyncio.sleep(STALL_LOOK_S)
 
@@ -99,7 +105,7 @@ class TcpTransport(StreamTransport):
 
     def _open_socket(self) -> socket.socket | None:
         """None when it is closed: asyncio's own has no descriptor then, and uvloop's fails at any question."""
-        found: socket.socket | None = self._connection.transport.get_extra_info("socket")
+        found = self._socket
         return None if found is None or self._connection.is_lost or found.fileno() < 0 else found
 
 

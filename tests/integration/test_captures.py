@@ -44,6 +44,7 @@ async def test_a_link_that_ended_can_still_be_saved(tmp_path: Path) -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()) as device:
             await device.send(pose(1.0))
+            assert await device.velocity() == (0.0, 0.0)  # closing what was not read is a reset
         await expect(lambda: not host.hub.links())
         ended = (await host.get("/api/links"))["ended"]
         reads = [msgspec.json.decode(line, type=Read) for line in (await capture(host)).splitlines()]

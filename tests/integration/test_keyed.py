@@ -83,7 +83,7 @@ async def wait_for_a_silent_device() -> tuple[list[str], float]:
     causes: list[str] = []
     transport = KeyedTransport(host, KEY, on_refused=causes.append)
     with pytest.raises(ConnectionRefusedError):
-        await transport.receive()
+        await transport.open()
     assert len(await device.receive()) == 20
     return causes, asyncio.get_running_loop().time()
 

@@ -42,7 +42,7 @@ habits = st.sampled_from(
 
 def intact_poses(tap: Tap, robot: NumberedRobot) -> Counter[int]:
     """How often each pose that the robot sent stands unharmed in what the host read on this connection."""
-    wire = bytes(tap.read)
+    wire = bytes(tap.read_bytes)
     counts = {number: wire.count(encode(ODOMETRY_ID, pose(number))) for _, number in robot.sent}
     return Counter({number: count for number, count in counts.items() if count})
 

@@ -9,6 +9,7 @@ A writer stalls when its peer does not read: with `room_bytes=0` at once.
 """
 
 import asyncio
+from collections.abc import Callable
 
 from hostlink.transport.base import READ_BYTES
 
@@ -19,51 +20,65 @@ class _Line:
     """One direction: what was sent and not received yet."""
 
     def __init__(self, room_bytes: int, piece_bytes: int) -> None:
+        self.on_readable: Callable[[], None] = lambda: None
+        self.is_ended = False
         self._room_bytes, self._piece_bytes = room_bytes, piece_bytes
         self._waiting = bytearray()
-        self._is_ended = False
         self._is_broken = False
         self._changed = asyncio.Event()
 
-    async def put(self, data: bytes) -> None:
-        """Wait for room; what was put before a cancel stays."""
-        rest = memoryview(data)
+    @property
+    def unread_bytes(self) -> int:
+        """As much as one reading gives."""
+        return 0 if self._is_broken else min(len(self._waiting), self._piece_bytes)
+
+    def write(self, data: bytes) -> bool:
+        """False: more waits than there is room for, or nobody will ever read it."""
+        if not self.is_ended:
+            self._waiting += data
+            self._change()
+        return not self.is_ended and len(self._waiting) <= self._room_bytes
+
+    async def drain(self) -> None:
+        """Wait for room."""
         while True:
-            if self._is_ended or self._is_broken:
+            if self.is_ended:
                 raise ConnectionResetError("connection lost")
-            taken = rest[: self._room_bytes - len(self._waiting)]
-            rest = rest[len(taken) :]
-            if taken:
-                self._waiting += taken
-                self._change()
-            if not rest:
+            if len(self._waiting) <= self._room_bytes:
                 return
             await self._changed.wait()
 
-    async def take(self) -> bytes:
-        """Wait for a piece, or for the end."""
-        while not self._waiting and not self._is_ended and not self._is_broken:
-            await self._changed.wait()
+    def read(self, limit_bytes: int) -> bytes:
+        """A piece, or the end."""
         if self._is_broken:
             raise ConnectionResetError("connection reset by peer")
-        piece = bytes(self._waiting[: self._piece_bytes])
-        del self._waiting[: self._piece_bytes]
-        self._change()
+        piece = bytes(self._waiting[: min(limit_bytes, self._piece_bytes)])
+        del self._waiting[: len(piece)]
+        if piece:
+            self._changed.set()
+            self._changed = asyncio.Event()
         return piece
+
+    async def receive(self) -> bytes:
+        """Wait for a piece, or for the end."""
+        while not self._waiting and not self.is_ended:
+            await self._changed.wait()
+        return self.read(self._piece_bytes)
 
     def end(self) -> None:
         """What waits is still received."""
-        self._is_ended = True
+        self.is_ended = True
         self._change()
 
     def break_off(self) -> None:
         """What waits is lost."""
         self._is_broken = True
-        self._change()
+        self.end()
 
     def _change(self) -> None:
         self._changed.set()
         self._changed = asyncio.Event()
+        self.on_readable()
 
 
 class MemoryTransport:
@@ -73,13 +88,46 @@ class MemoryTransport:
         self.peer = self.address = address
         self._from_peer, self._to_peer = from_peer, to_peer
 
+    async def open(self) -> None:
+        """It is open."""
+
+    def start(self, on_readable: Callable[[], None]) -> None:
+        """Called in a turn of the loop of its own, as a system's."""
+        loop = asyncio.get_running_loop()
+        self._from_peer.on_readable = lambda: loop.call_soon(on_readable)
+        if self.unread_bytes or self.is_ended:
+            on_readable()
+
+    @property
+    def unread_bytes(self) -> int:
+        """What has come and was not read."""
+        return self._from_peer.unread_bytes
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether either end was closed."""
+        return self._from_peer.is_ended
+
+    def read(self, limit_bytes: int) -> bytes:
+        """The next piece; b"" while there is none, and when either end was closed."""
+        return self._from_peer.read(limit_bytes)
+
+    def write(self, data: bytes) -> bool:
+        """False: the line is full."""
+        return self._to_peer.write(data)
+
+    async def drain(self) -> None:
+        """Returns when the line has room for all of it."""
+        await self._to_peer.drain()
+
     async def receive(self) -> bytes:
         """The next piece; b"" when either end was closed."""
-        return await self._from_peer.take()
+        return await self._from_peer.receive()
 
     async def send(self, data: bytes) -> None:
-        """Returns when the line has room for all of it."""
-        await self._to_peer.put(data)
+        """Write and drain."""
+        self.write(data)
+        await self.drain()
 
     def round_trip_s(self) -> float | None:
         """There is no network."""

@@ -24,30 +24,24 @@ LEAST_STEP_M_S = 0.0001  # commands differ by their speed
 NUMBERS = 9000  # so many, up to 0.9 m/s; then they begin again
 
 
-class Tap:
+class Tap(MemoryTransport):
     """The host's end of a connection; keeps what the host read and what it wrote."""
 
     def __init__(self, end: MemoryTransport, *, number: int) -> None:
-        self.peer, self.address = f"robot:{number}", "robot"
-        self.read = bytearray()
+        super().__init__(end._from_peer, end._to_peer, address="robot")
+        self.peer = f"robot:{number}"
+        self.read_bytes = bytearray()
         self.written: list[bytes] = []
         self.session: Session  # once the link is open
-        self._end = end
 
-    async def receive(self) -> bytes:
-        data = await self._end.receive()
-        self.read += data
+    def read(self, limit_bytes: int) -> bytes:
+        data = super().read(limit_bytes)
+        self.read_bytes += data
         return data
 
-    async def send(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
         self.written.append(data)
-        await self._end.send(data)
-
-    def round_trip_s(self) -> float | None:
-        return self._end.round_trip_s()
-
-    async def aclose(self) -> None:
-        await self._end.aclose()
+        return super().write(data)
 
 
 @dataclass
