@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import NamedTuple
 
-from hostlink.protocol.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
+from hostlink.protocol.frame import HEADER, MAX_PAYLOAD_BYTES, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
 
+MAX_CLAIMED_BYTES = 4 * (MAX_PAYLOAD_BYTES + OVERHEAD_BYTES)  # read at most for one byte that completes them all
 DEFAULT_LIMIT_BYTES = 1024  # twice rosserial's usual buffer: what a header may claim before topics are known
 new_frame = tuple.__new__  # twice as fast as Frame(...)
 _SUM_IS_RIGHT = 0xFF  # bytes and their checksum add up to 255 modulo 256
@@ -24,6 +25,7 @@ class Rejection(Enum):
 
     LENGTH_CHECKSUM = "length_checksum"
     TOO_LONG = "too_long"
+    TOO_MANY = "too_many"
     CHECKSUM = "checksum"
     WRONG_SIZE = "wrong_size"
     INCOMPLETE = "incomplete"
@@ -43,6 +45,9 @@ class FrameStream:
     | candidate, right, none inside   | frame                                              |
     | candidate, incomplete           | waits; each candidate inside it is followed too    |
     | candidate, complete and wrong   | no candidate any more: its bytes are read again    |
+
+    What all candidates together claim is bounded by MAX_CLAIMED_BYTES, because one byte can complete all of them. Above
+    it, the candidate that ends last is dropped: `too_many`. With a limit of 1024 bytes it is never reached.
     """
 
     def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
@@ -56,6 +61,7 @@ class FrameStream:
             OrderedDict()
         )  # start -> end of what is not decided yet, first at front
         self._ends: list[tuple[int, int]] = []  # (end, start) of the same, sorted: the first to be complete at front
+        self._claimed_bytes = 0  # of all candidates together
         self._searched = 0  # up to here every sync was checked
 
     @property
@@ -102,9 +108,9 @@ class FrameStream:
         """Stop waiting for what stands at the head: read again from the byte after it."""
         if self._buffer:
             self.rejected[Rejection.INCOMPLETE] += 1
-            end = self._candidates.pop(self._base, None)
+            end = self._candidates.get(self._base)
             if end is not None:
-                del self._ends[bisect_left(self._ends, (end, self._base))]
+                self._remove_candidate(bisect_left(self._ends, (end, self._base)))
             self._searched = max(self._searched, self._base + 1)
         return self.feed(b"")
 
@@ -114,8 +120,7 @@ class FrameStream:
             self._search()
             if not self._ends or self._ends[0][0] > self._base + len(self._buffer):
                 break
-            end, start = self._ends.pop(0)
-            del self._candidates[start]
+            end, start = self._remove_candidate(0)
             if not self._is_right(start - self._base, end - self._base):
                 continue
             if start > self._base:
@@ -133,13 +138,12 @@ class FrameStream:
         """Find candidates as far as one could still end before those that are known."""
         buffer, base = self._buffer, self._base
         while True:
-            if self._ends and self._searched + OVERHEAD_BYTES > self._ends[0][0]:
-                return
             at = buffer.find(SYNC, self._searched - base)
             if at < 0:
                 self._searched = max(self._searched, base + len(buffer) - buffer.endswith(SYNC[:1]))
                 return
-            if at + HEADER.size > len(buffer):
+            is_behind = self._ends and base + at + OVERHEAD_BYTES > self._ends[0][0]
+            if is_behind or at + HEADER.size > len(buffer):
                 self._searched = base + at
                 return
             self._searched = base + at + 1
@@ -154,10 +158,22 @@ class FrameStream:
     def _add_candidate(self, start: int, end: int) -> None:
         self._candidates[start] = end
         insort(self._ends, (end, start))
+        self._claimed_bytes += end - start
+        while self._claimed_bytes > MAX_CLAIMED_BYTES:
+            self._remove_candidate(-1)
+            self.rejected[Rejection.TOO_MANY] += 1
+
+    def _remove_candidate(self, index: int) -> tuple[int, int]:
+        """End and start of the candidate that stood at `index` of the ends."""
+        end, start = self._ends.pop(index)
+        del self._candidates[start]
+        self._claimed_bytes -= end - start
+        return end, start
 
     def _forget_candidates(self) -> None:
         self._candidates.clear()
         self._ends.clear()
+        self._claimed_bytes = 0
 
     def _is_right(self, start: int, end: int) -> bool:
         """Judge a complete candidate, counted if it is wrong."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.protocol.frame import Frame, encode
+from hostlink.protocol.frame import MAX_PAYLOAD_BYTES, Frame, encode
 from hostlink.protocol.stream import FrameStream, Skipped
 from tests.support.strategies import damaged, frames, noise, split, topic_ids, wire_of
 
@@ -15,6 +15,10 @@ LIMIT_BYTES = 1024
 def joined(reads: Iterable[bytes]) -> tuple[list[Frame | bytes], int]:
     """Frames and what was skipped between them in one piece each; and what is pending."""
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
+    return joined_events(stream, reads), stream.pending_bytes
+
+
+def joined_events(stream: FrameStream, reads: Iterable[bytes]) -> list[Frame | bytes]:
     found: list[Frame | bytes] = []
     for read in reads:
         for event in stream.feed(read):
@@ -24,7 +28,7 @@ def joined(reads: Iterable[bytes]) -> tuple[list[Frame | bytes], int]:
                 found[-1] += event.data
             else:
                 found.append(event.data)
-    return found, stream.pending_bytes
+    return found
 
 
 # Without a whole frame in the payload, which would be read instead; Hypothesis draws some from literals of the code.
@@ -54,6 +58,25 @@ def test_every_split_gives_the_same_events(wire: bytes, data: st.DataObject) -> 
 def test_every_damage_gives_the_same_events_byte_by_byte(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
     assert joined(bytes([byte]) for byte in line) == joined([line])
+
+
+def header(claim_bytes: int) -> bytes:
+    return b"\xff\xfe" + claim_bytes.to_bytes(2, "little") + bytes([~(claim_bytes + (claim_bytes >> 8)) & 0xFF])
+
+
+large_claims = st.integers(20_000, MAX_PAYLOAD_BYTES).map(header)
+crowded = st.lists(large_claims | large_claims | nested, min_size=14, max_size=30).map(b"".join)
+
+
+@given(crowded, st.integers(0, 70_000), st.data())
+def test_every_split_gives_the_same_events_with_too_many_candidates(
+    wire: bytes, padding_bytes: int, data: st.DataObject
+) -> None:
+    whole, cut = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES), FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
+    line = wire + bytes(padding_bytes) + wire
+    assert joined_events(whole, [line]) == joined_events(cut, split(line, data))
+    assert whole.rejected == cut.rejected
+    assert whole.pending_bytes == cut.pending_bytes
 
 
 def plainly_read(wire: bytes) -> list[Frame | bytes]:

@@ -5,7 +5,7 @@ import time
 import pytest
 
 from hostlink.protocol.frame import Frame, encode
-from hostlink.protocol.stream import FrameStream, Rejection, Skipped
+from hostlink.protocol.stream import MAX_CLAIMED_BYTES, FrameStream, Rejection, Skipped
 from tests.support.growth import is_linear
 
 A, B = Frame(125, b"first"), Frame(126, b"second")
@@ -195,3 +195,41 @@ def test_giving_up_the_outer_one_leaves_the_inner_one_waiting() -> None:
     assert list(stream.give_up()) == [Skipped(liar)]
     assert frames(stream, WIRE_A[6:]) == [A]
     assert stream.pending_bytes == 0
+
+
+def candidates_with_one_end(count: int, size_bytes: int) -> bytes:
+    """Headers that all claim to end at the last byte, and none has the right checksum there."""
+    wire = bytearray(size_bytes)
+    for at in range(0, 6 * count, 6):
+        claim_bytes = size_bytes - at - 8
+        low, high = claim_bytes & 0xFF, claim_bytes >> 8
+        wire[at : at + 6] = bytes([0xFF, 0xFE, low, high, ~(low + high) & 0xFF, 4])  # they add up to 0 modulo 256
+    return bytes(wire)
+
+
+@pytest.mark.parametrize("read_bytes", [1, 512, 65536])
+@pytest.mark.parametrize(("count", "size_bytes"), [(10_000, 65_543), (5000, 65_543), (260, 65_543), (1000, 7000)])
+def test_one_byte_completes_few_candidates(count: int, size_bytes: int, read_bytes: int) -> None:
+    stream = FrameStream(limit_bytes=65535)
+    wire = candidates_with_one_end(count, size_bytes)
+    before = wire[:-1]
+    assert events(stream, *[before[at : at + read_bytes] for at in range(0, len(before), read_bytes)]) == []
+    assert stream.rejected.keys() == {Rejection.TOO_MANY}
+    assert frames(stream, wire[-1:]) == []
+    claims_bytes = [size_bytes - at for at in range(0, 6 * count, 6)]
+    assert sum(claims_bytes[: stream.rejected[Rejection.CHECKSUM]]) <= MAX_CLAIMED_BYTES
+    assert stream.rejected.total() == count
+    assert frames(stream, WIRE_A + WIRE_B) == [A, B]
+
+
+def test_as_many_candidates_as_a_small_limit_allows_are_all_followed() -> None:
+    stream = FrameStream()
+    assert frames(stream, candidates_with_one_end(170, 1032) + WIRE_A) == [A]
+    assert stream.rejected == {Rejection.CHECKSUM: 170}
+
+
+def test_among_too_many_candidates_the_first_to_end_is_followed() -> None:
+    stream = FrameStream(limit_bytes=65535)
+    large = Frame(130, bytes(3000))
+    assert frames(stream, LIAR * 5 + encode(*large) + WIRE_A) == [large, A]
+    assert stream.rejected == {Rejection.TOO_MANY: 2}
