@@ -75,7 +75,8 @@ class Device:
         self.leave()
         self.shown = shown
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
-        for info in infos:
+        own = {} if robot is None else robot.shown.own
+        for info in sorted(infos, key=lambda info: own.get(shown.of(info.name)) != info.type):  # its own types first
             try:
                 self._add(info, robot)
             except (WrongType, BadRequest) as error:

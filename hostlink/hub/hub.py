@@ -84,7 +84,7 @@ class Hub:
         self.emergency_stop = EmergencyStop(self.robots, self.gates, self.join_daemon())
         robot_topics = RobotTopicPublisher(config.robots, self.topics, self.gates, self._node, catalog)
         self._identities = Identities(
-            Affected(self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses),
+            Affected(self.topics, self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses),
             Directory({name: robot.address for name, robot in config.robots.items()}),
             spawn=lambda work, name: self.spawn(work, name=name),
         )

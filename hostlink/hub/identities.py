@@ -16,6 +16,7 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.shown_names import ShownNames
+from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol.control import TopicInfo
@@ -31,6 +32,7 @@ LAST_ZERO_S = 0.2  # for the zero to a link that is replaced while its robot dri
 class Affected(NamedTuple):
     """What of the hub depends on who a device is."""
 
+    topics: TopicGraph
     gates: Gates
     robots: Robots
     robot_topics: RobotTopicPublisher
@@ -143,11 +145,41 @@ class Identities:
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
         robot = self._affected.robots.appear(names.name, own, shown.of_robot(own), device.link)
+        displaced = self._displace(robot)
         device.announce(device.infos, shown, robot)
+        for other, names_before in displaced.items():
+            self._announce_again(other, names_before)
         if not claim.is_certain and before is not robot:
             self._affected.emergency_stop.lock_likewise(robot)
         self._affected.emergency_stop.serve(robot)
         return robot
+
+    def _displace(self, robot: Robot) -> dict[Device, frozenset[str]]:
+        """Remove the devices that mean something else by a name of the robot's own; with the names that they had.
+
+        Another robot whose own name it is keeps it, but not against a velocity.
+        """
+        displaced = {}
+        for name, type_name in robot.shown.own.items():
+            for key in self._affected.topics.devices_against(name, type_name):
+                other = self._affected.robots.of_link(key)
+                is_own = other is not None and name in other.shown.own and name != robot.shown.velocity
+                device = self.devices.get(key.number) if isinstance(key, Link) else None
+                if device is not None and other is not robot and not is_own:
+                    displaced[device] = device.names
+                    device.leave()
+        return displaced
+
+    def _announce_again(self, device: Device, names_before: frozenset[str]) -> None:
+        """A device was displaced: what of its topics is refused now is logged; all others it has again, at rest."""
+        robots, link = self._affected.robots, device.link
+        robot = robots.of_link(link)
+        if robot is None:
+            robots.vanish(link)
+        else:
+            robots.appear(robot.name, robot.topics, robot.shown, link)
+        device.announce(device.infos, device.shown, robot)
+        self._affected.robot_topics.update([] if robot is None else [robot], names_before | device.names)
 
     def _log_name(self, link: Link, claim: Accepted) -> None:
         """Which links are one device's distinguishes a reboot from another board; a number in a name is logged."""

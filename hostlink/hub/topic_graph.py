@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
-from hostlink.hub.topic import PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
+from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 
 Unsubscribe = Callable[[], None]
@@ -110,6 +110,13 @@ class TopicGraph:
             topic.forget_publisher(key)
             topic.remove_device(key)
             self._settle(topic)
+
+    def devices_against(self, name: str, type_name: str) -> set[Hashable]:
+        """The links that use a topic with another type than this."""
+        topic = self.find_or_none(name)
+        if topic is None or topic.type_name == type_name:
+            return set()
+        return {key for key in (*topic.publishers, *topic.devices) if rank_of(key) == DEVICE_RANK}
 
     def _note(self, key: Hashable, topic: Topic) -> None:
         self._of_key.setdefault(key, {})[topic.name] = topic

@@ -39,6 +39,19 @@ class RobotTopicNames:
         """What the names of velocity and odometry have in common; else what the velocity's has, or the odometry's."""
         return _common(_namespace(self.velocity), _namespace(self.odometry))
 
+    @property
+    def own(self) -> dict[str, str]:
+        """The topics that no other device may use with another type, and their types.
+
+        Its velocity, wherever it is: that all of these have one type. The others in its namespace.
+        """
+        others = {self.odometry: self.odometry_type}
+        if self.reset is not None:
+            others[self.reset] = RESET_TYPE
+        here = self.namespace
+        own = {name: type_name for name, type_name in others.items() if _namespace(name)[: len(here)] == here}
+        return {**own, self.velocity: TWIST_TYPE}
+
 
 @dataclass(frozen=True, slots=True)
 class Accepted:

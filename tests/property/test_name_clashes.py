@@ -208,9 +208,10 @@ class Clashes(RuleBasedStateMachine):
                         type_name=TWIST,
                     )
                 except HostlinkError:  # another device means something else by that name
+                    assert by == "cmd_vel"
                     return
             await asyncio.sleep(0.2)
-            if by == "name":
+            if by != "cmd_vel":
                 assert speed in self.speeds_at(number)
 
         self.commanded[number].add(speed)
