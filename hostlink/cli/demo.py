@@ -75,7 +75,7 @@ async def drive_robots(hub: Hub, participant: Participant) -> None:
     busy_until_s: dict[str, float] = {}
     while True:
         for robot in hub.robots.all():
-            if robot.gate.holder not in (None, OWNER):
+            if robot.gate.owner not in (None, participant):
                 busy_until_s[robot.name] = now_s() + PAUSE_S
             elif now_s() >= busy_until_s.get(robot.name, 0.0):
                 with contextlib.suppress(HostlinkError):  # not connected yet, or somebody drives it since

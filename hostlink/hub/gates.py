@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 
 import structlog
 
@@ -88,14 +88,14 @@ class Gates:
         if _now_s() >= message.at_s + drivable.gate.lease_s:
             raise BadRequest(f"{drivable.name}: the command waited longer than it holds")
         velocity = Velocity.decode(message.payload)
-        self.command(drivable, velocity, owner=str(message.source), priority=message.priority, now_s=message.at_s)
+        self.command(drivable, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
 
     def command(
         self,
         drivable: Drivable,
         velocity: Velocity,
         *,
-        owner: str,
+        owner: Hashable,
         priority: int = PROGRAM_PRIORITY,
         now_s: float | None = None,
     ) -> Velocity:
@@ -114,20 +114,20 @@ class Gates:
         now_s = _now_s() if now_s is None else now_s
         gate = drivable.gate
         limited = gate.command(owner, velocity, priority=priority, now_s=now_s)
-        if gate.holder in (owner, None):  # another's idle zero changes nothing, so the device need not hear it
+        if gate.owner in (owner, None):  # another's idle zero changes nothing, so the device need not hear it
             refusal = self._send_news(drivable)
             if refusal is not None:
                 gate.release(owner, now_s=now_s)
                 raise refusal
         return limited
 
-    def release(self, owner: str) -> None:
+    def release(self, owner: Hashable) -> None:
         """A source of commands is gone: what it drives stops."""
         for drivable in list(self._active):
-            is_driving = drivable.gate.holder == owner
+            is_driving = drivable.gate.owner == owner
             drivable.gate.release(owner, now_s=_now_s())  # also what it has claimed without driving now
             if is_driving:
-                log.info("robot.stopped", robot=drivable.name, reason="owner left", owner=owner)
+                log.info("robot.stopped", robot=drivable.name, reason="owner left", owner=str(owner))
                 self._send_news(drivable)
 
     def stop(self, drivable: Drivable) -> None:

@@ -70,7 +70,7 @@ class Identities:
         if device is not None:
             self.undelivered += len(device.early)
             self._leave_graph(device)
-            self._affected.gates.release(str(link))  # a device may drive another
+            self._affected.gates.release(link)  # a device may drive another
             self._directory.leave(link.number)
 
     def forget_robot(self, robot: Robot) -> None:

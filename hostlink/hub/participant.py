@@ -276,7 +276,7 @@ class Participant(Node):
         wanted_priority = self.priority if priority is None else priority
         self._begin_sending("drive")
         try:
-            return self._parts.gates.command(robot, velocity, owner=self.name, priority=wanted_priority)
+            return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority)
         finally:
             self._nested -= 1
 
@@ -317,7 +317,7 @@ class Participant(Node):
         self.has_left = True
         for subscription in self._subscriptions:
             subscription.is_closed = True  # its own zero is nothing to it any more
-        self._parts.gates.release(self.name)
+        self._parts.gates.release(self)
         for subscription in list(self._subscriptions):
             subscription.close()
         self._parts.topics.leave(self)

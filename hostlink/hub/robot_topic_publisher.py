@@ -186,7 +186,7 @@ class RobotTopicPublisher:
         fields: Mapping[str, Any] = message.decoded
         self._check_age(robot, fields["header"]["stamp"])
         velocity = Velocity.from_twist(fields["twist"])
-        self._gates.command(robot, velocity, owner=str(message.source), priority=message.priority, now_s=message.at_s)
+        self._gates.command(robot, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
 
     def _publishes(self, robot: Robot, name: str) -> bool:
         topic = self._graph.find_or_none(name)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -91,7 +92,7 @@ class GateCounts:
 class _Lease(NamedTuple):
     """Who drives, how important he is, and until when."""
 
-    owner: str
+    owner: Hashable
     priority: int
     deadline_s: float
 
@@ -136,15 +137,20 @@ class VelocityGate:
         self.counts = GateCounts()
         self._robot, self._limits = robot, limits
         self._lease: _Lease | None = None
-        self._claims: dict[str, _Lease] = {}  # by owner
+        self._claims: dict[Hashable, _Lease] = {}  # by owner
         self._target = ZERO
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
 
     @property
-    def holder(self) -> str | None:
+    def owner(self) -> Hashable | None:
         """Who drives."""
         return None if self._lease is None else self._lease.owner
+
+    @property
+    def holder(self) -> str | None:
+        """The name of who drives; others may have it, too."""
+        return None if self._lease is None else str(self._lease.owner)
 
     @property
     def priority(self) -> int | None:
@@ -165,7 +171,7 @@ class VelocityGate:
         """Whether somebody's claim keeps others from driving, though he may not drive himself."""
         return any(now_s < claim.deadline_s for claim in self._claims.values())
 
-    def command(self, owner: str, velocity: Velocity, *, priority: int, now_s: float) -> Velocity:
+    def command(self, owner: Hashable, velocity: Velocity, *, priority: int, now_s: float) -> Velocity:
         """Drive for the length of a lease; returns the velocity within the limits.
 
         Raises:
@@ -180,9 +186,9 @@ class VelocityGate:
             raise BadRequest(f"{self._robot}: a velocity must be made of finite numbers")
         self._expire(now_s)
         lease = self._lease
-        if velocity.is_zero and self.holder != owner:
+        if velocity.is_zero and self.owner != owner:
             return self._accept_idle_zero()
-        if not velocity.is_zero and self.holder != owner:
+        if not velocity.is_zero and self.owner != owner:
             self._respect_claims(owner, priority, now_s)
         if lease is None and self.current.is_zero:
             self._stepped_at_s = now_s
@@ -203,14 +209,14 @@ class VelocityGate:
             self.counts.ignored_zeros += 1
         return ZERO
 
-    def _respect_claims(self, owner: str, priority: int, now_s: float) -> None:
+    def _respect_claims(self, owner: Hashable, priority: int, now_s: float) -> None:
         """Raise RobotHeld while somebody more important wants to drive."""
-        self._claims = {name: claim for name, claim in self._claims.items() if now_s < claim.deadline_s}
-        others = (claim for name, claim in self._claims.items() if name != owner)
+        self._claims = {each: claim for each, claim in self._claims.items() if now_s < claim.deadline_s}
+        others = (claim for each, claim in self._claims.items() if each != owner)
         strongest = max(others, key=lambda claim: (claim.priority, claim.deadline_s), default=None)
         if strongest is not None and priority < strongest.priority:
             self.counts.refused += 1
-            raise RobotHeld(self._robot, strongest.owner)
+            raise RobotHeld(self._robot, str(strongest.owner))
 
     def _claim(self, lease: _Lease) -> _Lease:
         self._claims[lease.owner] = lease
@@ -219,11 +225,11 @@ class VelocityGate:
             self.counts.forgotten_claims += 1
         return lease
 
-    def release(self, owner: str, *, now_s: float) -> None:
+    def release(self, owner: Hashable, *, now_s: float) -> None:
         """The owner is gone: if it drives, the robot stops; whoever is next may drive it."""
         self._expire(now_s)
         self._claims.pop(owner, None)
-        if self.holder == owner:
+        if self.owner == owner:
             self._stop(now_s)
 
     def stop(self, *, now_s: float) -> None:

@@ -13,7 +13,17 @@ from hostlink.robot.velocity import Velocity
 from hostlink.robot.velocity_gate import LEASE_S
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
-from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, ROBOT, VELOCITY_ID, Scene, play, publish, subscribe
+from tests.support.participants import (
+    NEIGHBOUR,
+    ODOMETRY_ID,
+    ROBOT,
+    VELOCITY_ID,
+    Scene,
+    play,
+    publish,
+    source_of,
+    subscribe,
+)
 from tests.support.rosbridge import client
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.waiting import expect
@@ -150,7 +160,7 @@ class TestAsAnyRobot:
         async with daemon() as host, fake_device(host.tcp, infos) as device:
             await driven(host, device, topic_id, name)
             began_s = asyncio.get_running_loop().time()
-            host.hub.gates.release("test")
+            source_of(host.hub, "test").leave()
             await heard(device, topic_id, is_zero=True)
             assert asyncio.get_running_loop().time() - began_s < 0.4
 

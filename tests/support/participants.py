@@ -8,6 +8,7 @@ import struct
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from structlog.testing import capture_logs
 
@@ -36,6 +37,17 @@ TEXT, TEXT_TYPE = "/chat", "std_msgs/String"
 ROBOT, NEIGHBOUR = "robot_0", "robot_1"
 
 
+_sources: WeakKeyDictionary[Hub, dict[str, Participant]] = WeakKeyDictionary()
+
+
+def source_of(hub: Hub, name: str) -> Participant:
+    """The participant as which `publish` sends by this name."""
+    sources = _sources.setdefault(hub, {})
+    if name not in sources or sources[name].has_left:
+        sources[name] = hub.join(name)
+    return sources[name]
+
+
 def publish(
     hub: Hub,
     topic: str,
@@ -45,8 +57,8 @@ def publish(
     type_name: str = "",
     priority: int = PROGRAM_PRIORITY,
 ) -> None:
-    """Publish once, as whoever has this name."""
-    participant = hub.join(source)
+    """Publish once, as one participant for all that is sent by this name."""
+    participant = source_of(hub, source)
     type_ = participant.message_type(topic, type_name)
     payload = message if isinstance(message, bytes) else type_.encode(message)
     participant.publish(topic, payload, priority=priority)
@@ -276,7 +288,7 @@ class Scene:
             if participant in [subscriber.key for subscriber in topic.subscribers]
         ]
         uses += [name for name, _ in self.hub.services.all() if self.hub.services.find(name).key is participant]
-        return uses + [robot.name for robot in self.hub.robots.all() if robot.gate.holder == participant.name]
+        return uses + [robot.name for robot in self.hub.robots.all() if robot.gate.owner is participant]
 
 
 @contextlib.asynccontextmanager
