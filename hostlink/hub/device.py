@@ -184,7 +184,7 @@ class Device:
         if robot is None:
             shown = self.shown.of(info.name)
             return Drivable(name=shown, velocity_topic=info.name, gate=VelocityGate(shown, UNLIMITED))
-        gate = VelocityGate(robot.name, limits_of(robot.config))
+        gate = VelocityGate(robot.name, limits_of(robot.config), claims=robot.gate.claims)
         if robot.gate.lock_reason is not None:
             gate.lock(robot.gate.lock_reason)
         return Drivable(name=robot.name, velocity_topic=info.name, gate=gate)

@@ -119,7 +119,20 @@ class Gates:
             if refusal is not None:
                 gate.release(owner, now_s=now_s)
                 raise refusal
+        beside = self._of_link[drivable.link]
+        if len(beside) > 1 and not velocity.is_zero:
+            self._overrule(beside, drivable, owner, priority)
         return limited
+
+    def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
+        """Stop what somebody less important drives of the same robot; its next command is refused."""
+        for other in beside:
+            gate = other.gate
+            is_other = gate is not drivable.gate and gate.claims is drivable.gate.claims
+            if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
+                log.info("robot.stopped", robot=other.name, reason="overruled", owner=gate.holder)
+                gate.stop(now_s=_now_s())
+                self._send_news(other)
 
     def release(self, owner: Hashable) -> None:
         """A source of commands is gone: what it drives stops."""

@@ -4,9 +4,9 @@ import dataclasses
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from hostlink.errors import BadRequest, ConfigError, RobotHeld
+from hostlink.robot.claims import Claim, Claims
 from hostlink.robot.kinematics import DifferentialDrive
 from hostlink.robot.velocity import ZERO, Velocity
 
@@ -14,7 +14,6 @@ LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own wa
 ZEROS = 3  # a single stop can be lost on a radio
 LONGEST_STEP_S = 0.1  # a step that comes late must not jump
 _ALL_OF_IT = 1 - 1e-9  # whatever the rounding, a way to zero loses speed to its very end, and a step reaches it
-MAX_CLAIMS = 64  # sources of commands that one robot keeps apart; each has commanded within the last lease
 LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot receives its zero again and again: it may have no watchdog of its own
 
 
@@ -89,14 +88,6 @@ class GateCounts:
     forgotten_claims: int = 0  # over MAX_CLAIMS; the least important go first
 
 
-class _Lease(NamedTuple):
-    """Who drives, how important he is, and until when."""
-
-    owner: Hashable
-    priority: int
-    deadline_s: float
-
-
 class VelocityGate:
     """Who drives a robot, how fast, and until when.
 
@@ -126,18 +117,20 @@ class VelocityGate:
 
     Each command claims the robot for its owner, at its priority and for a lease. Nothing ends a claim but that time,
     the owner's leaving, and a new device: after a stop or a lock the robot is not free for somebody less important,
-    while the owner continues with his next command.
+    while the owner continues with his next command. A robot with several velocity topics has a gate for each, and one
+    set of claims for all of them.
     """
 
-    def __init__(self, robot: str, limits: Limits, *, lease_s: float = LEASE_S) -> None:
+    def __init__(self, robot: str, limits: Limits, *, lease_s: float = LEASE_S, claims: Claims | None = None) -> None:
+        """`claims`: those of the robot's other gates, for one that has several."""
         self.lease_s = lease_s
+        self.claims = Claims() if claims is None else claims
         self.current = ZERO
         self.lock_reason: str | None = None
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
         self._robot, self._limits = robot, limits
-        self._lease: _Lease | None = None
-        self._claims: dict[Hashable, _Lease] = {}  # by owner
+        self._lease: Claim | None = None
         self._target = ZERO
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
@@ -169,7 +162,7 @@ class VelocityGate:
 
     def is_claimed(self, now_s: float) -> bool:
         """Whether somebody's claim keeps others from driving, though he may not drive himself."""
-        return any(now_s < claim.deadline_s for claim in self._claims.values())
+        return self.claims.has_any(self, now_s)
 
     def command(self, owner: Hashable, velocity: Velocity, *, priority: int, now_s: float) -> Velocity:
         """Drive for the length of a lease; returns the velocity within the limits.
@@ -193,7 +186,7 @@ class VelocityGate:
         if lease is None and self.current.is_zero:
             self._stepped_at_s = now_s
         deadline_s = lease.deadline_s if lease is not None and velocity.is_zero else now_s + self.lease_s
-        self._lease = self._claim(_Lease(owner, priority, deadline_s))
+        self._lease = self._claim(Claim(owner, priority, deadline_s))
         self._target = self._limits.apply(velocity)
         self._zeros = int(self.is_new_device)
         self.counts.commands += 1
@@ -211,24 +204,19 @@ class VelocityGate:
 
     def _respect_claims(self, owner: Hashable, priority: int, now_s: float) -> None:
         """Raise RobotHeld while somebody more important wants to drive."""
-        self._claims = {each: claim for each, claim in self._claims.items() if now_s < claim.deadline_s}
-        others = (claim for each, claim in self._claims.items() if each != owner)
-        strongest = max(others, key=lambda claim: (claim.priority, claim.deadline_s), default=None)
+        strongest = self.claims.strongest_beside(owner, now_s)
         if strongest is not None and priority < strongest.priority:
             self.counts.refused += 1
             raise RobotHeld(self._robot, str(strongest.owner))
 
-    def _claim(self, lease: _Lease) -> _Lease:
-        self._claims[lease.owner] = lease
-        if len(self._claims) > MAX_CLAIMS:
-            del self._claims[min(self._claims.values(), key=lambda claim: (claim.priority, claim.deadline_s)).owner]
-            self.counts.forgotten_claims += 1
+    def _claim(self, lease: Claim) -> Claim:
+        self.counts.forgotten_claims += self.claims.put(self, lease)
         return lease
 
     def release(self, owner: Hashable, *, now_s: float) -> None:
         """The owner is gone: if it drives, the robot stops; whoever is next may drive it."""
         self._expire(now_s)
-        self._claims.pop(owner, None)
+        self.claims.remove(self, owner)
         if self.owner == owner:
             self._stop(now_s)
 
@@ -251,7 +239,7 @@ class VelocityGate:
     def restart(self) -> None:
         """The device is new: nothing earlier is valid but a lock, and its first velocity is zero whatever comes."""
         self.stop_at_once()
-        self._claims.clear()
+        self.claims.clear(self)
         self.is_new_device = True
 
     def lock(self, reason: str) -> None:

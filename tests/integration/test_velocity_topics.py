@@ -2,11 +2,14 @@
 
 import asyncio
 import struct
+from collections.abc import Awaitable, Callable
+from typing import NamedTuple
 
 import pytest
 
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import BadRequest, RobotHeld
+from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import Velocity
@@ -33,6 +36,30 @@ SPEED = struct.pack("<d", 0.77)
 NO_POSE = [topic(Id.SUBSCRIBER, 100, "/cart/cmd_vel", "geometry_msgs/Twist")]
 SECOND = [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/robot_0/arm_vel", "geometry_msgs/Twist")]
 DRIVE = {"op": "publish", "topic": "", "msg": {"linear": {"x": 0.3}}}
+
+
+VELOCITY, ARM, ARM_ID = "/robot_0/velocity_commands", "/robot_0/arm_vel", 102
+
+
+def twist(speed_m_s: float) -> bytes:
+    return struct.pack("<6d", speed_m_s, 0, 0, 0, 0, 0)
+
+
+class Arm(NamedTuple):
+    """A hub, and the robot that has an arm."""
+
+    hub: Hub
+    device: ScriptedDevice
+
+
+def play_arm(test: Callable[[Arm], Awaitable[None]]) -> None:
+    async def run(made: Scene) -> None:
+        made.robot.infos = SECOND
+        await made.robot.announce()
+        await asyncio.sleep(0.5)
+        await test(Arm(made.hub, made.robot))
+
+    play(run)
 
 
 async def heard(device: FakeDevice, topic_id: int, *, is_zero: bool) -> None:
@@ -258,3 +285,116 @@ def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:
         assert [each.name for each in made.hub.gates._active if each.link is None] == []
 
     play(test)
+
+
+class TestOneRobot:
+    """Several velocity topics of one robot, as a base and an arm: one robot, for who is more important."""
+
+    def test_who_is_less_important_drives_none_of_them(self) -> None:
+        async def test(made: Arm) -> None:
+            person, script = made.hub.join("person", priority=60), made.hub.join("script")
+            for driven, other in ((VELOCITY, ARM), (ARM, VELOCITY)):
+                person.publish(driven, twist(0.2))
+                with pytest.raises(RobotHeld, match="person drives it with a higher priority"):
+                    script.publish(other, twist(0.3))
+                with pytest.raises(RobotHeld):
+                    script.publish(driven, twist(0.3))
+                await asyncio.sleep(2 * LEASE_S)
+                script.publish(other, twist(0.3))
+                await asyncio.sleep(2 * LEASE_S)
+
+        play_arm(test)
+
+    def test_who_is_more_important_stops_what_others_drive_at_once(self) -> None:
+        async def test(made: Arm) -> None:
+            person, script = made.hub.join("person", priority=60), made.hub.join("script")
+            for driven, other, other_id in ((VELOCITY, ARM, ARM_ID), (ARM, VELOCITY, VELOCITY_ID)):
+                script.publish(other, twist(0.3))
+                await asyncio.sleep(0.1)
+                assert made.device.payloads(other_id)[-1] == twist(0.3)
+                person.publish(driven, twist(0.2))
+                await asyncio.sleep(0.05)
+                assert made.device.payloads(other_id)[-1] == ZERO
+                with pytest.raises(RobotHeld):
+                    script.publish(other, twist(0.3))
+                await asyncio.sleep(2 * LEASE_S)
+
+        play_arm(test)
+
+    def test_one_driver_drives_both_and_two_of_one_priority_one_each(self) -> None:
+        async def test(made: Arm) -> None:
+            base, arm = made.hub.join("base"), made.hub.join("arm")
+            for first, second in ((base, base), (base, arm)):
+                for _ in range(3):
+                    first.publish(VELOCITY, twist(0.1))
+                    second.publish(ARM, twist(0.2))
+                    await asyncio.sleep(0.2)
+                    assert made.device.payloads(VELOCITY_ID)[-1] == twist(0.1)
+                    assert made.device.payloads(ARM_ID)[-1] == twist(0.2)
+            arm.leave()
+            await asyncio.sleep(0.05)
+            assert made.device.payloads(VELOCITY_ID)[-1] == twist(0.1)
+            assert made.device.payloads(ARM_ID)[-1] == ZERO
+
+        play_arm(test)
+
+    def test_one_drivers_own_priorities_do_not_overrule_each_other(self) -> None:
+        async def test(made: Arm) -> None:
+            driver, script = made.hub.join("driver"), made.hub.join("script")
+            for _ in range(3):
+                driver.publish(ARM, twist(0.2), priority=40)
+                driver.publish(VELOCITY, twist(0.1), priority=60)
+                await asyncio.sleep(0.2)
+                assert made.device.payloads(VELOCITY_ID)[-1] == twist(0.1)
+                assert made.device.payloads(ARM_ID)[-1] == twist(0.2)
+                driver.publish(ARM, ZERO, priority=40)  # what it claims by the other topic stays
+                with pytest.raises(RobotHeld):
+                    script.publish(ARM, twist(0.3))
+
+        play_arm(test)
+
+    def test_a_zero_of_who_is_more_important_claims_nothing(self) -> None:
+        async def test(made: Arm) -> None:
+            person, script = made.hub.join("person", priority=60), made.hub.join("script")
+            script.publish(ARM, twist(0.3))
+            person.publish(VELOCITY, ZERO)
+            script.publish(ARM, twist(0.3))
+            await asyncio.sleep(0.1)
+            assert made.device.payloads(ARM_ID)[-1] == twist(0.3)
+
+        play_arm(test)
+
+    def test_who_leaves_claims_nothing_any_more_of_both(self) -> None:
+        async def test(made: Arm) -> None:
+            person, script = made.hub.join("person", priority=60), made.hub.join("script")
+            person.publish(VELOCITY, twist(0.2))
+            person.leave()
+            script.publish(ARM, twist(0.3))
+            await asyncio.sleep(0.1)
+            assert made.device.payloads(ARM_ID)[-1] == twist(0.3)
+            assert made.device.payloads(VELOCITY_ID)[-1] == ZERO
+
+        play_arm(test)
+
+    def test_another_robots_priorities_are_its_own(self) -> None:
+        async def test(made: Arm) -> None:
+            person, script = made.hub.join("person", priority=60), made.hub.join("script")
+            person.publish(ARM, twist(0.2))
+            script.drive(made.hub.robots.find(NEIGHBOUR), Velocity(0.3))
+
+        play_arm(test)
+
+    def test_the_topics_of_a_device_that_is_no_robot_are_driven_apart(self) -> None:
+        async def test(made: Scene) -> None:
+            infos = [*NO_POSE, topic(Id.SUBSCRIBER, 102, "/crane/cmd_vel", "geometry_msgs/Twist")]
+            device = ScriptedDevice(made.hub, infos, address="10.0.0.3")
+            await asyncio.sleep(0.5)
+            person, script = made.hub.join("person", priority=60), made.hub.join("script")
+            person.publish("/cart/cmd_vel", twist(0.2))
+            script.publish("/crane/cmd_vel", twist(0.3))
+            await asyncio.sleep(0.1)
+            assert (device.payloads(100)[-1], device.payloads(102)[-1]) == (twist(0.2), twist(0.3))
+            await device.aclose()
+            await asyncio.sleep(0.5)
+
+        play(test)

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from hostlink.errors import BadRequest, ConfigError, RobotHeld
+from hostlink.robot.claims import MAX_CLAIMS, Claims
 from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import MAX_CLAIMS, GateCounts, Limits, VelocityGate
+from hostlink.robot.velocity_gate import GateCounts, Limits, VelocityGate
 from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, gate, held, moving, outputs
 
 # -- the life of a lease ----------------------------------------------------------------------------------------------
@@ -175,6 +176,33 @@ def test_a_refused_command_claims_nothing() -> None:
         ours.command("bob", TURN, priority=99, now_s=0.4)
     ours.command("eve", TURN, priority=0, now_s=0.5)
     assert ours.holder == "eve"
+
+
+def test_gates_that_share_their_claims_share_who_may_drive() -> None:
+    claims = Claims()
+    base, arm = (VelocityGate("robot_0", FREE, claims=claims) for _ in range(2))
+    base.command("ann", FORWARD, priority=60, now_s=0.0)
+    with pytest.raises(RobotHeld, match="ann"):
+        arm.command("bob", FORWARD, priority=50, now_s=0.1)
+    arm.command("cat", FORWARD, priority=60, now_s=0.1)
+    assert (base.owner, arm.owner) == ("ann", "cat")
+    arm.restart()
+    with pytest.raises(RobotHeld, match="ann"):
+        arm.command("bob", FORWARD, priority=50, now_s=0.2)
+    base.restart()
+    arm.command("bob", FORWARD, priority=50, now_s=0.2)
+    assert (base.is_claimed(0.3), arm.is_claimed(0.3), arm.is_claimed(0.7)) == (False, True, False)
+
+
+def test_an_owners_claims_at_two_gates_end_each_with_its_own() -> None:
+    claims = Claims()
+    base, arm = (VelocityGate("robot_0", FREE, claims=claims) for _ in range(2))
+    base.command("ann", FORWARD, priority=60, now_s=0.0)
+    arm.command("ann", FORWARD, priority=40, now_s=0.1)
+    arm.release("ann", now_s=0.2)
+    with pytest.raises(RobotHeld, match="ann"):
+        arm.command("bob", FORWARD, priority=50, now_s=0.4)
+    arm.command("bob", FORWARD, priority=50, now_s=0.5)
 
 
 def test_the_claims_are_bounded_and_the_most_important_stay() -> None:
