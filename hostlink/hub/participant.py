@@ -4,7 +4,7 @@ Payloads are bytes here, as devices send and receive them; whoever speaks anothe
 """
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 
 from hostlink.cancellation import expire
@@ -69,7 +69,6 @@ class Participant(Node):
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
         self._calls: set[asyncio.Timeout] = set()
-        self._nested = 0  # what it is sending now, each in a callback that the one before caused
 
     # -- topics -------------------------------------------------------------------------------------------------------
 
@@ -131,11 +130,11 @@ class Participant(Node):
             raise DeviceGone(topic, ENDING)
         known = self._parts.topics.find_or_none(topic)
         if known is not None:
-            self._begin_sending("publish")
+            senders = self._begin_sending("publish")
             try:
                 known.publish(payload, source=self, priority=self.priority if priority is None else priority)
             finally:
-                self._nested -= 1
+                self._parts.topics.deliveries.senders = senders
 
     def subscribe(
         self,
@@ -274,21 +273,23 @@ class Participant(Node):
         if link is not None and robot.link is not None and robot.link.number != link:
             raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
         wanted_priority = self.priority if priority is None else priority
-        self._begin_sending("drive")
+        senders = self._begin_sending("drive")
         try:
             return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority)
         finally:
-            self._nested -= 1
+            self._parts.topics.deliveries.senders = senders
 
-    def _begin_sending(self, what: str) -> None:
-        """Refuse what its own callback has sent too often.
+    def _begin_sending(self, what: str) -> tuple[Hashable, ...]:
+        """Refuse what its own callback has sent too often: a message that comes back to its sender would never end.
 
-        A message that comes back to its sender, who sends it again, would use up the stack; then whoever is called
-        last would fail, also a robot's link.
+        Returns the senders in whose callbacks it sends.
         """
-        if self._nested >= MAX_NESTED:
+        deliveries = self._parts.topics.deliveries
+        before = deliveries.senders
+        if before and before.count(self) >= MAX_NESTED:
             raise BadRequest(f"{what}: {self.name} sends in a callback what calls it back, again and again")
-        self._nested += 1
+        deliveries.senders = (*before, self)
+        return before
 
     # -- its end ------------------------------------------------------------------------------------------------------
 

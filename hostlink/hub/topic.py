@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 from hostlink.errors import HostlinkError
+from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node
 from hostlink.messages.message_type import MessageType
@@ -39,7 +40,8 @@ class Topic:
     the other subscribers.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, deliveries: Deliveries | None = None) -> None:
+        """`deliveries`: those of the graph, for a topic that is in it."""
         self.name = name
         self.type_name = ""  # until somebody names it
         self.type: MessageType | None = None
@@ -53,6 +55,7 @@ class Topic:
         self._expected: dict[str, int] = {}  # how many subscribers expect each type
         self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
         self._is_gated = False
+        self._deliveries = Deliveries() if deliveries is None else deliveries
 
     @property
     def subscribers(self) -> tuple[Subscriber, ...]:
@@ -143,16 +146,16 @@ class Topic:
             self.messages += 1
             return
         message = self._message(payload, source, asyncio.get_running_loop().time() if at_s is None else at_s, priority)
-        refusal = self._pass_to_devices(message) if self.devices else None
+        refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
         if not self._is_gated:
-            self._dispatch(message)
+            self._deliveries.add(self._dispatch, message)
         if refusal is not None:
             raise refusal
 
     def deliver(self, payload: bytes, *, source: Hashable, at_s: float) -> None:
         """Pass a payload to every subscriber, and to no device."""
         if self._subscribers:
-            self._dispatch(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+            self._deliveries.add(self._dispatch, self._message(payload, source, at_s, PROGRAM_PRIORITY))
         else:
             self.messages += 1
 

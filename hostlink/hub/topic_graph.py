@@ -3,6 +3,7 @@
 from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
+from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 
@@ -18,6 +19,7 @@ class TopicGraph:
     """All topics of all devices and participants."""
 
     def __init__(self, catalog: Catalog) -> None:
+        self.deliveries = Deliveries()
         self._catalog = catalog
         self._topics: dict[str, Topic] = {}
         self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes, or subscribes as a device
@@ -130,7 +132,7 @@ class TopicGraph:
 
     def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
-        topic = self._topics.get(resolved) or Topic(resolved)
+        topic = self._topics.get(resolved) or Topic(resolved, self.deliveries)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
         if plain_name and plain_name != topic.type_name:
