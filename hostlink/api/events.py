@@ -71,12 +71,12 @@ class Events:
         async with self._stream(request) as (response, send, client):
             participant = self._hub.join(client.name, role=Role.READ, on_end=news.set)
             try:
-                participant.subscribe(robot.shown.odometry, lambda _: news.set())
-                while self._hub.robots.is_known(robot) and not participant.has_left:  # one that is back is another
-                    odometry = odometry_view(robot)
+                participant.follow(robot, news.set)
+                news.set()  # what is known already
+                while self._hub.robots.is_known(robot) and not participant.has_left:  # one that is forgotten is over
+                    odometry = odometry_view(robot) if await _wait(news, response) else None
                     if odometry is not None:
                         await send(encode_event("odometry", msgspec.json.encode(odometry)))
-                    await _wait(news, response)
             finally:
                 participant.leave()
         return response
@@ -105,13 +105,17 @@ class Events:
             self._clients.leave(client)
 
 
-async def _wait(news: asyncio.Event, response: web.StreamResponse) -> None:
-    """Wait for news; write a comment now and then, by which both sides notice when the other is gone."""
-    while not news.is_set():
-        try:
-            async with asyncio.timeout(HEARTBEAT_S):
-                await news.wait()
-        except TimeoutError:
-            async with asyncio.timeout(SEND_TIMEOUT_S):
-                await response.write(b": alive\n\n")
+async def _wait(news: asyncio.Event, response: web.StreamResponse) -> bool:
+    """Wait for news, at most until a comment is due, by which both sides notice when the other is gone.
+
+    Returns whether there are news.
+    """
+    try:
+        async with asyncio.timeout(HEARTBEAT_S):
+            await news.wait()
+    except TimeoutError:
+        async with asyncio.timeout(SEND_TIMEOUT_S):
+            await response.write(b": alive\n\n")
+        return False
     news.clear()
+    return True

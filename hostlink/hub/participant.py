@@ -11,7 +11,7 @@ from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.gates import ENDING, Gates
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.message import PROGRAM_PRIORITY
+from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import Robot
 from hostlink.hub.services import Answer, Notify, Provider, Services
@@ -68,6 +68,7 @@ class Participant(Node):
         self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
+        self._followed: set[Robot] = set()
         self._calls: set[asyncio.Timeout] = set()
 
     # -- topics -------------------------------------------------------------------------------------------------------
@@ -279,6 +280,23 @@ class Participant(Node):
         finally:
             self._parts.topics.deliveries.senders = senders
 
+    def follow(self, robot: Robot, receive: Callable[[], None]) -> None:
+        """Call `receive` after each new pose of the robot, whatever its topic is, until it leaves.
+
+        Raises:
+            BadRequest: it has left.
+        """
+        self.check(Role.READ, "follow")
+
+        def notify(_: Message) -> None:
+            try:
+                receive()
+            except Exception as error:  # noqa: BLE001 - as when a message comes
+                self.fail(error)
+
+        robot.followers[self] = notify
+        self._followed.add(robot)
+
     def _begin_sending(self, what: str) -> tuple[Hashable, ...]:
         """Refuse what its own callback has sent too often: a message that comes back to its sender would never end.
 
@@ -321,9 +339,12 @@ class Participant(Node):
         self._parts.gates.release(self)
         for subscription in list(self._subscriptions):
             subscription.close()
+        for robot in self._followed:
+            robot.followers.pop(self, None)
         self._parts.topics.leave(self)
         self._parts.services.leave(self)
         for end in self._calls:
             expire(end)
         self._advertised.clear()
         self._services.clear()
+        self._followed.clear()

@@ -1,7 +1,7 @@
 """Robot: a differential-drive robot, or any other that subscribes to a Twist and publishes its pose."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 
 import structlog
 
@@ -27,7 +27,7 @@ class Robot(Drivable):
     shown: RobotTopicNames  # as the graph names them
     locked_link: Link | None = None  # the one that it had when it was locked
     unreadable: int = 0  # messages of its odometry that are none
-    relay: Callable[[Message], None] | None = None  # what receives the messages that were poses
+    followers: dict[Hashable, Callable[[Message], None]] = field(default_factory=dict)  # receive what were new poses
 
     def receive_odometry(self, message: Message) -> None:
         """A message of its odometry's topic. A pose belongs to the robot of the link by which it came."""
@@ -44,5 +44,6 @@ class Robot(Drivable):
         if reading.stamp_ns is not None and self.link is not None:  # by the device's clock
             stamp_ns = self.link.session.device_clock.to_host_ns(reading.stamp_ns, stamp_ns)
         self.odometry.update(reading.pose, now_s=message.at_s, wall_ns=stamp_ns, twist=reading.twist)
-        if self.relay is not None and self.odometry.count > count:
-            self.relay(message)
+        if self.odometry.count > count:
+            for follow in tuple(self.followers.values()):  # one may leave meanwhile
+                follow(message)

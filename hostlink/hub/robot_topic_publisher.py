@@ -119,7 +119,7 @@ class RobotTopicPublisher:
         offer.publishes_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
         if offer.publishes_tf and self._tf is None:
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
-        robot.relay = functools.partial(self._relay, offer)
+        robot.followers[self] = functools.partial(self._relay, offer)
         for topic, type_name in _command_topics(robot).items():
             if self._subscribe(robot, topic, type_name):
                 offer.commands.append(resolve(topic))
@@ -130,7 +130,7 @@ class RobotTopicPublisher:
             self._candidates[name].pop(offer.robot.name, None)
             if not self._candidates[name]:
                 del self._candidates[name]
-        offer.robot.relay = None
+        offer.robot.followers.pop(self, None)
         if offer.odom is not None:
             self._graph.unadvertise(offer.odom.name, self._node)
         for name in offer.commands:

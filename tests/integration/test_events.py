@@ -7,11 +7,15 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 import aiohttp
+import pytest
 
+from hostlink.config import Config, LinkConfig
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
+from tests.support.participants import publish
+from tests.support.waiting import expect
 
 
 class Reader:
@@ -85,6 +89,62 @@ async def test_each_new_pose_is_an_event() -> None:
         while (await host.get("/api/clients"))["clients"]:  # that a reader is gone shows when it is written to
             await device.send(pose(0.0, 0.0, 0.0))
         assert len(host.hub.topics.find("/robot_0/odometry").subscribers) == 1
+        assert len(host.hub.robots.find("robot_0").followers) == 1  # what publishes its odometry as ROS has it
+
+
+async def x_of_the_next(reader: Reader, x_m: float) -> None:
+    async with asyncio.timeout(3):
+        while (await reader.next("odometry"))["pose"]["x_m"] != x_m:
+            pass
+
+
+@pytest.mark.parametrize("is_back_first", [True, False])
+async def test_a_stream_follows_a_robot_that_comes_back_with_another_topic_and_type(is_back_first: bool) -> None:
+    other_type = CATALOG.message("nav_msgs/Odometry")
+    assert other_type is not None
+    other = [
+        topic(Id.PUBLISHER, 126, "/robot_0/odom", "nav_msgs/Odometry"),
+        topic(Id.SUBSCRIBER, 100, "/robot_0/velocity_commands", "geometry_msgs/Twist"),
+    ]
+    frame = encode(126, other_type.encode({"pose": {"pose": {"position": {"x": 1.0}, "orientation": {"w": 1.0}}}}))
+    async with daemon() as host, contextlib.AsyncExitStack() as devices:
+        device = await devices.enter_async_context(fake_device(host.tcp, robot_topics()))
+        async with stream(host, "/api/robots/robot_0/odometry/events") as reader:
+            await device.send(pose(1.0))
+            await x_of_the_next(reader, 1.0)
+            if is_back_first:
+                await device.announce(other)
+            else:
+                await devices.aclose()
+                device = await devices.enter_async_context(fake_device(host.tcp, other))
+            await expect(lambda: host.hub.robots.find("robot_0").shown.odometry == "/robot_0/odom")
+            count = host.hub.robots.find("robot_0").odometry.count
+            await device.send(frame)
+            async with asyncio.timeout(3):
+                while (await reader.next("odometry"))["count"] != count + 1:
+                    pass
+
+
+async def test_what_others_publish_by_a_robots_odometry_topic_is_no_event() -> None:
+    path = "/api/robots/robot_0/odometry/events"
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, stream(host, path) as reader:
+        await device.send(pose(1.0))
+        await x_of_the_next(reader, 1.0)
+        publish(host.hub, "/robot_0/odometry", {"x": 9.0})
+        await device.send(pose(2.0))
+        assert (await reader.next("odometry"))["pose"]["x_m"] == 2.0
+
+
+async def test_the_stream_of_a_robot_that_is_forgotten_ends() -> None:
+    config = Config(link=LinkConfig(forget_robot_after_s=0.2))
+    async with daemon(config) as host, contextlib.AsyncExitStack() as devices:
+        device = await devices.enter_async_context(fake_device(host.tcp, robot_topics()))
+        async with stream(host, "/api/robots/robot_0/odometry/events") as reader:
+            await device.send(pose(1.0))
+            await x_of_the_next(reader, 1.0)
+            await devices.aclose()
+            with pytest.raises(AssertionError, match="the stream ended"):
+                await reader.next("odometry")
 
 
 async def test_no_stream_of_a_robot_that_nobody_knows() -> None:

@@ -501,3 +501,29 @@ def test_the_demo_drives_until_somebody_else_does_and_its_leaving_stops_the_robo
         assert made.speeds()[-1] == 0.0
 
     play(test)
+
+
+@pytest.mark.parametrize("make", PROGRAMS)
+def test_it_follows_a_robots_poses_until_it_leaves_and_a_failure_then_ends_it_alone(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, failing = make(made, Role.READ), make(made, Role.READ)
+        robot, heard = made.hub.robots.find(ROBOT), []
+        before = len(robot.followers)
+
+        def fail() -> None:
+            raise ValueError
+
+        failing.participant.follow(robot, fail)
+        one.participant.follow(robot, lambda: heard.append(robot.odometry.count))
+        await made.robot.send(ODOMETRY_ID, POSE.pack(1.0, 0.0, 0.0))
+        await asyncio.sleep(0.1)
+        assert heard == [1]
+        assert failing.participant.has_left
+        assert not one.participant.has_left
+        assert made.hub.isolation.crashes == {"participant": 1}
+        one.participant.leave()
+        assert len(robot.followers) == before
+        with pytest.raises(BadRequest, match="has left"):
+            one.participant.follow(robot, lambda: None)
+
+    play(test)
