@@ -19,6 +19,7 @@ from prometheus_client.registry import Collector
 from hostlink import logs
 from hostlink.api.clients import Clients
 from hostlink.api.connections import Connections
+from hostlink.api.owners import Owners
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.routes import Route
 from hostlink.hub.hub import Hub
@@ -49,10 +50,10 @@ _LINK_CLOCK = {
 class Metrics:
     """The registry of one daemon."""
 
-    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections) -> None:
+    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections, owners: Owners) -> None:
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
-        self._registry.register(_Graph(hub, clients, limit, connections))
+        self._registry.register(_Graph(hub, clients, limit, connections, owners))
         self.to_client = Histogram(
             "hostlink_device_to_client_seconds",
             "From the arrival of a message to the client's socket",
@@ -78,8 +79,9 @@ class Metrics:
 class _Graph(Collector):
     """Reads the hub and the clients at each request: nothing is counted twice."""
 
-    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections) -> None:
+    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections, owners: Owners) -> None:
         self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
+        self._owners = owners
 
     def describe(self) -> list[Metric]:
         """Nothing at registration: there is no event loop yet."""
@@ -104,6 +106,16 @@ class _Graph(Collector):
             "hostlink_device_calls_refused",
             "Calls of services by devices that were over a bound",
             value=self._hub.device_calls.refused,
+        )
+        yield CounterMetricFamily(
+            "hostlink_service_late_answers",
+            "Answers of devices' services that nobody waited for any more",
+            value=self._hub.late_answers,
+        )
+        yield CounterMetricFamily(
+            "hostlink_messages_out_of_order",
+            "Messages that were delivered before their turn: too many waited",
+            value=self._hub.topics.deliveries.out_of_order,
         )
         yield CounterMetricFamily(
             "hostlink_log_lines_lost", "Lines that could not be written", value=logs.output.lost_lines
@@ -213,6 +225,9 @@ class _Graph(Collector):
         )
         yield CounterMetricFamily(
             "hostlink_clients_refused", "Clients turned away: too many", value=self._clients.refused
+        )
+        yield CounterMetricFamily(
+            "hostlink_owners_evicted", "Drivers over REST that others took the place of", value=self._owners.evicted
         )
         yield CounterMetricFamily(
             "hostlink_requests_refused", "Requests turned away: too many a second", value=self._limit.refused

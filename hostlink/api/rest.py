@@ -94,10 +94,8 @@ class ReadinessView(TypedDict):
 class Rest:
     """The handlers: each calls the hub and shows its result."""
 
-    def __init__(self, hub: Hub, clients: Clients) -> None:
-        self._hub = hub
-        self._clients = clients
-        self._owners = Owners(hub)
+    def __init__(self, hub: Hub, clients: Clients, owners: Owners) -> None:
+        self._hub, self._clients, self._owners = hub, clients, owners
 
     def routes(self) -> list[Route]:
         """Every path of this file."""

@@ -27,6 +27,7 @@ from hostlink.api.heads import refuse_subprotocol, refuse_unreadable
 from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
 from hostlink.api.outgoing import ClientQueue, client_queue
+from hostlink.api.owners import Owners
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.replies import explain_errors, reply
 from hostlink.api.rest import Rest
@@ -86,7 +87,8 @@ class ApiServer:
             min(config.max_clients, config.max_connections - KEPT_FOR_REQUESTS),
             max_per_address=config.max_connections_per_address - KEPT_FOR_REQUESTS,
         )
-        self._metrics = Metrics(hub, self._clients, self._limit, connections)
+        self._owners = Owners(hub)
+        self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners)
         self._sockets: set[web.WebSocketResponse] = set()
         self._turns = hub.turns()  # of all requests together
         self._routes: list[Route] = []
@@ -97,7 +99,7 @@ class ApiServer:
         """Everything that is served."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
         self._routes = [
-            *Rest(self._hub, self._clients).routes(),
+            *Rest(self._hub, self._clients, self._owners).routes(),
             *Events(self._hub, self._clients).routes(),
             *Captures(self._hub).routes(),
             self._metrics.route(),

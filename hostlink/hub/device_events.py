@@ -33,6 +33,7 @@ class DeviceEvents:
     """One reaction for each kind of event; events of a link that was replaced are ignored."""
 
     def __init__(self, receivers: Receivers) -> None:
+        self.late_answers = 0  # of services, that nobody waited for any more
         self._receivers = receivers
         self._devices = receivers.identities.devices
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
@@ -76,6 +77,7 @@ class DeviceEvents:
     def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
         service = self._devices[link.number].services.get(event.service.name)
         if service is None or not service.answered(event.payload):
+            self.late_answers += 1
             log.warning("service.late", service=printable(event.service.name))
 
 

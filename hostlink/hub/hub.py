@@ -197,6 +197,11 @@ class Hub:
         """Messages that were lost because it was not known in time which device sent them."""
         return self._identities.undelivered
 
+    @property
+    def late_answers(self) -> int:
+        """Answers of devices' services that nobody waited for any more."""
+        return self._device_events.late_answers
+
     async def shutdown(self) -> None:
         """Stop every robot, request silence of every device, end every link; bounded by SHUTDOWN_TIMEOUT_S.
 

@@ -46,7 +46,6 @@ class DeviceService:
     def __init__(self, name: str, type_name: str, type_: ServiceType | None, key: Hashable, send: Send) -> None:
         self.name, self.type_name, self.type, self.key = name, type_name, type_, key
         self.md5_sums = ("", "")  # of requests and responses, as the device announced them
-        self.late_answers = 0
         self._send = send
         self._calls = 0
         self._turn = asyncio.Lock()  # the queue of the calls: the protocol has room for one
@@ -78,7 +77,6 @@ class DeviceService:
         if self._answer is not None and not self._answer.done():
             self._answer.set_result(payload)
             return True
-        self.late_answers += 1
         if self._late is not None and not self._late.done():
             self._late.set_result(None)
         return False

@@ -4,10 +4,15 @@ import json
 import re
 from pathlib import Path
 
+import aiohttp
 from prometheus_client.parser import text_string_to_metric_families
 
+from hostlink.api.owners import MAX_OWNERS
+from hostlink.hub.deliveries import MAX_WAITING
+from hostlink.hub.message import Message
+from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
@@ -57,6 +62,48 @@ async def test_an_empty_daemon_has_metrics_too() -> None:
         seen = await metrics(host)
     assert seen["hostlink_links[]"] == 0
     assert seen["hostlink_client_lag_seconds[]"] == 0
+
+
+async def test_late_answers_of_services() -> None:
+    infos = [
+        topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/set_led", "std_srvs/SetBool"),
+        topic(Id.SERVICE_SERVER_SUBSCRIBER, 100, "/set_led", "std_srvs/SetBool"),
+    ]
+    async with daemon() as host:
+        assert (await metrics(host))["hostlink_service_late_answers_total[]"] == 0
+        for count in (1, 2):  # of devices that are gone, too
+            async with fake_device(host.tcp, infos) as device:
+                await device.send(encode(125, b"\x01" + bytes(4)))
+                await expect(lambda count=count: host.hub.late_answers == count)
+        assert (await metrics(host))["hostlink_service_late_answers_total[]"] == 2
+
+
+async def test_owners_of_rest_that_were_evicted() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        for number in range(1, MAX_OWNERS + 4):
+            connector = aiohttp.TCPConnector(local_addr=(f"127.0.0.{number}", 0))
+            async with (
+                aiohttp.ClientSession(connector=connector) as session,
+                session.put(f"{host.url}/api/robots/robot_0/velocity", data=b'{"linear": 0, "angular": 0}') as response,
+            ):
+                assert response.status == 200
+        assert (await metrics(host))["hostlink_owners_evicted_total[]"] == 3
+
+
+async def test_messages_that_were_delivered_before_their_turn() -> None:
+    async with daemon() as host:
+        many = host.hub.join("many")
+
+        def answer(_: Message) -> None:
+            for _ in range(MAX_WAITING + 10):
+                many.publish("/answer", b"")
+
+        many.subscribe("/question", answer)
+        many.subscribe("/answer", lambda _: None)
+        assert (await metrics(host))["hostlink_messages_out_of_order_total[]"] == 0
+        many.publish("/question", b"")
+        assert (await metrics(host))["hostlink_messages_out_of_order_total[]"] == 10
 
 
 DASHBOARD = json.loads(Path("docs/grafana.json").read_text(encoding="utf-8"))

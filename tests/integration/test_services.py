@@ -200,4 +200,4 @@ async def test_a_device_whose_call_fails_is_told_so_instead_of_waiting_for_ever(
 async def test_an_answer_that_nobody_asked_for_is_counted_and_harmless() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
         await device.send(encode(125, answer("unasked")))
-        await expect(lambda: host.hub.services.of_device("/set_led").late_answers == 1)
+        await expect(lambda: host.hub.late_answers == 1)
