@@ -83,6 +83,20 @@ class Device:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
                 self._route_refused(info, robot)
 
+    def displace(self, name: str, type_name: str, robot: Robot | None) -> None:
+        """End what the device has by a name in the graph: it is another robot's own, with this type."""
+        topic = self._parts.topics.find(name)
+        log.warning("topic.refused", topic=printable(name), reason=str(WrongType(name, type_name, topic.type_name)))
+        self.routes = {topic_id: each for topic_id, each in self.routes.items() if each is not topic}
+        for drivable in self._parts.gates.of_link(self.link):
+            drivable.echoes.pop(name, None)
+        self._parts.topics.unadvertise(name, self.link)
+        self._parts.topics.unsubscribe_device(name, self.link)
+        if robot is not None and name == robot.shown.odometry:
+            self._end_odometry()
+            for info in self.infos:
+                self._route_refused(info, robot)
+
     def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
         """Pass a message of the device to whoever subscribes; `at_s`: when it arrived, if not in the last read."""
         topic_id, now_s = message.topic.topic_id, self.link.heard_at_s
@@ -102,9 +116,7 @@ class Device:
 
     def leave(self) -> None:
         """Remove everything of this device from the graph."""
-        for end in self._odometry:
-            end()
-        self._odometry.clear()
+        self._end_odometry()
         self.routes.clear()
         self._stamped.clear()
         self.names = frozenset()
@@ -161,6 +173,11 @@ class Device:
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
             self.link.session.device_clock.update(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=now_s)
+
+    def _end_odometry(self) -> None:
+        for end in self._odometry:
+            end()
+        self._odometry.clear()
 
     # -- to the device ------------------------------------------------------------------------------------------------
 

@@ -145,41 +145,25 @@ class Identities:
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
         robot = self._affected.robots.appear(names.name, own, shown.of_robot(own), device.link)
-        displaced = self._displace(robot)
+        self._displace(robot)
         device.announce(device.infos, shown, robot)
-        for other, names_before in displaced.items():
-            self._announce_again(other, names_before)
         if not claim.is_certain and before is not robot:
             self._affected.emergency_stop.lock_likewise(robot)
         self._affected.emergency_stop.serve(robot)
         return robot
 
-    def _displace(self, robot: Robot) -> dict[Device, frozenset[str]]:
-        """Remove the devices that mean something else by a name of the robot's own; with the names that they had.
+    def _displace(self, robot: Robot) -> None:
+        """End what other devices have by the robot's own names with another type.
 
         Another robot whose own name it is keeps it, but not against a velocity.
         """
-        displaced = {}
         for name, type_name in robot.shown.own.items():
             for key in self._affected.topics.devices_against(name, type_name):
                 other = self._affected.robots.of_link(key)
                 is_own = other is not None and name in other.shown.own and name != robot.shown.velocity
                 device = self.devices.get(key.number) if isinstance(key, Link) else None
                 if device is not None and other is not robot and not is_own:
-                    displaced[device] = device.names
-                    device.leave()
-        return displaced
-
-    def _announce_again(self, device: Device, names_before: frozenset[str]) -> None:
-        """A device was displaced: what of its topics is refused now is logged; all others it has again, at rest."""
-        robots, link = self._affected.robots, device.link
-        robot = robots.of_link(link)
-        if robot is None:
-            robots.vanish(link)
-        else:
-            robots.appear(robot.name, robot.topics, robot.shown, link)
-        device.announce(device.infos, device.shown, robot)
-        self._affected.robot_topics.update([] if robot is None else [robot], names_before | device.names)
+                    device.displace(name, type_name, other)
 
     def _log_name(self, link: Link, claim: Accepted) -> None:
         """Which links are one device's distinguishes a reboot from another board; a number in a name is logged."""

@@ -187,3 +187,40 @@ def test_robots_that_come_and_go_beside_one_that_claims_all_their_names_can_be_d
         assert made.hub.robots.find(NEIGHBOUR).link is not None
 
     play_crowd(test)
+
+
+def test_the_gate_of_another_devices_velocity_publishes_nothing_on_a_robots_odometry() -> None:
+    async def test(made: Crowd) -> None:
+        name = f"/{NAME}/vel_odom"
+        other = await made.connect([topic(Id.SUBSCRIBER, VELOCITY_ID, name, TWIST_TYPE)], "10.0.0.4")
+        own = [
+            topic(Id.PUBLISHER, ODOMETRY_ID, name, "geometry_msgs/Pose2D"),
+            topic(Id.SUBSCRIBER, VELOCITY_ID, VELOCITY, TWIST_TYPE),
+        ]
+        heard: list[bytes] = []
+        subscribe(made.hub, name, lambda message: heard.append(message.payload))
+        device = await made.connect(own, "10.0.0.3")
+        heard.clear()
+        before = len(other.payloads(VELOCITY_ID))
+        made.hub.gates.stop_all()
+        await device.send(ODOMETRY_ID, POSE.pack(4.0, 0.0, 0.0))
+        await asyncio.sleep(0.5)
+        assert heard == [POSE.pack(4.0, 0.0, 0.0)]
+        assert set(other.payloads(VELOCITY_ID)[before:]) == {bytes(48)}  # it hears its stop
+
+    play_crowd(test)
+
+
+def test_another_robot_that_is_driven_while_it_loses_a_name_drives_on() -> None:
+    async def test(made: Crowd) -> None:
+        infos = [*robot_topics("other"), topic(Id.PUBLISHER, OTHER_ID, VELOCITY, "std_msgs/String")]
+        other = await made.connect(infos, "10.0.0.4")
+        driver, robot = made.hub.join("driver"), made.hub.robots.find("other")
+        driver.drive(robot, Velocity(0.3))
+        made.devices.append(ScriptedDevice(made.hub, robot_topics(NAME), address="10.0.0.3"))
+        await asyncio.sleep(0.2)
+        assert made.hub.topics.find(VELOCITY).type_name == TWIST_TYPE
+        assert robot.gate.owner is driver
+        assert struct.unpack("<6d", other.payloads(VELOCITY_ID)[-1])[0] == 0.3
+
+    play_crowd(test)

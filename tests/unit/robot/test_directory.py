@@ -19,6 +19,7 @@ from hostlink.robot.directory import (
     find_robot,
 )
 from hostlink.robot.presence import SURE_S
+from hostlink.robot.velocity import TWIST_TYPE
 
 TWIST, POSE, ODOMETRY, EMPTY = "geometry_msgs/Twist", "geometry_msgs/Pose2D", "nav_msgs/Odometry", "std_msgs/Empty"
 HOME, AWAY = "192.168.4.2", "192.168.4.3"
@@ -519,3 +520,30 @@ def test_one_that_leaves_before_it_is_decided_leaves_nothing_behind() -> None:
     assert isinstance(ours.claim(2, HOME, paper_robot()), Undecided)
     ours.leave(2)
     assert beside(ours, 3, HOME, paper_robot(), 1) == "robot_0_2"
+
+
+# -- which topics are a robot's own -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "own"),
+    [
+        (("/a/cmd_vel", "/a/odom", "/a/reset"), {"/a/cmd_vel", "/a/odom", "/a/reset"}),
+        (("/a/cmd_vel", "/a/odom", None), {"/a/cmd_vel", "/a/odom"}),
+        (("/cmd_vel", "/odom", None), {"/cmd_vel", "/odom"}),
+        (("/cmd_vel", "/a/odom", "/reset"), {"/cmd_vel", "/a/odom"}),
+        (("/a/cmd_vel", "/b/odom", "/b/reset"), {"/a/cmd_vel"}),
+        (("/fleet/a/cmd_vel", "/fleet/a/sensors/odom", None), {"/fleet/a/cmd_vel", "/fleet/a/sensors/odom"}),
+    ],
+)
+def test_a_robots_own_topics_are_its_velocity_and_what_is_in_its_namespace(
+    names: tuple[str, str, str | None], own: set[str]
+) -> None:
+    velocity, odometry, reset = names
+    types = {velocity: TWIST_TYPE, odometry: "geometry_msgs/Pose2D", reset: "std_msgs/Empty"}
+    robot = RobotTopicNames("a", velocity, odometry, "geometry_msgs/Pose2D", reset)
+    assert robot.own == {name: types[name] for name in own}
+
+
+def test_a_name_that_is_both_is_a_velocity() -> None:
+    assert RobotTopicNames("x", "/x", "/x", "geometry_msgs/Pose2D", None).own == {"/x": TWIST_TYPE}
