@@ -254,7 +254,7 @@ async def test_odometry_gives_each_new_pose_once() -> None:
             async with asyncio.TaskGroup() as tasks:
 
                 async def send_poses() -> None:
-                    await expect(lambda: len(host.hub.topics.find("/robot_0/odometry").subscribers) == 2)
+                    await expect(lambda: len(host.hub.robots.find("robot_0").followers) == 2)
                     for number in range(1, 6):
                         await device.send(pose(float(number)))
                         await expect(lambda number=number: len(seen) == number)
