@@ -28,11 +28,12 @@ from cosmic_ray.plugins import get_operator, operator_names
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("hostlink", "tests", "tools", "docs", "firmware", "pyproject.toml")
 TIMEOUT_S = 300.0  # an endless loop is noticed
+PROTOCOL = ("tests/unit/protocol", "tests/property/test_replay.py")
 TESTS = {
     "hostlink/messages/codec.py": ("tests/unit/messages", "tests/property/test_codec.py"),
-    "hostlink/protocol/stream.py": ("tests/unit/protocol", "tests/property/test_stream.py"),
-    "hostlink/protocol/session.py": ("tests/unit/protocol", "tests/property/test_session.py"),
-    "hostlink/protocol/outbox.py": ("tests/unit/protocol", "tests/property/test_session.py"),
+    "hostlink/protocol/stream.py": (*PROTOCOL, "tests/property/test_stream.py"),
+    "hostlink/protocol/session.py": (*PROTOCOL, "tests/property/test_session.py"),
+    "hostlink/protocol/outbox.py": (*PROTOCOL, "tests/property/test_session.py", "tests/property/test_outbox.py"),
     "hostlink/robot/velocity_gate.py": ("tests/unit/robot", "tests/property/test_velocity_gate.py"),
     "hostlink/robot/kinematics.py": ("tests/unit/robot", "tests/property/test_kinematics.py"),
     "hostlink/hub/topic_graph.py": ("tests/unit/hub", "tests/unit/api", "tests/integration/test_rosbridge.py"),

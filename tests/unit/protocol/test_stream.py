@@ -1,12 +1,9 @@
 """Bytes to frames: a table of what a line may carry."""
 
-import time
-
 import pytest
 
 from hostlink.protocol.frame import Frame, encode
 from hostlink.protocol.stream import MAX_CLAIMED_BYTES, FrameStream, Rejection, Skipped
-from tests.support.growth import is_linear
 
 A, B = Frame(125, b"first"), Frame(126, b"second")
 WIRE_A, WIRE_B = encode(*A), encode(*B)
@@ -151,41 +148,6 @@ def test_half_a_sync_is_given_up_too() -> None:
     stream = FrameStream()
     assert events(stream, b"\xff") == []
     assert list(stream.give_up()) == [Skipped(b"\xff")]
-
-
-LIAR = b"\xff\xfe\xe8\xfd\x1a"  # claims 65000 bytes
-SMALL_LIAR = b"\xff\xfe\x00\x04\xfb\x7d\x00"  # 1024
-
-
-@pytest.mark.parametrize("read_bytes", [1, 65536])
-@pytest.mark.parametrize(
-    ("unit", "limit_bytes"), [(b"\xff\xfe", 1024), (SMALL_LIAR, 1024), (SMALL_LIAR, 65535), (LIAR, 65535)]
-)
-def test_work_is_linear_in_bytes_made_of_headers(unit: bytes, limit_bytes: int, read_bytes: int) -> None:
-    """Crafted bytes cost time in proportion, and none of the memory that their headers claim."""
-
-    def seconds(size: int) -> float:
-        stream = FrameStream(limit_bytes=limit_bytes)
-        wire = (unit * size)[:size]
-        began = time.process_time()
-        for at in range(0, len(wire), read_bytes):
-            for _ in stream.feed(wire[at : at + read_bytes]):
-                pass
-        return time.process_time() - began
-
-    assert is_linear(seconds, 8000)
-
-
-def test_giving_up_headers_in_one_another_is_linear() -> None:
-    def seconds(count: int) -> float:
-        stream = FrameStream(limit_bytes=65535)
-        assert frames(stream, LIAR * count) == []
-        began = time.process_time()
-        while stream.pending_bytes:
-            assert [event for event in stream.give_up() if isinstance(event, Frame)] == []
-        return time.process_time() - began
-
-    assert is_linear(seconds, 2000)
 
 
 def test_giving_up_the_outer_one_leaves_the_inner_one_waiting() -> None:

@@ -16,7 +16,7 @@ from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.session import Session
 
-CAPTURES = Path(__file__).parents[2] / "captures"
+CAPTURES = Path(__file__).parents[1] / "captures"
 CATALOG = Catalog()
 Timed = Iterator[tuple[float, bytes]]
 
