@@ -3,13 +3,17 @@
 import asyncio
 import contextlib
 import select
+import shutil
 import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from hostlink.cli.examples import read_example
 from hostlink.cli.systemd import Notifier
 from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import free_port, run, serve
@@ -118,3 +122,15 @@ async def test_an_example_is_printed_and_can_be_used(tmp_path: Path) -> None:
     path = tmp_path / "hostlink.toml"
     path.write_text(out)
     assert (await run("serve", "--check-config", str(path)))[0] == 0
+
+
+def test_systemd_accepts_the_unit_and_finds_it_well_shut(tmp_path: Path) -> None:
+    unit = tmp_path / "hostlink.service"
+    hostlink = Path(sys.executable).with_name("hostlink")
+    unit.write_text(read_example("systemd").replace("/opt/hostlink/bin/hostlink", str(hostlink)))
+    for arguments in (["verify", "--man=no"], ["security", "--offline=yes", "--threshold=20"]):
+        done = subprocess.run(
+            [str(shutil.which("systemd-analyze")), *arguments, str(unit)], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "hostlink.service:" not in done.stderr  # a key that it does not know is a warning there

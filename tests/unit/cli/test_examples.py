@@ -1,10 +1,7 @@
-"""The example files: the settings are complete and true, systemd and udev can read theirs."""
+"""The example files: settings complete and true, rules that udev can read; systemd: tests/system/test_service.py."""
 
 import dataclasses
 import re
-import shutil
-import subprocess
-import sys
 import tomllib
 import typing
 from collections.abc import Iterator
@@ -63,18 +60,6 @@ def test_the_example_names_every_setting_with_its_default(whole: dict[str, Any])
         assert set(shown) == {field.name for field in fields}, kind
         defaults = {field.name: field.default for field in fields if isinstance(field.default, int | float | str)}
         assert {name: shown[name] for name in defaults} == defaults, kind
-
-
-def test_systemd_accepts_the_unit_and_finds_it_well_shut(tmp_path: Path) -> None:
-    unit = tmp_path / "hostlink.service"
-    hostlink = Path(sys.executable).with_name("hostlink")
-    unit.write_text(read_example("systemd").replace("/opt/hostlink/bin/hostlink", str(hostlink)))
-    for arguments in (["verify", "--man=no"], ["security", "--offline=yes", "--threshold=20"]):
-        done = subprocess.run(
-            [str(shutil.which("systemd-analyze")), *arguments, str(unit)], capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert "hostlink.service:" not in done.stderr  # a key that it does not know is a warning there
 
 
 def test_every_part_of_the_udev_rules_is_one() -> None:
