@@ -21,6 +21,7 @@ PURE := hostlink/protocol/*,hostlink/messages/*,hostlink/robot/*,hostlink/diagno
 
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((2 * $(CORES))))# of make test: half of its time is waiting
+QUIET_WORKERS ?= $(CORES)# of the tests that a busy machine disturbs
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
 .PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware chain soak netns format clean
@@ -73,7 +74,7 @@ test: $(VENV)/.dev $(CLIENTS)
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet" --ignore=tests/unit
-	$(BIN)/python -m pytest -n $(CORES) -m "quiet and not alone" --ignore=tests/unit
+	$(BIN)/python -m pytest -n $(QUIET_WORKERS) -m "quiet and not alone" --ignore=tests/unit
 	$(BIN)/python -m pytest -m alone --ignore=tests/unit
 
 coverage: $(VENV)/.dev

@@ -35,6 +35,7 @@ async def put_velocity(url: str, linear: float, angular: float) -> None:
         assert response.status == 200, await response.text()
 
 
+@pytest.mark.quiet
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_second(number: signal.Signals) -> None:
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device:
@@ -51,6 +52,7 @@ async def test_a_signal_while_driving_stops_the_robot_then_silences_it_within_a_
     assert {frame.payload for frame in after if frame.topic_id == 100} <= {bytes(48)}
 
 
+@pytest.mark.quiet
 async def test_a_killed_daemon_leaves_a_simulated_robot_standing() -> None:
     """kill -9: no orderly end; the robot's own watchdog is what stops it."""
     async with serve() as daemon, asyncio.TaskGroup() as tasks:
