@@ -84,25 +84,29 @@ class Relay:
                 await asyncio.get_running_loop().create_future()
 
     async def serve(self, device: End) -> None:
-        """Carry one device's connection to the host, until either end closes or a fault ends it."""
-        now_s = self._now_s()
-        if now_s < self._away_until_s:  # the device that connects is not there yet
-            device.break_off()
-            return
-        self.counts["connections"] += 1
-        number = self.counts["connections"]
-        try:
-            host = await self._connect()
-        except OSError as error:
-            self._log("no host", {"connection": number, "cause": str(error)})
-            device.break_off()
-            return
+        """Carry one device's connection to the host, until either end closes or a fault ends it; then close both."""
+        async with contextlib.aclosing(device):
+            if self._now_s() < self._away_until_s:  # the device that connects is not there yet
+                device.break_off()
+                return
+            self.counts["connections"] += 1
+            number = self.counts["connections"]
+            try:
+                host = await self._connect()
+            except OSError as error:
+                self._log("no host", {"connection": number, "cause": str(error)})
+                device.break_off()
+                return
+            async with contextlib.aclosing(host):
+                await self._carry(device, host, number)
+
+    async def _carry(self, device: End, host: End, number: int) -> None:
         passage = _Passage(device, host, self._script, number)
         passage.stand_still(self._loop_s(self._still_until_s))
         if self._comes_with_noise:
             self._comes_with_noise = False
             dice = random.Random(f"{self._script.seed} boot {number}")  # noqa: S311 - can be repeated
-            passage.lines[Direction.FROM_DEVICE].send(boot_noise(dice), self._loop_s(now_s))
+            passage.lines[Direction.FROM_DEVICE].send(boot_noise(dice), asyncio.get_running_loop().time())
         self._passages.append(passage)
         self._log("connected", {"connection": number, "device": device.peer})
         try:
@@ -159,15 +163,11 @@ class _Passage:
 
     async def run(self) -> None:
         """Until one end closes, breaks, or a fault ends it."""
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                pumps = [tasks.create_task(pump(way)) for way in Direction for pump in (self._receive, self._send)]
-                await self._is_ended.wait()
-                for pump in pumps:
-                    pump.cancel()
-        finally:
-            for end in (self._device, self._host):
-                await end.aclose()
+        async with asyncio.TaskGroup() as tasks:
+            pumps = [tasks.create_task(pump(way)) for way in Direction for pump in (self._receive, self._send)]
+            await self._is_ended.wait()
+            for pump in pumps:
+                pump.cancel()
 
     def stand_still(self, until_s: float, direction: Direction | None = None) -> None:
         for way in Direction:
