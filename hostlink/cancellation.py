@@ -4,7 +4,9 @@ import asyncio
 
 
 def raise_if_cancelled() -> None:
-    """Call it where `except*` has caught an error of a task group: a cancellation at the same time is not in the group.
+    """Call it behind an `except*` that caught an error of a task group: a cancellation at the same time is not in it.
+
+    Never call it in the block: before Python 3.11.4, what is raised there leaves it in an exception group.
 
     Raises:
         asyncio.CancelledError: this task is being cancelled.

@@ -101,23 +101,23 @@ async def _talk(
 ) -> None:
     """Carry bytes between the robot's UART and the connection, until one of them ends it."""
     now_s = asyncio.get_running_loop().time
-    with contextlib.suppress(OSError):  # the host is gone; the caller decides what next
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                passing = tasks.create_task(_pass_on(robot, writer, fault), name=f"{robot.name} UART")
-                try:
-                    while data := await reader.read(READ_BYTES):
-                        robot.device.from_host.send(data, now_s())
-                finally:
-                    passing.cancel()
-        except* OSError as broken:
-            raise_if_cancelled()
-            raise broken.exceptions[0] from None
-        finally:
-            robot.device.from_host.cut()
-            robot.device.to_host.cut()
-            writer.close()
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            passing = tasks.create_task(_pass_on(robot, writer, fault), name=f"{robot.name} UART")
+            try:
+                while data := await reader.read(READ_BYTES):
+                    robot.device.from_host.send(data, now_s())
+            finally:
+                passing.cancel()
+    except* OSError:
+        pass  # the host is gone; the caller decides what next
+    finally:
+        robot.device.from_host.cut()
+        robot.device.to_host.cut()
+        writer.close()
+        with contextlib.suppress(OSError):  # it would hide a cancellation
             await writer.wait_closed()
+    raise_if_cancelled()
 
 
 async def _pass_on(robot: SimulatedRobot, writer: asyncio.StreamWriter, fault: Fault) -> None:

@@ -1,11 +1,15 @@
 """A cancellation that meets a child's error."""
 
+import ast
 import asyncio
 import sys
+from pathlib import Path
 
 import pytest
 
 from hostlink.cancellation import raise_if_cancelled
+
+ROOT = Path(__file__).parents[2]
 
 
 async def fail() -> None:
@@ -18,8 +22,9 @@ async def work(*, looks_for_cancellation: bool) -> str:
             tasks.create_task(fail())
             await asyncio.sleep(10)
     except* OSError:
-        if looks_for_cancellation:
-            raise_if_cancelled()
+        pass
+    if looks_for_cancellation:
+        raise_if_cancelled()
     return "went on"
 
 
@@ -42,3 +47,26 @@ async def test_without_it_the_task_goes_on_before_python_3_13() -> None:
     task.cancel()
     (outcome,) = await asyncio.gather(task, return_exceptions=True)  # noqa: TID251 - not a task of the project's
     assert isinstance(outcome, asyncio.CancelledError) if sys.version_info >= (3, 13) else outcome == "went on"
+
+
+def raised_in_except_star(tree: ast.AST) -> list[int]:
+    """The lines on which an `except*` block raises by itself, or calls what does."""
+    blocks = [block for node in ast.walk(tree) if isinstance(node, ast.TryStar) for block in node.handlers]
+    return [
+        node.lineno
+        for block in blocks
+        for node in ast.walk(block)
+        if isinstance(node, ast.Raise) or (isinstance(node, ast.Name) and node.id == raise_if_cancelled.__name__)
+    ]
+
+
+def test_nothing_is_raised_in_an_except_star_block() -> None:
+    """Before Python 3.11.4 it would leave the block in an exception group: no cancellation, no OSError."""
+    code = [path for folder in ("hostlink", "tests", "tools") for path in (ROOT / folder).rglob("*.py")]
+    with_blocks = {path: text for path in code if "except*" in (text := path.read_text())}
+    assert ROOT / "hostlink/link/link.py" in with_blocks
+    assert {str(path): raised_in_except_star(ast.parse(text)) for path, text in with_blocks.items()} == {
+        str(path): [] for path in with_blocks
+    }
+    wrong = "try:\n  f()\nexcept* OSError:\n  raise_if_cancelled()\n  raise KeyError\nraise_if_cancelled()"
+    assert raised_in_except_star(ast.parse(wrong)) == [5, 4]
