@@ -152,6 +152,21 @@ def test_the_most_that_the_compiled_codec_does_itself() -> None:
     assert compile_decoder(endless)(compile_encoder(endless)(full)) == full
 
 
+@pytest.mark.parametrize(
+    ("field", "element"),
+    [
+        (Field("a", "t/Named", VARIABLE), {"name": "x"}),
+        (Field("a", "t/Pair", VARIABLE), {"a": 1, "b": 2}),
+        (Field("a", "t/Empty", EMPTY_ELEMENTS_MAX + 1), {}),
+    ],
+)
+def test_only_a_list_of_empty_messages_has_a_limit(field: Field, element: dict[str, object]) -> None:
+    """Every other length has its bytes in the payload, or is the definition's own."""
+    them = layout(field)
+    message = {"a": [element] * (EMPTY_ELEMENTS_MAX + 1)}
+    assert compile_decoder(them)(compile_encoder(them)(message)) == message
+
+
 def calls_a_reader(layout: Layout) -> bool:
     """Whether elements of a list are read one by one, by a function, instead of by one struct."""
     code = compile_decoder(layout).__code__
