@@ -29,7 +29,7 @@ unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 help:
 	@echo "make demo    start the daemon with a simulated robot"
 	@echo "make test    run every test"
-	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found"
+	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
 	@echo "make mutants  change the core at places that a seed draws: what no test notices (MUTANTS=20 MUTANTS_SEED=7)"
 	@echo "make check   format, lint, types, import rules"
@@ -88,7 +88,7 @@ mutants: $(VENV)/.dev
 	$(BIN)/python tools/mutants.py --seed $(MUTANTS_SEED) --count $(MUTANTS)
 
 test-pythons:
-	tools/test_pythons.sh
+	tools/test_pythons.sh $(PYTHONS)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check .
