@@ -91,11 +91,11 @@ class BadRequest(HostlinkError):
 class RobotHeld(HostlinkError):
     """Somebody with a higher priority drives the robot, or it is locked."""
 
-    def __init__(self, robot: str, holder: str | None, *, lock_reason: str | None = None) -> None:
+    def __init__(self, robot: str, owner: str | None, *, lock_reason: str | None = None) -> None:
         why = (
-            f"{holder} drives it with a higher priority"
+            f"{owner} drives it with a higher priority"
             if lock_reason is None
             else f"locked: {lock_reason}; POST /api/robots/{robot}/unlock"
         )
         super().__init__(f"{robot}: {why}")
-        self.robot, self.holder, self.lock_reason = robot, holder, lock_reason
+        self.robot, self.owner, self.lock_reason = robot, owner, lock_reason

@@ -2,14 +2,14 @@
 
 Life of a link   link.opened, link.closed, link.trouble, link.refused, link.broken, link.crashed, link.diagnosed,
                  connection.refused, serial.waiting, serial.baud_tried, serial.baud_found
-Its messages     topics.asked, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
+Its messages     topics.requested, topics.negotiated, topic.refused, message.refused, device.logged, parameter.unknown,
                  parameter.refused, protocol.version_1, participant.crashed
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
 Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op, client.crowded, client.malformed
-The daemon       daemon.started, daemon.asked_to_stop, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
+The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
                  task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, descriptors.exhausted,
                  loop.error, library.complained
 Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete

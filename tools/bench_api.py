@@ -149,7 +149,7 @@ class Client(asyncio.Protocol):
         self.frame_bytes = 0  # of the last one
         self.wanted = 0
         self.done = asyncio.Event()
-        self.look: Callable[[bytes], None] | None = None
+        self.on_frame: Callable[[bytes], None] | None = None
         self.transport: asyncio.Transport | None = None
         self._buffer = bytearray()
         self._is_open = False
@@ -189,8 +189,8 @@ class Client(asyncio.Protocol):
         while (end := _frame_end(buffer, at)) <= len(buffer):
             self.count += 1
             self.frame_bytes = end - at
-            if self.look is not None:
-                self.look(bytes(buffer[at:end]))
+            if self.on_frame is not None:
+                self.on_frame(bytes(buffer[at:end]))
             at = end
         del buffer[:at]
         if self.wanted and self.count >= self.wanted:
@@ -286,13 +286,13 @@ async def latencies(
     """From the device's write to the arrival at each client, at RATE_HZ, in seconds."""
     times: list[float] = []
     for client in found:
-        client.look = lambda frame: times.append(time.perf_counter() - read(frame))
+        client.on_frame = lambda frame: times.append(time.perf_counter() - read(frame))
     for _ in range(count):
         writer.write(make(time.perf_counter()))
         await asyncio.sleep(1 / RATE_HZ)
     await asyncio.sleep(SETTLE_S)
     for client in found:
-        client.look = None
+        client.on_frame = None
     return times
 
 

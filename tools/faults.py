@@ -114,7 +114,7 @@ class Schedule:
         """When the next fault is due; None: there will be none."""
         return min((due_s for due_s in self._due_s if due_s is not None), default=None)
 
-    def take(self, now_s: float) -> list[Fault]:
+    def pop_due(self, now_s: float) -> list[Fault]:
         """What is due by now, in order of time."""
         found: list[tuple[float, Fault]] = []
         for number, (rule, dice) in enumerate(zip(self._rules, self._dice, strict=True)):
@@ -152,7 +152,7 @@ class FaultyLine:
             self._waiting.append((due_s, piece))
             self.waiting_bytes += len(piece)
 
-    def take(self, now_s: float) -> list[bytes]:
+    def pop_due(self, now_s: float) -> list[bytes]:
         """The pieces that come out by now; what stood still together comes as one."""
         if now_s < self._still_until_s:
             return []

@@ -75,7 +75,7 @@ def turn(uart: Uart, pieces: list[tuple[float, bytes]], device: object, now_s: f
     while pieces and pieces[0][0] <= now_s:
         at_s, piece = pieces.pop(0)
         uart.send(piece, at_s)
-    device.feed(uart.take(now_s))  # type: ignore[attr-defined]
+    device.feed(uart.pop(now_s))  # type: ignore[attr-defined]
     return device.spin(now_s)  # type: ignore[attr-defined, no-any-return]
 
 

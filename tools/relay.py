@@ -79,7 +79,7 @@ class Relay:
             async with asyncio.timeout(self._script.length_s):
                 while (due_s := self._schedule.next_s()) is not None:
                     await asyncio.sleep(max(0.0, due_s - self._now_s()))
-                    for fault in self._schedule.take(max(due_s, self._now_s())):
+                    for fault in self._schedule.pop_due(max(due_s, self._now_s())):
                         self.inflict(fault)
                 await asyncio.get_running_loop().create_future()
 
@@ -229,7 +229,7 @@ class _Passage:
         with contextlib.suppress(OSError):
             while True:
                 self._changed[way].clear()
-                for piece in line.take(loop.time() + SOON_S):
+                for piece in line.pop_due(loop.time() + SOON_S):
                     await sink.send(piece)
                 self._gave[way].set()
                 with contextlib.suppress(TimeoutError):

@@ -65,7 +65,7 @@ async def drive(robot: NumberedRobot, script: Script, seconds: float) -> Account
         relay = Relay(script, reach_host, lambda what, _: account.faults.append((loop.time(), what)))
         hub.join("soak").subscribe(
             "/robot_0/odometry",
-            lambda message: account.poses_seen.append((loop.time(), int(POSE.unpack(message.payload)[0]))),
+            lambda message: account.poses_received.append((loop.time(), int(POSE.unpack(message.payload)[0]))),
         )
         async with await listen_tcp(accept, "127.0.0.1", 0) as server:
             device = VirtualDevice(robot, dial, loop_s=LOOP_S)

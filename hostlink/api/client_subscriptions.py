@@ -115,7 +115,7 @@ class ClientSubscriptions:
             type_name=type_name,
             interval_s=interval_s,
             queue_length=queue_length,
-            on_held=self._queue.wake,
+            on_throttled=self._queue.wake,
         )
         self._subscriptions[mine.name] = mine
 

@@ -36,7 +36,7 @@ _LINK_COUNTERS = {
     "malformed": "Control frames whose payload makes no sense",
     "excess_topics": "Topics over the bound of one device",
     "negotiations": "Times that the device announced its topics",
-    "asks": "Requests for its topics",
+    "topic_requests": "Requests for its topics",
 }
 
 _LINK_CLOCK = {

@@ -124,7 +124,7 @@ class LinkView(TypedDict):
     malformed: int
     excess_topics: int
     negotiations: int
-    asks: int
+    topic_requests: int
     replaced: int
     rejected: dict[str, int]
     slowest_wait_s: float
@@ -185,7 +185,7 @@ def robot_view(robot: Robot) -> RobotView:
         "link": None if robot.link is None else robot.link.number,
         "velocity_topic": robot.shown.velocity,
         "odometry_topic": robot.shown.odometry,
-        "holder": robot.gate.holder,
+        "holder": robot.gate.owner_name,
         "priority": robot.gate.priority,
         "locked": robot.gate.lock_reason is not None,
         "lock_reason": robot.gate.lock_reason,
@@ -248,7 +248,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
         "malformed": counts.malformed,
         "excess_topics": counts.excess_topics,
         "negotiations": counts.negotiations,
-        "asks": counts.asks,
+        "topic_requests": counts.topic_requests,
         "replaced": facts.replaced,
         "rejected": facts.rejected,
         "slowest_wait_s": round(facts.slowest_wait_s, 6),

@@ -95,12 +95,12 @@ async def _show(hub: Hub) -> None:
 
 
 def _describe(robot: Robot) -> str:
-    seen = robot.odometry.snapshot(asyncio.get_running_loop().time())
-    if seen is None or robot.link is None:
+    estimate = robot.odometry.snapshot(asyncio.get_running_loop().time())
+    if estimate is None or robot.link is None:
         return f"{robot.name} waits for its odometry"
-    pose, twist = seen.pose, seen.twist
+    pose, twist = estimate.pose, estimate.twist
     return (
         f"{robot.name}  x {pose.x_m:+6.2f} m  y {pose.y_m:+6.2f} m  "
         f"heading {math.degrees(pose.theta_rad):+6.1f}°  {twist.linear_m_s:+5.2f} m/s  "
-        f"driven by {robot.gate.holder or 'nobody'}"
+        f"driven by {robot.gate.owner_name or 'nobody'}"
     )

@@ -7,15 +7,15 @@ ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "he
 _DEGREES = 57.29577951308232
 
 
-class Look(NamedTuple):
-    """What the daemon said at one moment."""
+class Sample(NamedTuple):
+    """The daemon's state at one moment."""
 
     at_s: float
     links: dict[str, Any]  # GET /api/links
     robots: list[dict[str, Any]]
 
 
-def figures(before: Look, now: Look) -> dict[str, Any]:
+def figures(before: Sample, now: Sample) -> dict[str, Any]:
     """Rates and states for programs: links, robots, links that ended."""
     earlier = {link["number"]: link for link in before.links["links"]}
     names: dict[int, list[str]] = {}
@@ -91,15 +91,15 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
 
 def advice(shown: dict[str, Any]) -> list[str]:
     """Lines: a cause and a next step for each finding of live links and of ports; then the last links that ended."""
-    said = []
+    lines = []
     for link in shown["links"]:
-        said += [line for each in link["diagnosis"] for line in _advice(f"link {link['number']}", each)]
-    said += [line for port in shown["ports"] for each in port["diagnosis"] for line in _advice(port["name"], each)]
+        lines += [line for each in link["diagnosis"] for line in _advice(f"link {link['number']}", each)]
+    lines += [line for port in shown["ports"] for each in port["diagnosis"] for line in _advice(port["name"], each)]
     for link in shown["ended"][:3]:
         codes = ", ".join(each["code"] for each in link["diagnosis"])
         seconds = f"after {link['seconds']:.0f} s, {link['ended_ago_s']:.0f} s ago"
-        said.append(f"link {link['number']} {link['peer']} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
-    return said
+        lines.append(f"link {link['number']} {link['peer']} ended: {link['end']} {seconds}{codes and f'; {codes}'}")
+    return lines
 
 
 def _advice(about: str, found: dict[str, str]) -> list[str]:

@@ -11,16 +11,16 @@ _LISTENS = "0A"
 _SOCKET = re.compile(r"socket:\[(\d+)\]")
 
 
-def holder_of_port(port: int) -> str:
+def user_of_port(port: int) -> str:
     """The process that listens on a TCP port: "rosserial_python (pid 1234)"."""
     wanted = set(_listening_sockets(port))
-    return _holder(lambda target: bool((found := _SOCKET.fullmatch(target)) and found[1] in wanted))
+    return _user(lambda target: bool((found := _SOCKET.fullmatch(target)) and found[1] in wanted))
 
 
-def holder_of_file(path: str) -> str:
+def user_of_file(path: str) -> str:
     """The process that has a file or a serial port open."""
     real = os.path.realpath(path)
-    return _holder(lambda target: target == real)
+    return _user(lambda target: target == real)
 
 
 def _listening_sockets(port: int) -> Iterator[str]:
@@ -32,7 +32,7 @@ def _listening_sockets(port: int) -> Iterator[str]:
                     yield fields[9]
 
 
-def _holder(is_it: Callable[[str], bool]) -> str:
+def _user(is_it: Callable[[str], bool]) -> str:
     for process in PROC.glob("[0-9]*"):
         if int(process.name) == os.getpid():
             continue

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from hostlink.api.views import finding_views, links_view
-from hostlink.cli.port_users import holder_of_file, holder_of_port
+from hostlink.cli.port_users import user_of_file, user_of_port
 from hostlink.cli.serve import running
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.diagnosis.finding import Finding, finding
@@ -38,8 +38,8 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
     """Listen where devices connect, and report what came."""
     source = f"TCP {host}:{port}"
     if _is_in_use(host, port):
-        holder = holder_of_port(port)
-        return _report(source, finding("address_in_use", f"port {port}" + (f", by {holder}" if holder else "")))
+        user = user_of_port(port)
+        return _report(source, finding("address_in_use", f"port {port}" + (f", by {user}" if user else "")))
     config = Config(tcp=TcpConfig(host=host, port=port), api=_NO_API, message_folders=folders)
     async with running(config) as (hub, _):
         for left_s in range(round(seconds), 0, -1):
@@ -56,14 +56,14 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
     bauds = port.bauds + tuple(baud for baud in COMMON_BAUDS if baud not in port.bauds)
     trying = dataclasses.replace(port, baud=bauds, baud_try_s=BAUD_TRY_S)
     config = Config(tcp=_LOOPBACK, api=_NO_API, serial=(trying,), message_folders=folders)
-    seen: dict[str, Finding] = {}
+    diagnosed: dict[str, Finding] = {}
     async with running(config) as (hub, _):
         found_for_s = 0.0
         for _ in range(round(len(bauds) * BAUD_TRY_S)):
             await asyncio.sleep(_POLL_S)
             if hub.diagnoses.ports or found_for_s >= SETTLE_S:
                 break
-            seen |= {each.code: each for link in hub.links() for each in hub.diagnoses.of(link)}
+            diagnosed |= {each.code: each for link in hub.links() for each in hub.diagnoses.of(link)}
             baud = _present_baud(hub)
             show(f"{port.name} at {baud or bauds[0]} baud")
             if any(link.topics for link in hub.links()):
@@ -74,12 +74,12 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
         if found_for_s:
             link["baud"] = baud
         else:  # the last speed that was tried is no better than the others
-            link["diagnosis"] = finding_views(list(seen.values()))
+            link["diagnosis"] = finding_views(list(diagnosed.values()))
     if found_for_s and baud not in port.bauds:
         wrong = finding("wrong_baud", f"the device answers at {baud} baud, not at {port.bauds[0]}")
         report["findings"] += finding_views([wrong])
-    if any(each["code"] == "serial_busy" for each in report["findings"]) and (holder := holder_of_file(port.name)):
-        report["findings"][0]["detail"] += f": {holder}"
+    if any(each["code"] == "serial_busy" for each in report["findings"]) and (user := user_of_file(port.name)):
+        report["findings"][0]["detail"] += f": {user}"
     return report
 
 

@@ -53,6 +53,6 @@ async def _pub(
 
 async def _await_refusal(host: Host, topic: str) -> None:
     await host.settle()
-    refusal = host.take_refusal(topic)
+    refusal = host.pop_refusal(topic)
     if refusal:
         raise HostlinkError(refusal)

@@ -193,7 +193,7 @@ async def _serve(config: Config, notifier: Notifier) -> None:
             notifier.notify("READY=1")
             await ending.wait()
             notifier.notify("STOPPING=1")
-            log.info("daemon.asked_to_stop", cause=ending.cause)
+            log.info("daemon.stop_requested", cause=ending.cause)
 
 
 def _status(hub: Hub) -> str:

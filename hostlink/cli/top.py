@@ -17,8 +17,8 @@ from hostlink.errors import ConfigError
 
 def command(
     *,
-    once: Annotated[bool, typer.Option("--once", help="Print one look, and end.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object a look, for programs.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Print the figures once, and end.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object each time, for programs.")] = False,
     interval: Annotated[
         float, typer.Option(min=0.1, help="Seconds between looks; rates are of a second at least.")
     ] = 1.0,

@@ -185,7 +185,7 @@ class Connection:
                 with contextlib.suppress(aiohttp.ClientError, OSError):
                     await socket_.pong(message.data)
             elif message.type not in (WSMsgType.PONG, WSMsgType.BINARY):
-                return _closing_words(socket_, message)
+                return _closing_text(socket_, message)
 
     def _dispatch(self, message: Message) -> None:
         waiting = self._answers.get(str(message.get("id")))
@@ -255,7 +255,7 @@ async def _receive(socket_: aiohttp.ClientWebSocketResponse) -> aiohttp.WSMessag
         return await socket_.receive()
 
 
-def _closing_words(socket_: aiohttp.ClientWebSocketResponse, message: aiohttp.WSMessage) -> str:
+def _closing_text(socket_: aiohttp.ClientWebSocketResponse, message: aiohttp.WSMessage) -> str:
     if message.type is WSMsgType.ERROR:
         return f"what came is no WebSocket: {message.data}"
     if message.type is WSMsgType.CLOSE and message.extra:

@@ -70,7 +70,7 @@ class Driver:
             repeated.sent_s = _now_s()
         except BaseException:  # a cancellation too: what nobody waits for is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
-                self.let_go(robot)
+                self.stop_repeating(robot)
             raise
 
     async def _command(self, repeated: _Repeated, link: int | None) -> int:
@@ -94,7 +94,7 @@ class Driver:
         request = {"id": f"{_COMMAND}{robot}", "sent_s": self._sent_s[robot], "link": link}
         await self._connection.send(_request(robot, *velocity, priority) | request)
 
-    def let_go(self, robot: str) -> None:
+    def stop_repeating(self, robot: str) -> None:
         """Repeat it no more; the end of it is known to the caller."""
         self._repeated.pop(robot, None)
         self._broken.pop(robot, None)

@@ -125,9 +125,9 @@ class Host:
         """
         await self._topics.publish(topic, message, type_name, priority)
 
-    def take_refusal(self, topic: str) -> str:
+    def pop_refusal(self, topic: str) -> str:
         """Why a message that was published on the topic was refused since the last call; empty if none was."""
-        return self._topics.take_refusal(topic)
+        return self._topics.pop_refusal(topic)
 
     def advertise(self, topic: str, type_name: str) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.

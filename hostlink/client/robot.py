@@ -72,7 +72,7 @@ class Robot:
         Raises:
             HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
         """
-        self._driver.let_go(self.name)
+        self._driver.stop_repeating(self.name)
         try:
             await self._http.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
         finally:
@@ -84,7 +84,7 @@ class Robot:
         Raises:
             HostlinkError: hostlink was not reached within a second.
         """
-        self._driver.let_go(self.name)
+        self._driver.stop_repeating(self.name)
         await self._http.request("POST", f"{self._path}/lock", {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
 
     async def unlock(self) -> None:

@@ -39,13 +39,13 @@ class Topics:
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        refusal = self.take_refusal(topic)
+        refusal = self.pop_refusal(topic)
         if refusal:
             raise HostlinkError(refusal)
         request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "msg": message, "priority": priority}
         await self._connection.send(request | _typed(type_name))
 
-    def take_refusal(self, topic: str) -> str:
+    def pop_refusal(self, topic: str) -> str:
         """Why a message that was published on the topic was refused since the last call; empty if none was."""
         return self._refusals.pop(topic, "")
 

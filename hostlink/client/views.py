@@ -42,7 +42,7 @@ class RobotState(TypedDict):
     holder: str | None  # who drives it
     velocity: Twist  # as commanded, within the limits
     odometry: Odometry | None  # None: no pose came yet
-    priority: NotRequired[int | None]  # of the holder
+    priority: NotRequired[int | None]  # of who drives it
     locked: NotRequired[bool]
     lock_reason: NotRequired[str | None]
     unreachable: NotRequired[str | None]  # why its device could not take the last velocity

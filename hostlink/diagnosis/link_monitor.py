@@ -49,7 +49,7 @@ class LinkMonitor:
     def observe(self, event: events.Event, now_s: float) -> None:
         """Note an event of the session."""
         match event:
-            case events.TopicsAsked(reason):
+            case events.TopicsRequested(reason):
                 self._is_provoked = True
                 self._fell_silent |= reason == "no_time_requests"
             case events.TimeRequested():
@@ -93,7 +93,7 @@ class LinkMonitor:
             total=total,
             recent=recent,
             baud=self.baud,
-            requests=session.counts.asks,
+            requests=session.counts.topic_requests,
             negotiated_s=_ago(self._negotiated_at_s, now_s),
             time_requested_s=_ago(self._time_requested_at_s, now_s),
             time_intervals_s=tuple(self._intervals_s),

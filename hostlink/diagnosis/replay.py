@@ -8,7 +8,7 @@ from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
 from hostlink.inspection import Read
 from hostlink.protocol.control import TopicInfo
-from hostlink.protocol.events import MessageReceived, TopicsAsked
+from hostlink.protocol.events import MessageReceived, TopicsRequested
 from hostlink.protocol.frame import MAX_PAYLOAD_BYTES, Frame, Id
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
@@ -22,7 +22,7 @@ class Replay:
         self.opened_at_s = self.ended_at_s = now_s
         self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
-        self._heard_at_s = self._sampled_at_s = now_s
+        self._received_at_s = self._sampled_at_s = now_s
         self._requests = 0
         self._found: dict[str, Finding] = {}
         self.session.open(now_s=now_s)
@@ -33,15 +33,15 @@ class Replay:
             self._sample(self._sampled_at_s + SAMPLE_INTERVAL_S)
         self.ended_at_s = read.t
         if read.dir == "device" and read.hex:
-            self._heard_at_s = read.t
+            self._received_at_s = read.t
             for event in self.session.receive(bytes.fromhex(read.hex), now_s=read.t):
-                if not isinstance(event, (MessageReceived, TopicsAsked)):
+                if not isinstance(event, (MessageReceived, TopicsRequested)):
                     self._monitor.observe(event, read.t)
         elif read.hex:
             for item in self._to_device.feed(bytes.fromhex(read.hex)):
                 if isinstance(item, Frame) and item.topic_id == Id.PUBLISHER:
                     self._requests += 1  # the host's at that time, not those that the session would send
-                    self._monitor.observe(TopicsAsked("recorded"), read.t)
+                    self._monitor.observe(TopicsRequested("recorded"), read.t)
 
     def findings(self) -> list[Finding]:
         """All that was wrong at any time, the likeliest cause first."""
@@ -51,10 +51,10 @@ class Replay:
     def _sample(self, now_s: float) -> None:
         self._sampled_at_s = now_s
         for event in self.session.tick(now_s=now_s):
-            if not isinstance(event, TopicsAsked) or event.reason == "no_time_requests":
+            if not isinstance(event, TopicsRequested) or event.reason == "no_time_requests":
                 self._monitor.observe(event, now_s)
         self._monitor.sample(now_s)
-        evidence = self._monitor.evidence(now_s, silent_s=now_s - self._heard_at_s)
+        evidence = self._monitor.evidence(now_s, silent_s=now_s - self._received_at_s)
         self._found |= {each.code: each for each in diagnose(dataclasses.replace(evidence, requests=self._requests))}
 
 

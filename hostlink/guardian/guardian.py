@@ -79,7 +79,7 @@ class Guardian:
         self._channel: socket.socket | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._started_at_s = 0.0
-        self._asked: tuple[float, int] | None = None  # an unanswered ping: when, and what was held then
+        self._ping: tuple[float, int] | None = None  # an unanswered ping: when, and what was guarded then
         self._pause_s = SHORTEST_PAUSE_S
         self._missing = ""  # why the last start failed
         self._is_incomplete = False
@@ -106,7 +106,7 @@ class Guardian:
         except OSError as error:
             self._miss(error.strerror or str(error))
             return
-        self._missing, self._asked, self._is_incomplete = "", None, False
+        self._missing, self._ping, self._is_incomplete = "", None, False
         self._started_at_s = loop.time()
         log.info("guardian.started", pid=self._process.pid)
         loop.add_reader(self._channel, self._receive)
@@ -142,7 +142,7 @@ class Guardian:
             except OSError as error:
                 self._lose(error.strerror or str(error))
                 return
-            self._roster.confirm(is_held=descriptor is not None)
+            self._roster.confirm(has_descriptor=descriptor is not None)
         loop.remove_writer(self._channel)
 
     def _receive(self) -> None:
@@ -156,24 +156,24 @@ class Guardian:
         if not answer:
             self._lose("ended")
             return
-        if self._asked is not None:
-            self._compare(decode_answer(answer), self._asked[1])
-        self._asked = None
+        if self._ping is not None:
+            self._compare(decode_answer(answer), self._ping[1])
+        self._ping = None
 
-    def _compare(self, held: int, sent: int) -> None:
-        if held < sent and not self._is_incomplete:
-            log.warning("guardian.incomplete", held=held, robots=sent)
-        self._is_incomplete = held < sent
+    def _compare(self, connections: int, sent: int) -> None:
+        if connections < sent and not self._is_incomplete:
+            log.warning("guardian.incomplete", connections=connections, robots=sent)
+        self._is_incomplete = connections < sent
 
     def _check(self) -> None:
         """Request a sign of life; replace it when it has not answered the last request."""
         assert self._channel is not None  # noqa: S101 - the timer is replaced with the channel
         now_s = asyncio.get_running_loop().time()
-        if self._asked is not None and now_s >= self._asked[0] + self._answer_s:
+        if self._ping is not None and now_s >= self._ping[0] + self._answer_s:
             self._lose("stuck")
             return
-        if self._asked is None:
-            self._asked = (now_s, self._roster.held)
+        if self._ping is None:
+            self._ping = (now_s, self._roster.connections)
             with contextlib.suppress(OSError):  # no room: no answer will come
                 self._channel.send(encode_ping())
         self._later(self._ping_s, self._check)

@@ -24,7 +24,7 @@ from hostlink.guardian.records import (
 
 LINGER_S = 0.5  # after the last byte: a device may take all of it before its connection is closed
 END_S = ZEROS * INTERVAL_S + LINGER_S
-LOOK_S = 0.01  # whether a serial port has sent all: the kernel sends no event
+POLL_S = 0.01  # whether a serial port has sent all: the kernel sends no event
 OOM_SCORE = b"-1000"  # the kernel ends others first; needs a privilege
 NAME = b"guardian"  # in ps and top
 _ANCILLARY_BYTES = _socket.CMSG_SPACE(DESCRIPTOR_BYTES)
@@ -37,7 +37,7 @@ def main(descriptor: int) -> None:
     connections: dict[int, Connection] = {}
     if not listen(channel, connections):
         stop(list(connections.values()))
-    os._exit(0)  # closes what is held, without the interpreter's own shutdown
+    os._exit(0)  # closes what is guarded, without the interpreter's own shutdown
 
 
 def prepare() -> None:
@@ -89,10 +89,10 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
             connections[number] = Connection(descriptor, topic_ids, claim_bytes)
 
 
-def answer(channel: _socket.socket, held: int) -> None:
+def answer(channel: _socket.socket, count: int) -> None:
     """Without waiting for a daemon that does not read."""
     try:
-        channel.send(encode_answer(held), _socket.MSG_DONTWAIT)
+        channel.send(encode_answer(count), _socket.MSG_DONTWAIT)
     except OSError:
         return  # the next record, or its end, decides what to do
 
@@ -113,7 +113,7 @@ def stop(connections: list[Connection]) -> None:
 def wait(connections: list[Connection], now_s: float) -> dict[int, int]:
     """Until something can be read or written, or is due: what happened, by descriptor."""
     poll = select.poll()
-    wait_s = LOOK_S
+    wait_s = POLL_S
     for connection in connections:
         poll.register(connection.descriptor, connection.events(now_s))
         next_s = connection.next_s()

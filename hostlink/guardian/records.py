@@ -4,7 +4,7 @@ import struct
 
 WATCH = b"W"  # with the connection's descriptor: this device is a robot, here is how to stop it
 RELEASE = b"R"  # its connection has ended, or it is no robot any more
-PING = b"P"  # is answered with the number of connections that are held
+PING = b"P"  # is answered with the number of connections that are guarded
 GOODBYE = b"G"  # the daemon ends as it should: nothing is to be sent
 
 MAX_TOPICS = 16  # of one device
@@ -42,11 +42,11 @@ def decode(record: bytes) -> tuple[bytes, int, tuple[int, ...], int]:
     return kind, number, tuple(filter(None, topic_ids)), claim_bytes
 
 
-def encode_answer(held: int) -> bytes:
-    """To a ping: how many connections are held."""
-    return _ANSWER.pack(held)
+def encode_answer(connections: int) -> bytes:
+    """To a ping: how many connections are guarded."""
+    return _ANSWER.pack(connections)
 
 
 def decode_answer(answer: bytes) -> int:
-    """How many connections are held."""
+    """How many connections are guarded."""
     return int(_ANSWER.unpack(answer)[0])

@@ -23,13 +23,13 @@ class Roster:
 
     def __init__(self) -> None:
         self._wanted: dict[int, Watched] = {}
-        self._held: set[int] = set()  # as far as the guardian knows
+        self._guarded: set[int] = set()  # as far as the guardian knows
         self._unsent: dict[int, None] = {}  # the oldest first
 
     @property
-    def held(self) -> int:
-        """How many connections the guardian holds, if it could take all that it was given."""
-        return len(self._held)
+    def connections(self) -> int:
+        """How many connections the guardian has, if it received all that were sent."""
+        return len(self._guarded)
 
     def watch(self, number: int, watched: Watched) -> None:
         """Give the guardian this link, or this link's new velocity topics."""
@@ -40,7 +40,7 @@ class Roster:
         """The guardian needs this link no more."""
         self._wanted.pop(number, None)
         self._unsent.pop(number, None)
-        if number in self._held:
+        if number in self._guarded:
             self._unsent[number] = None
 
     def next(self) -> tuple[bytes, int | None] | None:
@@ -51,21 +51,21 @@ class Roster:
             descriptor = None if watched is None else watched.connection()
             if watched is not None and descriptor is not None:
                 return encode_watch(number, watched.topic_ids, watched.claim_bytes), descriptor
-            if number in self._held:
+            if number in self._guarded:
                 return encode_release(number), None
             del self._unsent[number]  # it closed before it was passed on
         return None
 
-    def confirm(self, *, is_held: bool) -> None:
+    def confirm(self, *, has_descriptor: bool) -> None:
         """The record that `next` gave was sent; `is_held`: with a descriptor."""
         number = next(iter(self._unsent))
         del self._unsent[number]
-        if is_held:
-            self._held.add(number)
+        if has_descriptor:
+            self._guarded.add(number)
         else:
-            self._held.discard(number)
+            self._guarded.discard(number)
 
     def forget(self) -> None:
         """The guardian has ended: everything will have to be sent to another."""
-        self._held.clear()
+        self._guarded.clear()
         self._unsent = dict.fromkeys(self._wanted)

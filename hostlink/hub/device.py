@@ -65,7 +65,7 @@ class Device:
         self.early = EarlyMessages()
         self.is_undecided = False  # whether it is known who it is
         self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
-        self.heard_at_s = float("-inf")  # of the last read that was noted
+        self.received_at_s = float("-inf")  # of the last read that was noted
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
         self._parts, self._node = parts, node
@@ -99,7 +99,7 @@ class Device:
 
     def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
         """Pass a message of the device to whoever subscribes; `at_s`: when it arrived, if not in the last read."""
-        topic_id, now_s = message.topic.topic_id, self.link.heard_at_s
+        topic_id, now_s = message.topic.topic_id, self.link.received_at_s
         if topic_id in self._stamped:
             self._observe_stamp(message.payload, now_s)
         topic = self.routes.get(topic_id)

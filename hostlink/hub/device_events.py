@@ -39,7 +39,7 @@ class DeviceEvents:
         self._reactions: dict[type[Any], Callable[[Link, Any], None]] = {
             events.TopicsNegotiated: self._announce,
             events.TopicRefused: _log_refused_topic,
-            events.TopicsAsked: _log_request,
+            events.TopicsRequested: _log_request,
             events.ServiceRequested: receivers.calls.accept,
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
@@ -52,8 +52,8 @@ class DeviceEvents:
         device = self._devices.get(link.number)
         if device is None:
             return
-        if link.heard_at_s != device.heard_at_s:  # else more came in one read
-            device.heard_at_s = link.heard_at_s
+        if link.received_at_s != device.received_at_s:  # else more came in one read
+            device.received_at_s = link.received_at_s
             self._receivers.identities.note_read(link)
         if not isinstance(event, events.MessageReceived):
             self._receivers.diagnoses.note(link, event)
@@ -85,8 +85,8 @@ def _log_refused_topic(_: Link, event: events.TopicRefused) -> None:
     log.warning("topic.refused", topic=printable(event.topic.name), reason=str(event.reason))
 
 
-def _log_request(_: Link, event: events.TopicsAsked) -> None:
-    log.debug("topics.asked", reason=event.reason)
+def _log_request(_: Link, event: events.TopicsRequested) -> None:
+    log.debug("topics.requested", reason=event.reason)
 
 
 def _log_protocol_1(_: Link, __: events.Protocol1Recognised) -> None:

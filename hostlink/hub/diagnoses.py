@@ -76,7 +76,7 @@ class Diagnoses:
         self._logged_at_s: dict[tuple[str, str], float] = {}
         self.ports: dict[str, Finding] = {}  # serial ports that cannot be opened
 
-    def see_port(self, name: str, error: OSError | None) -> None:
+    def observe_port(self, name: str, error: OSError | None) -> None:
         """A serial port was opened, or could not be."""
         if error is None:
             self.ports.pop(name, None)
@@ -87,7 +87,7 @@ class Diagnoses:
         """A link has opened."""
         self._live[link.number] = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s))
 
-    def see_baud(self, link: Link, baud: int) -> None:
+    def observe_baud(self, link: Link, baud: int) -> None:
         """The link's serial port is read at this speed from now on."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
@@ -167,7 +167,7 @@ class Diagnoses:
         )
         return diagnosis.monitor.evidence(
             now_s,
-            silent_s=now_s - diagnosis.link.heard_at_s,
+            silent_s=now_s - diagnosis.link.received_at_s,
             earlier=earlier,
             end=None if diagnosis.end is None else diagnosis.end.value,
             host_clock=self._host_clock,

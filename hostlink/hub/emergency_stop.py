@@ -90,4 +90,4 @@ def _is_surely_there(robot: Robot) -> bool:
     """Whether a locked robot is on the link on which it was locked, and that link lives."""
     link = robot.link
     is_same = link is not None and link is robot.locked_link
-    return is_same and link is not None and link.heard_at_s > asyncio.get_running_loop().time() - SURE_S
+    return is_same and link is not None and link.received_at_s > asyncio.get_running_loop().time() - SURE_S

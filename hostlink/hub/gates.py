@@ -130,7 +130,7 @@ class Gates:
             gate = other.gate
             is_other = gate is not drivable.gate and gate.claims is drivable.gate.claims
             if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
-                log.info("robot.stopped", robot=other.name, reason="overruled", owner=gate.holder)
+                log.info("robot.stopped", robot=other.name, reason="overruled", owner=gate.owner_name)
                 gate.stop(now_s=_now_s())
                 self._send_news(other)
 
@@ -230,10 +230,10 @@ class Gates:
 
     def _send(self, drivable: Drivable, now_s: float, *, is_news: bool) -> HostlinkError | None:
         gate, link = drivable.gate, drivable.link
-        was_held_by, is_first = gate.holder, gate.is_new_device
+        previous_owner, is_first = gate.owner_name, gate.is_new_device
         velocity = gate.step(now_s)
-        if was_held_by is not None and gate.holder is None:
-            log.info("robot.stopped", robot=drivable.name, reason="no command came", owner=was_held_by)
+        if previous_owner is not None and gate.owner_name is None:
+            log.info("robot.stopped", robot=drivable.name, reason="no command came", owner=previous_owner)
         if velocity is None or link is None:
             return None
         is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news

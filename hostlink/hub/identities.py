@@ -53,7 +53,7 @@ class Identities:
 
     def note_read(self, link: Link) -> None:
         """A device sent something."""
-        self._directory.note_read(link.number, link.heard_at_s)
+        self._directory.note_read(link.number, link.received_at_s)
 
     def announce(self, link: Link, infos: tuple[TopicInfo, ...]) -> None:
         """A device has announced its topics, other ones than before."""
@@ -62,7 +62,7 @@ class Identities:
 
     def keep(self, device: Device, message: MessageReceived) -> None:
         """It is not known yet who the device is: its messages are passed on later."""
-        self.undelivered += device.early.add(message, device.link.heard_at_s)
+        self.undelivered += device.early.add(message, device.link.received_at_s)
 
     def forget(self, link: Link) -> None:
         """The link has ended, or another replaces it."""

@@ -145,7 +145,7 @@ class Participant(Node):
         type_name: str = "",
         interval_s: float = 0.0,
         queue_length: int = 0,
-        on_held: Callable[[], None] = lambda: None,
+        on_throttled: Callable[[], None] = lambda: None,
     ) -> Subscription:
         """Call `receive` with what was latched and every message from now on, at most one in `interval_s`.
 
@@ -158,7 +158,7 @@ class Participant(Node):
         self.check(Role.READ, "subscribe")
         if not self.is_daemon and len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
             raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
-        subscription = Subscription(receive, on_held, interval_s=interval_s, queue_length=queue_length)
+        subscription = Subscription(receive, on_throttled, interval_s=interval_s, queue_length=queue_length)
         self._subscriptions[subscription] = None
         subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
         try:

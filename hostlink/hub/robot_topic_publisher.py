@@ -97,11 +97,11 @@ class RobotTopicPublisher:
         if (odom is None or not odom.has_subscribers) and (tf is None or not tf.has_subscribers):
             return
         topics = [topic for topic in (odom, tf) if topic is not None and topic.has_subscribers]
-        seen = offer.robot.odometry.snapshot(message.at_s)
-        if seen is None:
+        estimate = offer.robot.odometry.snapshot(message.at_s)
+        if estimate is None:
             return
-        stamp = dict(zip(("secs", "nsecs"), divmod(seen.stamp_ns, _NS_PER_S), strict=True))
-        odometry = odometry_of(seen.pose, seen.twist, offer.frames, stamp, variances_of(message.decoded))
+        stamp = dict(zip(("secs", "nsecs"), divmod(estimate.stamp_ns, _NS_PER_S), strict=True))
+        odometry = odometry_of(estimate.pose, estimate.twist, offer.frames, stamp, variances_of(message.decoded))
         for topic in topics:
             fields = odometry if topic is offer.odom else transform_of(odometry)
             type_name = ODOMETRY_TYPE if topic is offer.odom else TF_TYPE

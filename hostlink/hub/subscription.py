@@ -12,14 +12,14 @@ class Subscription:
     def __init__(
         self,
         deliver: Callable[[Message], None],
-        on_held: Callable[[], None],
+        on_throttled: Callable[[], None],
         *,
         interval_s: float = 0.0,
         queue_length: int = 0,
     ) -> None:
         self.close: Callable[[], None] = lambda: None  # until it is in the graph
         self.is_closed = False  # then nothing is delivered, not even of what is on its way
-        self._deliver, self._on_held = deliver, on_held
+        self._deliver, self._on_throttled = deliver, on_throttled
         self._throttle = Throttle(interval_s=interval_s, queue_length=queue_length)
 
     def change(self, *, interval_s: float, queue_length: int) -> None:
@@ -34,7 +34,7 @@ class Subscription:
         if ready is not None:
             self._deliver(ready)
         elif self._throttle.due_s() is not None:
-            self._on_held()
+            self._on_throttled()
 
     def flush(self, now_s: float) -> float | None:
         """Deliver what is due; returns when the next is."""

@@ -33,17 +33,17 @@ class FairShare:
     async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
         """Returns when the caller may compute for about `expected_s`: at once while something of the turn is left."""
         queue = self._flooding if is_flooding else self._calm
-        is_let_in = not queue and not (is_flooding and self._calm)
+        is_admitted = not queue and not (is_flooding and self._calm)
         deferrals = 0
-        while not is_let_in or (self._is_used_up and deferrals < MAX_DEFERRALS):
-            deferrals += is_let_in  # those before have cost more than was expected
+        while not is_admitted or (self._is_used_up and deferrals < MAX_DEFERRALS):
+            deferrals += is_admitted  # those before have cost more than was expected
             turn = asyncio.get_running_loop().create_future()
-            put = queue.appendleft if is_let_in else queue.append
-            put((partial(_let_in, turn), expected_s))
+            put = queue.appendleft if is_admitted else queue.append
+            put((partial(_admit, turn), expected_s))
             self.waits += 1
             self._expect_turn()
             await turn
-            is_let_in = True
+            is_admitted = True
 
     def call(self, work: Callable[[], None], expected_s: float, *, is_flooding: bool = False) -> None:
         """Call `work`, which raises nothing, when it is its turn; it spends what it has computed."""
@@ -71,12 +71,12 @@ class FairShare:
         """Let in as many as are expected to fill the turn."""
         self._is_turn_due = False
         self._spent_s = 0.0
-        left_s = self._let_in(self._calm, self._turn_s)
-        self._let_in(self._flooding, max(left_s, _SOME_S))
+        left_s = self._admit(self._calm, self._turn_s)
+        self._admit(self._flooding, max(left_s, _SOME_S))
         if self._calm or self._flooding:
             self._expect_turn()
 
-    def _let_in(self, queue: _Queue, left_s: float) -> float:
+    def _admit(self, queue: _Queue, left_s: float) -> float:
         while queue and left_s > 0:
             let_in, expected_s = queue.popleft()
             spent_s = self._spent_s
@@ -85,7 +85,7 @@ class FairShare:
         return left_s
 
 
-def _let_in(turn: "asyncio.Future[None]") -> None:
+def _admit(turn: "asyncio.Future[None]") -> None:
     if not turn.done():  # else whoever waited has ended
         turn.set_result(None)
 

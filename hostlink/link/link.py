@@ -20,7 +20,7 @@ from hostlink.link.fair_share import FairShare, Turns
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
-from hostlink.protocol.outbox import Taken
+from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import Session, SessionCounts
 from hostlink.transport.base import READ_BYTES, Transport
 
@@ -81,7 +81,7 @@ class Link:
         self.last_frame = b""  # of a robot: its zero
         self.command_latency = Latency()  # from a velocity's command to the transport
         self._from_device, self._to_device = CaptureBuffer(), CaptureBuffer()
-        self.opened_at_s = self.heard_at_s = asyncio.get_running_loop().time()
+        self.opened_at_s = self.received_at_s = asyncio.get_running_loop().time()
         self._transport = transport
         self._config = config
         self._on_event = on_event
@@ -99,7 +99,7 @@ class Link:
         self._trouble = _Trouble(self.opened_at_s)
         self._idle_limit_s = math.inf if config.idle_timeout_s is None else config.idle_timeout_s
         silence_s = math.inf if config.silence_timeout_s is None else config.silence_timeout_s
-        self._asking_limit_s = min(self._idle_limit_s, silence_s)
+        self._regular_limit_s = min(self._idle_limit_s, silence_s)
 
     def __repr__(self) -> str:
         return f"link {self.number} ({self.peer})"
@@ -179,7 +179,7 @@ class Link:
     @property
     def silent_s(self) -> float:
         """Since the last byte of the device."""
-        return asyncio.get_running_loop().time() - self.heard_at_s
+        return asyncio.get_running_loop().time() - self.received_at_s
 
     def facts(self) -> LinkFacts:
         """The counts and times of the link: for its last log line and for the API."""
@@ -232,7 +232,7 @@ class Link:
 
     def _read(self) -> None:
         """One piece, so that others may have their turn between two."""
-        now_s = self.heard_at_s = asyncio.get_running_loop().time()
+        now_s = self.received_at_s = asyncio.get_running_loop().time()
         data = self._transport.read(PIECE_BYTES)
         self._from_device.add(data, now_s)
         self._dispatch(self.session.receive(data, now_s=now_s), now_s)
@@ -244,8 +244,8 @@ class Link:
 
     def _silent_at_s(self) -> float:
         """When the link ends if not a byte comes; sooner for a device that requests the time regularly."""
-        limit_s = self._asking_limit_s if self.session.is_asking_time else self._idle_limit_s
-        return self.heard_at_s + limit_s
+        limit_s = self._regular_limit_s if self.session.is_requesting_time else self._idle_limit_s
+        return self.received_at_s + limit_s
 
     def _dispatch(self, found: list[Event], now_s: float) -> None:
         self._is_write_due = True  # what the events lead to leaves together
@@ -297,9 +297,9 @@ class Link:
         session = self.session
         session.begin_waiting(now_s)
         while not self._is_behind.is_set():
-            taken = session.take(now_s=now_s, wall_ns=time.time_ns())
-            if taken is not None:
-                self._send(taken, now_s)
+            outgoing = session.pop_frame(now_s=now_s, wall_ns=time.time_ns())
+            if outgoing is not None:
+                self._send(outgoing, now_s)
             elif session.deadline_s() <= now_s + SOON_S:
                 for event in session.tick(now_s=now_s + SOON_S):
                     self._on_event(self, event)
@@ -310,12 +310,12 @@ class Link:
         else:
             self._expect(now_s)
 
-    def _send(self, taken: Taken, now_s: float) -> None:
-        if not self._transport.write(taken.frame):
+    def _send(self, outgoing: OutgoingFrame, now_s: float) -> None:
+        if not self._transport.write(outgoing.frame):
             self._is_behind.set()
-        if taken.waiting_since_s is not None:
-            self.command_latency.add(asyncio.get_running_loop().time() - taken.waiting_since_s)
-        self._to_device.add(taken.frame, now_s)
+        if outgoing.waiting_since_s is not None:
+            self.command_latency.add(asyncio.get_running_loop().time() - outgoing.waiting_since_s)
+        self._to_device.add(outgoing.frame, now_s)
 
     def _expect(self, now_s: float) -> None:
         """Call `_write` again when something is due, at the latest."""

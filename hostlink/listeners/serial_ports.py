@@ -34,11 +34,11 @@ async def _serve_once(hub: Hub, config: SerialConfig) -> str:
     try:
         transport = await open_serial(config)
     except OSError as error:
-        hub.diagnoses.see_port(config.name, error)
+        hub.diagnoses.observe_port(config.name, error)
         return error.strerror or str(error)
-    hub.diagnoses.see_port(config.name, None)
+    hub.diagnoses.observe_port(config.name, None)
     link = hub.open(transport, _link_config(hub, config))
-    hub.diagnoses.see_baud(link, config.bauds[0])
+    hub.diagnoses.observe_baud(link, config.bauds[0])
     async with asyncio.TaskGroup() as tasks:
         trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
         await hub.serve(link)
@@ -62,7 +62,7 @@ async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: S
             transport.set_baud(baud)
         except OSError:  # the port has vanished; the link finds that by itself
             return
-        hub.diagnoses.see_baud(link, baud)
+        hub.diagnoses.observe_baud(link, baud)
         await asyncio.sleep(config.baud_try_s)
         if link.session.counts.frames_from_device:
             log.info("serial.baud_found", port=config.name, baud=baud)

@@ -106,13 +106,13 @@ class _DecoderBody:
         if field.type == "string":
             return self._read_string()
         if field.type in FORMATS:
-            return self._take(FORMATS[field.type])
+            return self._read_value(FORMATS[field.type])
         return self.read_message(layout.nested[field.type])
 
     def _read_array(self, layout: Layout, field: Field) -> str:
         if field.array_length != VARIABLE and field.type in FORMATS:
             return self._read_fixed_array(field)
-        count = self._take("I") if field.array_length == VARIABLE else str(field.array_length)
+        count = self._read_value("I") if field.array_length == VARIABLE else str(field.array_length)
         self._close_run()
         if field.type in FORMATS:
             return self._read_variable_array(field, count)
@@ -122,9 +122,9 @@ class _DecoderBody:
 
     def _read_fixed_array(self, field: Field) -> str:
         if field.is_octets:
-            return self._take(f"{field.array_length}s")
+            return self._read_value(f"{field.array_length}s")
         first = self._values
-        self._take(f"{field.array_length}{FORMATS[field.type]}", field.array_length)
+        self._read_value(f"{field.array_length}{FORMATS[field.type]}", field.array_length)
         return f"list(t{self._tuples}[{first}:{self._values}])"
 
     def _read_variable_array(self, field: Field, count: str) -> str:
@@ -135,7 +135,7 @@ class _DecoderBody:
         return value
 
     def _read_string(self) -> str:
-        length = self._take("I")
+        length = self._read_value("I")
         self._close_run()
         self._check_end(length)
         value = self._local("b[o:e].decode('utf-8', 'replace')")
@@ -171,7 +171,7 @@ class _DecoderBody:
         self._lines.append("o = e")
         return value
 
-    def _take(self, code: str, values: int = 1) -> str:
+    def _read_value(self, code: str, values: int = 1) -> str:
         """Add to the open run; the expression of its (first) value."""
         self._codes.append(code)
         self._values += values

@@ -103,8 +103,8 @@ def _two_words(declaration: str, wanted: str, code: str) -> tuple[str, str]:
     raise ValueError(f"wanted {wanted}, got {code!r}")
 
 
-def _check_name(name: str, taken: set[str]) -> None:
-    if name in taken:
+def _check_name(name: str, known: set[str]) -> None:
+    if name in known:
         raise ValueError(f"{name} is there twice")
     if not _NAME.fullmatch(name):
         raise ValueError(f"{name!r} is no name: letters, digits and _, a letter first")

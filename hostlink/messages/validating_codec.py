@@ -202,21 +202,21 @@ class _Reader:
         if count == VARIABLE:
             count = self._read_count(path, layout.element_minimum_bytes(field))
         if field.is_octets:
-            return self._take(count, path)
+            return self._read_bytes(count, path)
         if field.type in FORMATS and count * SIZES[field.type] <= self._left_bytes:
-            data = self._take(count * SIZES[field.type], path)
+            data = self._read_bytes(count * SIZES[field.type], path)
             return list(struct.unpack(f"<{count}{FORMATS[field.type]}", data))
         return [self._read_one(layout, field, f"{path}[{index}]") for index in range(count)]
 
     def _read_one(self, layout: Layout, field: Field, path: str) -> object:
         if field.type == "string":
-            return self._take(self._read_count(path, 1), path).decode("utf-8", "replace")
+            return self._read_bytes(self._read_count(path, 1), path).decode("utf-8", "replace")
         if field.type in FORMATS:
-            return struct.unpack(f"<{FORMATS[field.type]}", self._take(SIZES[field.type], path))[0]
+            return struct.unpack(f"<{FORMATS[field.type]}", self._read_bytes(SIZES[field.type], path))[0]
         return self.read_message(layout.nested[field.type], f"{path}.")
 
     def _read_count(self, path: str, element_bytes: int) -> int:
-        count = int.from_bytes(self._take(COUNT_BYTES, path), "little")
+        count = int.from_bytes(self._read_bytes(COUNT_BYTES, path), "little")
         if count * element_bytes > self._left_bytes:
             size = f"{count} elements of at least {element_bytes} bytes" if element_bytes > 1 else f"{count} bytes"
             self._refuse(f"{path}: {size} announced, {self._left_bytes} left")
@@ -224,12 +224,12 @@ class _Reader:
             self._refuse(f"{path}: {count} elements without fields, at most {EMPTY_ELEMENTS_MAX} are taken")
         return count
 
-    def _take(self, size: int, path: str) -> bytes:
-        taken = self._payload[self.offset : self.offset + size]
-        if len(taken) < size:
-            self._refuse(f"{path}: needs {size} bytes at {self.offset}, {len(taken)} left")
+    def _read_bytes(self, size: int, path: str) -> bytes:
+        data = self._payload[self.offset : self.offset + size]
+        if len(data) < size:
+            self._refuse(f"{path}: needs {size} bytes at {self.offset}, {len(data)} left")
         self.offset += size
-        return taken
+        return data
 
     def _refuse(self, problem: str) -> NoReturn:
         raise BadPayload(self._type_name, problem)

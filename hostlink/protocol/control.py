@@ -109,7 +109,7 @@ def decode_log(payload: bytes) -> Log | None:
     """A level above fatal is read as fatal: the line matters more than its level."""
 
     def read(reader: _Reader) -> Log:
-        level = reader.take(1)[0]
+        level = reader.read(1)[0]
         return Log(min(level, len(LOG_LEVELS) - 1), reader.string().decode(errors="replace"))
 
     return _decode(payload, read)
@@ -141,7 +141,7 @@ class _Reader:
     def __init__(self, payload: bytes) -> None:
         self._payload, self._at = payload, 0
 
-    def take(self, size: int) -> bytes:
+    def read(self, size: int) -> bytes:
         data = self._payload[self._at : self._at + size]
         if len(data) != size:
             raise ValueError("the payload ends early")
@@ -149,7 +149,7 @@ class _Reader:
         return data
 
     def unpack(self, layout: Struct) -> tuple[Any, ...]:
-        return layout.unpack(self.take(layout.size))
+        return layout.unpack(self.read(layout.size))
 
     def count(self, item_bytes: int) -> int:
         """A length from the wire, never larger than what can follow it."""
@@ -159,7 +159,7 @@ class _Reader:
         return count
 
     def string(self) -> bytes:
-        return self.take(self.count(1))
+        return self.read(self.count(1))
 
     def expect_end(self) -> None:
         if self._at != len(self._payload):

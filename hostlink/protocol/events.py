@@ -21,7 +21,7 @@ class TopicRefused(NamedTuple):
     reason: HostlinkError
 
 
-class TopicsAsked(NamedTuple):
+class TopicsRequested(NamedTuple):
     """The session requests the topics of the device."""
 
     reason: str
@@ -78,7 +78,7 @@ class Protocol1Recognised(NamedTuple):
 Event = (
     TopicsNegotiated
     | TopicRefused
-    | TopicsAsked
+    | TopicsRequested
     | MessageReceived
     | ServiceRequested
     | ServiceResponded

@@ -69,7 +69,7 @@ TOPICS_REQUEST = encode(Id.PUBLISHER, b"")
 STOP_REQUEST = encode(Id.STOP, b"")
 
 
-def holds_protocol_1(data: bytes) -> bool:
+def contains_protocol_1(data: bytes) -> bool:
     """Whether a whole frame of protocol version 1 (before 2013) stands in bytes that are no frame of version 2.
 
     FF FF, id (2), length (2), payload, checksum = 255 - sum of all after the FFs.

@@ -60,7 +60,7 @@ class NegotiationScheduler:
 
     def __init__(self) -> None:
         self.state = SessionState.REQUESTING
-        self.heard_at_s = 0.0  # the last byte
+        self.received_at_s = 0.0  # the last byte
         self.is_regular = False  # it requests the time at the usual period
         self._is_damaged = False  # bytes were skipped in this negotiation
         self._topic_info_at_s = 0.0
@@ -72,7 +72,7 @@ class NegotiationScheduler:
 
     def open(self, now_s: float) -> None:
         """The connection is open."""
-        self.heard_at_s = self._time_requested_at_s = now_s
+        self.received_at_s = self._time_requested_at_s = now_s
         self._pending = "connected"
 
     def time_requested(self, now_s: float) -> None:
@@ -159,4 +159,4 @@ class NegotiationScheduler:
     def _silent_at_s(self) -> float:
         """When its silence is a reason to request the topics."""
         silent_at_s = self._time_requested_at_s + SILENCE_S
-        return min(silent_at_s, self.heard_at_s + QUIET_S) if self.is_regular else silent_at_s
+        return min(silent_at_s, self.received_at_s + QUIET_S) if self.is_regular else silent_at_s

@@ -1,6 +1,6 @@
 """NonRosserialBytes: what came from a device and is no frame, as far as a diagnosis needs it."""
 
-from hostlink.protocol.frame import PROTOCOL_1_MAX_BYTES, holds_protocol_1
+from hostlink.protocol.frame import PROTOCOL_1_MAX_BYTES, contains_protocol_1
 
 KEPT_BYTES = 1024  # some boot messages, or a hundred lines of a counter's text
 
@@ -16,7 +16,7 @@ class NonRosserialBytes:
         """Keep skipped bytes; True the first time that they hold a frame of protocol version 1."""
         watched = self.tail[1 - PROTOCOL_1_MAX_BYTES :] + data
         self.tail = (self.tail + data)[-KEPT_BYTES:]
-        if self.is_protocol_1 or not holds_protocol_1(watched):
+        if self.is_protocol_1 or not contains_protocol_1(watched):
             return False
         self.is_protocol_1 = True
         return True

@@ -16,7 +16,7 @@ VELOCITY_BYTES = 56
 MAX_REPLIES = 32
 
 
-class Taken(NamedTuple):
+class OutgoingFrame(NamedTuple):
     """A frame to write now, and since when it waits if it is a velocity."""
 
     frame: bytes
@@ -47,7 +47,7 @@ class Outbox:
     interrupted, and in pieces a device would drop it (its rule of 20 ms): so one that alone takes longer waits while
     the robot moves. Only an answer to the device's own request does not: the device waits for it in a loop.
 
-    Age counts from the first `begin_waiting` or `take` after a frame was put; the link calls it at once.
+    Age counts from the first `begin_waiting` or `pop_frame` after a frame was put; the link calls it at once.
     """
 
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
@@ -139,17 +139,17 @@ class Outbox:
             waiting.since_s = now_s
         self._new.clear()
 
-    def take(self, *, now_s: float, wall_ns: int) -> Taken | None:
+    def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove the next frame to write; None: nothing waits, or the UART is still busy with the last ones."""
         self.begin_waiting(now_s)
         if self.wait_s(now_s) != 0:
             return None
-        taken = self._next(now_s, wall_ns)
-        self._uart.add(len(taken.frame), now_s)
-        return taken
+        outgoing = self._next(now_s, wall_ns)
+        self._uart.add(len(outgoing.frame), now_s)
+        return outgoing
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `take` gives a frame; None when nothing waits, or only for the robot to stand."""
+        """Seconds until `pop_frame` gives a frame; None when nothing waits, or only for the robot to stand."""
         if not self._is_stopped and (self._is_time_due or self._is_request_due):
             return self._uart.wait_s(TIME_BYTES, now_s)
         found = self._head()
@@ -188,31 +188,31 @@ class Outbox:
         """Where the next frame of a queue is."""
         for queues in (self._urgent,) if self._is_stopped else (self._urgent, self._replies, self._commands):
             for key, waiting in queues.items():
-                if queues is self._urgent or not self._is_held(waiting[0]):
+                if queues is self._urgent or not self._is_delayed(waiting[0]):
                     return queues, key
         return None
 
-    def _is_held(self, waiting: _Waiting) -> bool:
+    def _is_delayed(self, waiting: _Waiting) -> bool:
         return self.robot_moves and not waiting.is_awaited and len(waiting.frame) > self.prompt_bytes
 
-    def _next(self, now_s: float, wall_ns: int) -> Taken:
+    def _next(self, now_s: float, wall_ns: int) -> OutgoingFrame:
         if self._is_time_due and not self._is_stopped:
             self._is_time_due = False
-            return Taken(encode(Id.TIME, encode_time(wall_ns)))
+            return OutgoingFrame(encode(Id.TIME, encode_time(wall_ns)))
         if self._is_request_due and not self._is_stopped:
             self._is_request_due = False
-            return Taken(TOPICS_REQUEST)
+            return OutgoingFrame(TOPICS_REQUEST)
         found = self._head()
         if found is None:
             self._is_stop_due = False
-            return Taken(STOP_REQUEST)
+            return OutgoingFrame(STOP_REQUEST)
         queues, key = found
         waiting = queues.pop(key)
         one = waiting.popleft()
         if waiting:
             queues[key] = waiting  # behind the others
         self.slowest_wait_s = max(self.slowest_wait_s, one.age_s(now_s))
-        return Taken(one.frame, one.since_s if queues is self._urgent else None)
+        return OutgoingFrame(one.frame, one.since_s if queues is self._urgent else None)
 
 
 class _Uart:

@@ -13,7 +13,7 @@ from hostlink.protocol.control import TopicInfo, decode_log, decode_parameter_re
 from hostlink.protocol.frame import FIRST_TOPIC_ID, TOPICS_REQUEST, Frame, Id
 from hostlink.protocol.negotiation import NegotiationScheduler, SessionState
 from hostlink.protocol.non_rosserial import NonRosserialBytes
-from hostlink.protocol.outbox import Outbox, Taken
+from hostlink.protocol.outbox import Outbox, OutgoingFrame
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
 from hostlink.protocol.to_device import MessagesToDevice
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
@@ -37,7 +37,7 @@ class SessionCounts:
     malformed: int = 0  # control frames whose payload makes no sense
     excess_topics: int = 0  # TopicInfos over the bound of one device
     negotiations: int = 0
-    asks: int = 0  # requests for topics
+    topic_requests: int = 0  # requests for topics
 
 
 class Session(MessagesToDevice):
@@ -75,7 +75,7 @@ class Session(MessagesToDevice):
     def receive(self, data: bytes, *, now_s: float) -> list[events.Event]:
         """Process what came from the device."""
         self.counts.bytes_from_device += len(data)
-        self._negotiation.heard_at_s = now_s
+        self._negotiation.received_at_s = now_s
         found: list[events.Event] = []
         self._read(self._stream.feed(data), now_s, found)
         self._request_if_due(now_s, found)
@@ -85,8 +85,8 @@ class Session(MessagesToDevice):
         """Do what is due by now; call it when `deadline_s` has come."""
         found: list[events.Event] = []
         negotiation = self._negotiation
-        if self._stream.pending_bytes and now_s >= negotiation.heard_at_s + STALLED_FRAME_S:
-            negotiation.heard_at_s = now_s
+        if self._stream.pending_bytes and now_s >= negotiation.received_at_s + STALLED_FRAME_S:
+            negotiation.received_at_s = now_s
             self._read(self._stream.give_up(), now_s, found)
         if negotiation.is_quiet(now_s):
             if self._stream.pending_bytes:
@@ -100,18 +100,18 @@ class Session(MessagesToDevice):
         """When `tick` must be called next if nothing comes before."""
         deadline_s = self._negotiation.deadline_s()
         if self._stream.pending_bytes:
-            return min(deadline_s, self._negotiation.heard_at_s + STALLED_FRAME_S)
+            return min(deadline_s, self._negotiation.received_at_s + STALLED_FRAME_S)
         return deadline_s
 
-    def take(self, *, now_s: float, wall_ns: int) -> Taken | None:
+    def pop_frame(self, *, now_s: float, wall_ns: int) -> OutgoingFrame | None:
         """Remove the next frame to write; None when nothing waits or the device's UART is busy."""
-        taken = self._outbox.take(now_s=now_s, wall_ns=wall_ns)
-        if taken is not None:
-            if taken.frame is TOPICS_REQUEST:
+        outgoing = self._outbox.pop_frame(now_s=now_s, wall_ns=wall_ns)
+        if outgoing is not None:
+            if outgoing.frame is TOPICS_REQUEST:
                 self.device_clock.topics_requested(now_s)
             self.counts.frames_to_device += 1
-            self.counts.bytes_to_device += len(taken.frame)
-        return taken
+            self.counts.bytes_to_device += len(outgoing.frame)
+        return outgoing
 
     @property
     def has_waiting(self) -> bool:
@@ -119,7 +119,7 @@ class Session(MessagesToDevice):
         return self._outbox.has_waiting
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until `take` gives a frame; None when nothing waits."""
+        """Seconds until `pop_frame` gives a frame; None when nothing waits."""
         return self._outbox.wait_s(now_s)
 
     def begin_waiting(self, now_s: float) -> None:
@@ -129,7 +129,7 @@ class Session(MessagesToDevice):
     # -- what the hub reads and requests ------------------------------------------------------------------------------
 
     @property
-    def is_asking_time(self) -> bool:
+    def is_requesting_time(self) -> bool:
         """Whether it requests the time as often as a rosserial client does: then its silence means something."""
         return self._negotiation.is_regular
 
@@ -261,6 +261,6 @@ class Session(MessagesToDevice):
     def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:
         reason = self._negotiation.pop_request(now_s)
         if reason is not None:
-            self.counts.asks += 1
+            self.counts.topic_requests += 1
             self._outbox.put_topics_request()
-            found.append(events.TopicsAsked(reason))
+            found.append(events.TopicsRequested(reason))

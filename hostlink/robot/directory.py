@@ -179,10 +179,10 @@ class Directory:
         unclear = []
         for link in links:
             presence = self._presences[link]
-            if presence.heard_at_s > entry.since_s + LATE_S:
+            if presence.received_at_s > entry.since_s + LATE_S:
                 continue
             is_given_up = not has_twins and (
-                presence.is_probably_gone(now_s) or now_s - max(entry.since_s, presence.heard_at_s) >= ANSWER_S
+                presence.is_probably_gone(now_s) or now_s - max(entry.since_s, presence.received_at_s) >= ANSWER_S
             )
             if is_given_up or presence.is_surely_gone(now_s):
                 return link, []
@@ -195,10 +195,10 @@ class Directory:
         if name is not None:
             return Named(name, not self._names.has_twins(entry.origin))
         named = self._names.choose(entry.origin)
-        holder = self._by_name.get(entry.origin.own)
-        if holder is not None and named.is_new_number:
-            is_elsewhere = self._entries[holder].origin.address != entry.origin.address
-            is_silent = self._presences[holder].is_probably_gone(now_s) or self._presences[holder].is_surely_gone(now_s)
+        other = self._by_name.get(entry.origin.own)
+        if other is not None and named.is_new_number:
+            is_elsewhere = self._entries[other].origin.address != entry.origin.address
+            is_silent = self._presences[other].is_probably_gone(now_s) or self._presences[other].is_surely_gone(now_s)
             if is_elsewhere and is_silent and now_s < entry.since_s + MOVING_S:
                 return None
         return named

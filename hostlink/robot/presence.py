@@ -13,21 +13,21 @@ class Presence:
     """Of one link. Times are monotonic, in seconds."""
 
     def __init__(self, now_s: float) -> None:
-        self.heard_at_s = now_s
+        self.received_at_s = now_s
         self._gaps_s: deque[float] = deque(maxlen=_KEPT)
 
     def note_read(self, now_s: float) -> None:
         """The device sent something."""
-        if now_s > self.heard_at_s:
-            self._gaps_s.append(now_s - self.heard_at_s)
-            self.heard_at_s = now_s
+        if now_s > self.received_at_s:
+            self._gaps_s.append(now_s - self.received_at_s)
+            self.received_at_s = now_s
 
     def is_surely_gone(self, now_s: float) -> bool:
         """Whether no device that lives is silent for so long."""
-        return now_s - self.heard_at_s >= SURE_S
+        return now_s - self.received_at_s >= SURE_S
 
     def is_probably_gone(self, now_s: float) -> bool:
         """Whether this one, as it used to send, would have sent by now."""
         if len(self._gaps_s) < _ENOUGH:
             return False
-        return now_s - self.heard_at_s >= max(SOONEST_S, USUAL_GAPS * median(self._gaps_s))
+        return now_s - self.received_at_s >= max(SOONEST_S, USUAL_GAPS * median(self._gaps_s))

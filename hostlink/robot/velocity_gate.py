@@ -100,12 +100,12 @@ class VelocityGate:
     | idle     | zero                                           | stopping | zero, once: nobody wants to drive      |
     | slowing, stopping | zero                                  | as it is | as without it                          |
     | idle, slowing, stopping | command                         | driven   | the velocity; after `restart` zero first |
-    | any but locked | command below another's claim, not of the holder | as it is | no change: RobotHeld    |
-    | driven   | command of the holder                          | driven   | the velocity, for a lease from now     |
-    | driven   | zero of the holder                             | driven   | down to zero, for the lease as it was  |
+    | any but locked | command below another's claim, not of the owner  | as it is | no change: RobotHeld    |
+    | driven   | command of the owner                           | driven   | the velocity, for a lease from now     |
+    | driven   | zero of the owner                              | driven   | down to zero, for the lease as it was  |
     | driven   | zero of another                                | driven   | no change: it does not want to drive   |
     | driven   | command of another, of as high a priority      | driven   | the other's, at the same accelerations |
-    | driven   | lease over, stop, release by the holder        | slowing  | down to zero at the deceleration limit, |
+    | driven   | lease over, stop, release by the owner         | slowing  | down to zero at the deceleration limit, |
     |          |                                                |          | at once without one                    |
     | driven   | release by another                             | driven   | no change                              |
     | idle     | stop                                           | stopping | zero                                   |
@@ -141,7 +141,7 @@ class VelocityGate:
         return None if self._lease is None else self._lease.owner
 
     @property
-    def holder(self) -> str | None:
+    def owner_name(self) -> str | None:
         """The name of who drives; others may have it, too."""
         return None if self._lease is None else str(self._lease.owner)
 

@@ -124,7 +124,7 @@ async def _pass_on(robot: SimulatedRobot, writer: asyncio.StreamWriter, fault: F
     now_s = asyncio.get_running_loop().time
     line = FaultyLine(fault)
     while True:
-        data = line.pass_on(robot.device.to_host.take(now_s()))
+        data = line.pass_on(robot.device.to_host.pop(now_s()))
         if data:
             writer.write(data)
             await writer.drain()

@@ -31,7 +31,7 @@ class Uart:
         self.settle(now_s)
         return self._ring.popleft() if self._ring else None
 
-    def take(self, now_s: float) -> bytes:
+    def pop(self, now_s: float) -> bytes:
         """All that has arrived, for a reader that is never late."""
         arrived = bytearray()
         while (byte := self.read(now_s)) is not None:

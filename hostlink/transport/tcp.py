@@ -24,7 +24,7 @@ SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where
 RECEIVE_BUFFER_BYTES = 65536  # of a flood, in the kernel: by so much a device's news may be late
 BACKLOG = 1024  # connections that may wait to be accepted
 ACCEPTED_AT_ONCE = 4  # before others have their turn: a hundred, as is usual, take 30 ms
-STALL_LOOK_S = 0.01
+STALL_POLL_S = 0.01
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged after that: the peer is gone
 KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # seconds, seconds, probes: found within 11 s
 
@@ -55,7 +55,7 @@ class TcpTransport(StreamTransport):
         """Returns when the peer keeps up with what was sent."""
         await super().drain()
         while self._is_stalled():  # noqa: ASYNC110 - the kernel sends no event
-            await asyncio.sleep(STALL_LOOK_S)
+            await asyncio.sleep(STALL_POLL_S)
 
     def _is_stalled(self) -> bool:
         now_s = asyncio.get_running_loop().time()

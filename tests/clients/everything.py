@@ -55,19 +55,19 @@ def drive(ros: Any, other: Any) -> Any:
 
 def topics(ros: Any, other: Any) -> dict[str, Any]:
     """Both ways, latched, throttled."""
-    seen: dict[str, Any] = {}
+    observed: dict[str, Any] = {}
     pair = [roslibpy.Topic(client, "/chat", "std_msgs/String") for client in (ros, other)]
-    seen["text"] = exchange(*pair, {"data": "hällo"})["data"]
+    observed["text"] = exchange(*pair, {"data": "hällo"})["data"]
     pair = [roslibpy.Topic(client, "stamped", "std_msgs/Header") for client in (ros, other)]
-    seen["stamp"] = exchange(*pair, dict(roslibpy.Header(frame_id="f", stamp=roslibpy.Time(5, 6))))["stamp"]
+    observed["stamp"] = exchange(*pair, dict(roslibpy.Header(frame_id="f", stamp=roslibpy.Time(5, 6))))["stamp"]
     pair = [roslibpy.Topic(client, "/png", "std_msgs/String", compression="png") for client in (ros, other)]
-    seen["png"] = exchange(*pair, {"data": "plain"})["data"]
+    observed["png"] = exchange(*pair, {"data": "plain"})["data"]
     latched = roslibpy.Topic(ros, "/latched", "std_msgs/String", latch=True)
     latched.publish(roslibpy.Message({"data": "kept"}))
     ros.get_topics()
     heard: queue.Queue[Any] = queue.Queue()
     roslibpy.Topic(other, "/latched", "std_msgs/String").subscribe(heard.put)
-    seen["latched"] = heard.get(timeout=WAIT_S)["data"]
+    observed["latched"] = heard.get(timeout=WAIT_S)["data"]
     numbers: list[int] = []
     slow = roslibpy.Topic(other, "/fast", "std_msgs/Int32", throttle_rate=300, queue_length=1)
     slow.subscribe(lambda message: numbers.append(message["data"]))
@@ -76,7 +76,7 @@ def topics(ros: Any, other: Any) -> dict[str, Any]:
     for number in range(10):
         fast.publish(roslibpy.Message({"data": number}))
     until(lambda: len(numbers) == 2)
-    return {**seen, "throttled": numbers}
+    return {**observed, "throttled": numbers}
 
 
 def services(ros: Any, other: Any) -> dict[str, Any]:
@@ -90,19 +90,19 @@ def services(ros: Any, other: Any) -> dict[str, Any]:
     offer.advertise(answer)
     ros.get_services()
     call = roslibpy.Service(other, "/add", "std_srvs/SetBool")
-    seen = {"answer": dict(call.call(roslibpy.ServiceRequest({"data": True}), timeout=WAIT_S))}
+    observed = {"answer": dict(call.call(roslibpy.ServiceRequest({"data": True}), timeout=WAIT_S))}
     offer.unadvertise()
     ros.get_services()
     refused: queue.Queue[Any] = queue.Queue()
     call.call(roslibpy.ServiceRequest({"data": True}), callback=refused.put, errback=refused.put)
-    return {**seen, "refused": str(refused.get(timeout=WAIT_S))}
+    return {**observed, "refused": str(refused.get(timeout=WAIT_S))}
 
 
 def rosapi(ros: Any) -> dict[str, Any]:
     """Every look at the graph, and parameters."""
     servers: queue.Queue[Any] = queue.Queue()
     ros.get_action_servers(servers.put)
-    seen = {
+    observed = {
         "time": ros.get_time(),
         "topics": ros.get_topics(),
         "topic_type": ros.get_topic_type("/robot_0/odometry"),
@@ -119,11 +119,11 @@ def rosapi(ros: Any) -> dict[str, Any]:
     }
     gain = roslibpy.Param(ros, "/gain")
     gain.set([1, 2.5])
-    seen["param"], seen["get_param"], seen["params"] = gain.get(), ros.get_param("/gain"), ros.get_params()
+    observed["param"], observed["get_param"], observed["params"] = gain.get(), ros.get_param("/gain"), ros.get_params()
     ros.set_param("/gain", "x")
-    seen["set_param"] = gain.get()
+    observed["set_param"] = gain.get()
     ros.delete_param("/gain")
-    return {**seen, "deleted": gain.get()}
+    return {**observed, "deleted": gain.get()}
 
 
 def reconnect(ros: Any) -> bool:
@@ -147,9 +147,9 @@ def main() -> None:
     for client in (ros, other):
         client.run(timeout=WAIT_S)
     ros.authenticate("mac", "client", "dest", "rand", 0, "level", 1)
-    seen = {"odom": drive(ros, other), **topics(ros, other), **services(ros, other), "api": rosapi(ros)}
-    seen["reconnected"] = reconnect(ros)
-    sys.stdout.write(json.dumps(seen, default=dict))
+    observed = {"odom": drive(ros, other), **topics(ros, other), **services(ros, other), "api": rosapi(ros)}
+    observed["reconnected"] = reconnect(ros)
+    sys.stdout.write(json.dumps(observed, default=dict))
     sys.stdout.flush()
     ros.terminate()
 

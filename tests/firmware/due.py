@@ -108,9 +108,9 @@ def _run(*command: object) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def _taken(take: Callable[[int, object, int], int], handle: int) -> bytes:
+def _read_out(read: Callable[[int, object, int], int], handle: int) -> bytes:
     out = ctypes.create_string_buffer(OUT_BYTES)
-    size = take(handle, out, OUT_BYTES)
+    size = read(handle, out, OUT_BYTES)
     return out.raw[:size]
 
 
@@ -132,10 +132,10 @@ class Node:
         return wait_ms / 1000 if wait_ms else None
 
     def sent(self) -> bytes:
-        return _taken(library().node_sent, self._handle)
+        return _read_out(library().node_sent, self._handle)
 
     def received(self) -> list[bytes]:
-        data = _taken(library().node_heard, self._handle)
+        data = _read_out(library().node_heard, self._handle)
         out_of: list[bytes] = []
         while data:
             size = int.from_bytes(data[:2], "little")
@@ -153,7 +153,7 @@ class Node:
     def log(self, level: int, text: str) -> None:
         library().node_log(self._handle, level, text.encode())
 
-    def ask(self, name: str) -> None:
+    def request_parameter(self, name: str) -> None:
         library().node_ask(self._handle, name.encode())
 
     def parameter(self) -> list[float]:
@@ -187,7 +187,7 @@ class Robot:
         library().robot_loop(self._handle, round(now_s * 1e6), left_ticks % 2**32, right_ticks % 2**32)
 
     def sent(self) -> list[Frame]:
-        data = _taken(library().robot_sent, self._handle)
+        data = _read_out(library().robot_sent, self._handle)
         return [item for item in FrameStream().feed(data) if isinstance(item, Frame)]
 
     @property

@@ -92,7 +92,7 @@ class Assembler:
     def size(self) -> int:
         return int(self._lib.assembler_size(self._self))
 
-    def take_ready(self, limit_bytes: int, now_ms: int) -> bytes:
+    def pop_ready(self, limit_bytes: int, now_ms: int) -> bytes:
         count = self._lib.assembler_ready(self._self, limit_bytes, now_ms)
         buffer = ctypes.create_string_buffer(max(1, count))
         self._lib.assembler_take(self._self, buffer, count)

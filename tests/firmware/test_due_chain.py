@@ -35,10 +35,10 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
         await daemon.read_log("robot.appeared")
         await drive(daemon, made, 0.3, until_ticks_s=80.0)
         async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
-            seen = await response.json()
-        assert seen["odometry"]["pose"]["x_m"] > 0.05
-        assert abs(seen["odometry"]["pose"]["y_m"]) < 0.05
-        assert seen["odometry"]["rate_hz"] == pytest.approx(10.0, abs=2.5)
+            observed = await response.json()
+        assert observed["odometry"]["pose"]["x_m"] > 0.05
+        assert abs(observed["odometry"]["pose"]["y_m"]) < 0.05
+        assert observed["odometry"]["rate_hz"] == pytest.approx(10.0, abs=2.5)
         await made.expect_speed(-2.0, 2.0, within_s=3.0)  # the lease is over: 0.5 s, the wheel, the report
         assert await daemon.end(signal.SIGTERM) == 0
     closed = [line for line in daemon.log if line["event"] == "link.trouble"]

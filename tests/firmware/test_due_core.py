@@ -81,11 +81,11 @@ def test_the_feedback_term_subtracts_a_part_of_the_last_output() -> None:
 
 def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
     with made("wheel") as wheel:
-        seen = []
+        observed = []
         for _ in range(3):
             library().wheel_step(wheel, 10, 0.1)
-            seen.append(library().wheel_speed(wheel))
-    assert seen == pytest.approx([10.0, 19.0, 27.1])
+            observed.append(library().wheel_speed(wheel))
+    assert observed == pytest.approx([10.0, 19.0, 27.1])
 
 
 @given(st.lists(st.tuples(st.sampled_from([0.0, 50.0, 200.0, -50.0, -250.0]), st.integers(1, 60)), max_size=5))

@@ -52,9 +52,9 @@ def answer(connection: socket.socket) -> tuple[int, float]:
 @pytest.mark.parametrize("words", [(), ("38400",)], ids=["default", "38400 baud"])
 def test_the_topics_last_as_long_as_their_bytes_on_the_line(words: tuple[str, ...]) -> None:
     with board(*words) as connection:
-        size, took_s = answer(connection)
+        size, lasted_s = answer(connection)
         assert size > 500
-        assert took_s >= (size - RING_BYTES) / BYTES_S * 0.99
+        assert lasted_s >= (size - RING_BYTES) / BYTES_S * 0.99
 
 
 def test_a_line_without_a_speed_is_as_fast_as_tcp() -> None:

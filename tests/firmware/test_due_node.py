@@ -56,7 +56,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_frames(
                 assert spin(twin, now_s) == pytest.approx(ended_s)
                 assert device.received() == heard
                 heard.clear()
-                assert device.sent() == twin.to_host.take(now_s + 1.0)
+                assert device.sent() == twin.to_host.pop(now_s + 1.0)
                 assert device.is_configured == twin.is_configured
                 now_s = ended_s + round(pause_s, 3)
 
@@ -120,7 +120,7 @@ def test_topics_time_log_parameters_and_stop() -> None:
         assert [frame.topic_id for frame in frames(device.sent())] == [Id.TIME, 0, 1, 1]
         assert device.publish(125, bytes(24))
         device.log(2, "warm")
-        device.ask("/gain")
+        device.request_parameter("/gain")
         spin(device, 1.1)
         assert frames(device.sent()) == [
             Frame(125, bytes(24)),
@@ -142,7 +142,7 @@ def test_topics_time_log_parameters_and_stop() -> None:
 )
 def test_parameters_of_every_kind(parameter: Parameter, values: list[float]) -> None:
     with node() as device:
-        device.ask("/p")
+        device.request_parameter("/p")
         device.feed(encode(Id.PARAMETER, encode_parameter(parameter)))
         spin(device, 1.0)
         assert device.parameter() == values
@@ -151,7 +151,7 @@ def test_parameters_of_every_kind(parameter: Parameter, values: list[float]) -> 
 @pytest.mark.parametrize("payload", [b"", b"\x01", b"\xff\xff\xff\xff", b"\x02\x00\x00\x00\x01\x00\x00\x00"])
 def test_a_parameter_with_a_length_that_lies(payload: bytes) -> None:
     with node() as device:
-        device.ask("/p")
+        device.request_parameter("/p")
         device.feed(encode(Id.PARAMETER, payload))
         spin(device, 1.0)
         assert device.parameter() == []
@@ -235,7 +235,7 @@ def test_what_is_no_message_is_not_dropped_for_one_and_finds_room() -> None:
         for number in range(100):
             device.publish(125, pose(number))
         device.log(3, "left wheel stalled")
-        device.ask("/gain")
+        device.request_parameter("/gain")
         device.feed(TOPICS_REQUEST)
         spin(device, 1.1)
         device.room(2**32)
@@ -334,7 +334,7 @@ def test_the_same_frames_also_at_the_pace_of_the_line(retries: bool, story: list
                 heard.clear()
             for end in (line, twin.from_host):
                 end.send(data, sent_at_s)
-        assert device.sent() == twin.to_host.take(now_s + 10.0)
+        assert device.sent() == twin.to_host.pop(now_s + 10.0)
         assert device.is_configured == twin.is_configured
 
 
@@ -342,7 +342,7 @@ def turn(device: Node, twin: SimulatedDevice, line: Uart, now_s: float) -> float
     """A turn of both, with the waits that they ask for; returns when the next one begins."""
     began_s = now_s
     while True:
-        device.feed(line.take(now_s))
+        device.feed(line.pop(now_s))
         wait_s = twin.spin(now_s)
         assert device.spin(now_s) == wait_s
         if wait_s is None:

@@ -69,8 +69,8 @@ def test_its_topics_and_its_parameters() -> None:
         names = [frame.payload for frame in track.frames if frame.topic_id in (0, 1)]
         for name in ("odometry", "plot_data", "velocity_commands", "reset_odometry", "pid_tune_l", "pid_tune_r"):
             assert any(f"/robot_0/{name}".encode() in payload for payload in names)
-        asked = [decode_parameter_request(frame.payload) for frame in track.frames if frame.topic_id == Id.PARAMETER]
-        assert asked == [
+        requests = [decode_parameter_request(frame.payload) for frame in track.frames if frame.topic_id == Id.PARAMETER]
+        assert requests == [
             f"/robot_0/{name}"
             for name in ("wheel_radius", "wheel_separation", "gains_left", "gains_right", "top_speed")
         ]
@@ -202,13 +202,13 @@ def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:
 @pytest.mark.parametrize("pass_s", [0.001, 0.011, 0.017, 0.025, 0.032, 0.05, 0.15])
 def test_speed_is_measured_over_the_time_that_passed_however_the_loop_comes_round(pass_s: float) -> None:
     with robot() as firmware:
-        now_s, seen = 1.0, []
+        now_s, observed = 1.0, []
         firmware.feed(TOPICS_REQUEST)
         while now_s < 9.0:
             now_s += pass_s
             firmware.loop(now_s, int(now_s * 100), int(now_s * 100))
-            seen += [struct.unpack("<6d", frame.payload)[0] for frame in firmware.sent() if frame.topic_id == 126]
-        late = seen[len(seen) // 2 :]
+            observed += [struct.unpack("<6d", frame.payload)[0] for frame in firmware.sent() if frame.topic_id == 126]
+        late = observed[len(observed) // 2 :]
         assert sum(late) / len(late) == pytest.approx(100.0, rel=0.03)
 
 

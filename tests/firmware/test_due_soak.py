@@ -54,24 +54,24 @@ async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
     async with chain("cortex-m3", with_esp=True) as (daemon, made), aiohttp.ClientSession() as session:
         await daemon.read_log("robot.appeared")
         await asyncio.sleep(1.5)
-        before, seen_before = made.facts, await messages(session, daemon)
+        before, observed_before = made.facts, await messages(session, daemon)
         await drive_squares(session, daemon)
         after = await settled(made)
-        seen = await messages(session, daemon)
+        observed = await messages(session, daemon)
         async with session.get(f"{daemon.url}/api/links") as response:
             link = (await response.json())["links"][0]
         async with session.get(f"{daemon.url}/api/robots/robot_0/odometry") as response:
             pose = (await response.json())["pose"]
 
     # To the device: every velocity reached its callback, but for those that a newer one replaced before they left.
-    sent = seen[VELOCITY] - link["replaced"]
+    sent = observed[VELOCITY] - link["replaced"]
     assert (after["got"], after["lost"], after["dropped"]) == (sent, 0, 0)
     assert sent >= 0.8 * SOAK_S / COMMAND_INTERVAL_S
     # From the device: every message that it queued is there; the report and the count are half a second apart.
-    told = seen[ODOMETRY] + seen[PLOT]
-    assert abs(told - after["sent"]) <= 2 * 12
-    assert told - (seen_before[ODOMETRY] + seen_before[PLOT]) >= 2 * 9.0 * SOAK_S
-    assert (link["skipped_bytes"], link["unknown_ids"], link["asks"]) == (0, 0, 1)
+    reported = observed[ODOMETRY] + observed[PLOT]
+    assert abs(reported - after["sent"]) <= 2 * 12
+    assert reported - (observed_before[ODOMETRY] + observed_before[PLOT]) >= 2 * 9.0 * SOAK_S
+    assert (link["skipped_bytes"], link["unknown_ids"], link["topic_requests"]) == (0, 0, 1)
 
     rolled_m = (after["rolled_mm"] - before["rolled_mm"]) / 1000
     wrong_m = math.hypot(pose["x_m"] - after["x_mm"] / 1000, pose["y_m"] - after["y_mm"] / 1000)

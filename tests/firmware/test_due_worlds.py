@@ -30,17 +30,17 @@ def longest_s(is_so: np.ndarray) -> float:
 
 def wheels(made: World) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Of each wheel: its true speed, its set-point, what was asked of it, what its motor is given."""
-    trace, asked = made.trace, np.concatenate(made.asked)
+    trace, commanded = made.trace, np.concatenate(made.commanded)
     return [
-        (trace.left, trace.left_set, asked[:, LEFT], trace.left_drive),
-        (trace.right, trace.right_set, asked[:, RIGHT], trace.right_drive),
+        (trace.left, trace.left_set, commanded[:, LEFT], trace.left_drive),
+        (trace.right, trace.right_set, commanded[:, RIGHT], trace.right_drive),
     ]
 
 
 def check_odometry(trace: Trace, reversals: int) -> None:
     """It says what each wheel did: on the way but for what it is late, at the end but for the reversals."""
-    for true, told in zip(trace.rolled(is_truth=True), trace.rolled(is_truth=False), strict=True):
-        off = np.abs((true - true[0]) - (told - told[0]))
+    for true, reported in zip(trace.rolled(is_truth=True), trace.rolled(is_truth=False), strict=True):
+        off = np.abs((true - true[0]) - (reported - reported[0]))
         assert float(np.max(off)) <= LATE_TICKS + REVERSAL_TICKS * reversals
         assert float(off[-1]) <= 2.0 + REVERSAL_TICKS * reversals
 
@@ -55,10 +55,10 @@ def of_late(values: np.ndarray) -> np.ndarray:
 def too_fast_s(made: World) -> float:
     """How long a wheel was faster than 1.1 times what was asked for and a tick in 0.2 s, while it was driven."""
     found = []
-    for speed, set_point, asked, _ in wheels(made):
-        most = of_late(np.maximum(np.abs(asked), np.abs(set_point)))
+    for speed, set_point, commanded, _ in wheels(made):
+        most = of_late(np.maximum(np.abs(commanded), np.abs(set_point)))
         allowed = np.maximum(1.1 * most + STANDING_TICKS_S, CREEP_TICKS_S)
-        found.append(longest_s((np.abs(speed) > allowed) & (asked != 0)))
+        found.append(longest_s((np.abs(speed) > allowed) & (commanded != 0)))
     return max(found)
 
 
@@ -106,7 +106,7 @@ hands = st.tuples(st.sampled_from([LEFT, RIGHT]), st.floats(-300.0, 300.0), st.f
 
 @WORLDS
 @given(pair=motors(), story=st.lists(st.tuples(drives, st.none() | hands), min_size=1, max_size=6))
-def test_a_wheel_that_was_turned_by_hand_is_driven_as_before_when_it_is_let_go(
+def test_a_wheel_that_somebody_turned_is_driven_as_before_when_it_is_let_go(
     pair: tuple[MotorWorld, MotorWorld],
     story: list[tuple[tuple[float, float, float, float], tuple[int, float, float] | None]],
 ) -> None:
@@ -120,7 +120,7 @@ def test_a_wheel_that_was_turned_by_hand_is_driven_as_before_when_it_is_let_go(
                 made.release(side)
                 made.drive(0.0, 0.0, 1.0)
             made.rows.clear()
-            made.asked.clear()
+            made.commanded.clear()
             made.drive(linear, angular, round(seconds, 2))
             made.drive(0.0, 0.0, pause_s)
             check_stop(made, pair)

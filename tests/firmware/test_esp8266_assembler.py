@@ -31,7 +31,7 @@ def pumped(assembler: Assembler, part: bytes, limit_bytes: int, now_ms: int) -> 
     while part:
         part = part[assembler.put(part, now_ms) :]
         assert assembler.size() <= assembler.capacity
-        writes.append(assembler.take_ready(limit_bytes, now_ms))
+        writes.append(assembler.pop_ready(limit_bytes, now_ms))
     return [write for write in writes if write]
 
 
@@ -44,9 +44,9 @@ def test_the_same_bytes_come_out_in_the_same_order(parts: list[bytes], data: st.
             now_ms = (now_ms + data.draw(pauses_ms)) % 2**32
             out += b"".join(pumped(assembler, part, data.draw(st.sampled_from([128, 1072, 2920])), now_ms))
             while assembler.size() > 1032:  # the port has room again
-                out += assembler.take_ready(1072, now_ms)
+                out += assembler.pop_ready(1072, now_ms)
         now_ms = (now_ms + Assembler.QUIET_MS) % 2**32
-        out += assembler.take_ready(assembler.capacity, now_ms)
+        out += assembler.pop_ready(assembler.capacity, now_ms)
         assert assembler.size() == 0
     assert out == wire
 
@@ -63,7 +63,7 @@ def test_a_frame_is_never_cut(parts: list[bytes], data: st.DataObject) -> None:
             for write in pumped(assembler, part, 1072, now_ms):
                 sent += len(write)
                 assert sent in ends
-        while write := assembler.take_ready(1072, now_ms):
+        while write := assembler.pop_ready(1072, now_ms):
             sent += len(write)
             assert sent in ends
     assert sent == at
@@ -82,7 +82,7 @@ def test_nothing_from_before_a_restart_comes_out(
         assembler.restart(100)
         for part in pieces(rest + wire, data):
             out += b"".join(pumped(assembler, part, 1072, 101))
-        while ready := assembler.take_ready(1072, 101):
+        while ready := assembler.pop_ready(1072, 101):
             out += ready
         assert assembler.size() <= 4 or not wire
     assert out in (wire, rest[1024:] + wire)

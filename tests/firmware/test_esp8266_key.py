@@ -61,7 +61,7 @@ def test_host_and_device_with_one_key_agree_however_their_words_are_cut(from_hos
         connect(bridge)
         bridge.from_device(COMMAND)  # said before the link stands: it is not for this host
 
-        def say(data: bytes) -> bytes:
+        def exchange(data: bytes) -> bytes:
             for at in range(0, len(data), from_host):
                 bridge.from_host(data[at : at + from_host])
                 assert not bridge.turn(1, host_room=to_host) or data[at + from_host :] == b""
@@ -71,11 +71,11 @@ def test_host_and_device_with_one_key_agree_however_their_words_are_cut(from_hos
                 answer += b"".join(bridge.to_host())
             return answer
 
-        answer = say(MAGIC + RANDOM)
+        answer = exchange(MAGIC + RANDOM)
         assert len(answer) == ANSWER_BYTES
         device_random = answer[4:20]
         assert answer[20:] == proof(KEY, b"device", RANDOM, device_random)
-        assert say(proof(KEY, b"host", RANDOM, device_random)) == b""
+        assert exchange(proof(KEY, b"host", RANDOM, device_random)) == b""
         assert bridge.turn(1)
         bridge.from_host(COMMAND)
         for _ in range(5):
@@ -97,10 +97,10 @@ def test_what_the_host_sends_right_after_its_proof_reaches_the_device() -> None:
 
 @settings(deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=8), st.booleans())
-def test_nobody_without_the_key_reaches_the_device(said: list[bytes], begins_right: bool) -> None:
+def test_nobody_without_the_key_reaches_the_device(parts: list[bytes], begins_right: bool) -> None:
     with Bridge(KEY) as bridge:
         connect(bridge)
-        for part in [MAGIC + RANDOM] * begins_right + said:
+        for part in [MAGIC + RANDOM] * begins_right + parts:
             bridge.from_host(part)
             assert not bridge.turn(1)
         for _ in range(100):

@@ -122,7 +122,7 @@ class World:
 
     handle: int
     rows: list[np.ndarray] = field(default_factory=list)
-    asked: list[np.ndarray] = field(default_factory=list)  # a row to each of `rows`: left and right, ticks/s
+    commanded: list[np.ndarray] = field(default_factory=list)  # a row to each of `rows`: left and right, ticks/s
     command: tuple[float, float] = (0.0, 0.0)
     frames: list[Frame] = field(default_factory=list)
     stream: FrameStream = field(default_factory=FrameStream)
@@ -135,7 +135,7 @@ class World:
         out = np.zeros((ms // 10 + 1, _COLUMNS))
         count = library().world_run(self.handle, ms, out.ctypes.data_as(ctypes.POINTER(ctypes.c_double)), len(out))
         self.rows.append(out[:count])
-        self.asked.append(np.tile(wheel_speeds(*self.command), (count, 1)))
+        self.commanded.append(np.tile(wheel_speeds(*self.command), (count, 1)))
         data = ctypes.create_string_buffer(OUT_BYTES)
         size = library().world_sent(self.handle, data, OUT_BYTES)
         self.frames += [item for item in self.stream.feed(data.raw[:size]) if isinstance(item, Frame)]

@@ -78,7 +78,7 @@ async def test_roles_on_the_websocket() -> None:
             await watcher.send(op="call_service", service="/rosapi/set_param", args={"name": "a", "value": "1"})
             assert (await watcher.receive())["result"] is False
             assert "/robot_0/odometry" in (await watcher.call("/rosapi/topics"))["topics"]
-            assert host.hub.robots.find("robot_0").gate.holder is None
+            assert host.hub.robots.find("robot_0").gate.owner_name is None
         async with host.session.ws_connect(host.url, headers=bearer(DRIVE)) as socket:
             await Client(socket).send(op="publish", topic="/robot_0/velocity_commands", msg={"linear": {"x": 0.2}})
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)

@@ -26,13 +26,13 @@ def port_of(host: Daemon) -> int:
 
 
 @contextlib.asynccontextmanager
-async def connections(host: Daemon, count: int, said: bytes) -> AsyncIterator[list[asyncio.StreamReader]]:
+async def connections(host: Daemon, count: int, sent_bytes: bytes) -> AsyncIterator[list[asyncio.StreamReader]]:
     """So many connections to the API, each of which says this and then waits."""
     readers, writers = [], []
     try:
         for _ in range(count):
             reader, writer = await asyncio.open_connection("127.0.0.1", port_of(host))
-            writer.write(said)
+            writer.write(sent_bytes)
             readers.append(reader)
             writers.append(writer)
         yield readers
@@ -60,9 +60,9 @@ async def metric(host: Daemon, name: str) -> float:
     return float(next(line.rpartition(" ")[2] for line in lines if line.startswith(name)))
 
 
-@pytest.mark.parametrize("said", [b"", HALF, BODY_MISSING], ids=["nothing", "head", "body"])
-async def test_a_stop_gets_through_beside_connections_that_never_finish(said: bytes) -> None:
-    async with daemon(SMALL) as host, fake_device(host.tcp, robot_topics()), connections(host, 60, said):
+@pytest.mark.parametrize("sent_bytes", [b"", HALF, BODY_MISSING], ids=["nothing", "head", "body"])
+async def test_a_stop_gets_through_beside_connections_that_never_finish(sent_bytes: bytes) -> None:
+    async with daemon(SMALL) as host, fake_device(host.tcp, robot_topics()), connections(host, 60, sent_bytes):
         assert await stop(host) == 200
         assert await metric(host, 'hostlink_api_connections_closed_total{cause="evicted"}') >= 30
         assert await metric(host, "hostlink_api_connections ") <= 24
@@ -80,14 +80,14 @@ async def test_event_streams_leave_room_for_a_stop() -> None:
 
 
 async def test_who_reads_no_answer_gives_way() -> None:
-    asks = b"GET /api/openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 30
-    async with daemon(SMALL) as host, connections(host, 40, asks):
+    requests = b"GET /api/openapi.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 30
+    async with daemon(SMALL) as host, connections(host, 40, requests):
         assert await stop(host) == 200
 
 
-@pytest.mark.parametrize("said", [b"", HALF], ids=["nothing", "half"])
-async def test_half_a_head_ends_with_its_time(said: bytes) -> None:
-    async with daemon(IMPATIENT) as host, connections(host, 3, said) as readers:
+@pytest.mark.parametrize("sent_bytes", [b"", HALF], ids=["nothing", "half"])
+async def test_half_a_head_ends_with_its_time(sent_bytes: bytes) -> None:
+    async with daemon(IMPATIENT) as host, connections(host, 3, sent_bytes) as readers:
         for reader in readers:
             assert await closed(reader) == b""
         assert await metric(host, 'hostlink_api_connections_closed_total{cause="timeout"}') == 3
@@ -98,12 +98,12 @@ async def test_half_a_body_ends_with_its_time() -> None:
         async with connections(host, 3, BODY_MISSING) as readers:
             for reader in readers:
                 assert (await reader.readline()).startswith(b"HTTP/1.1 408 ")
-        await expect(lambda: host.hub.robots.find("robot_0").gate.holder is None)
+        await expect(lambda: host.hub.robots.find("robot_0").gate.owner_name is None)
 
 
 async def test_a_stop_does_not_wait_for_the_body_that_it_does_not_need() -> None:
-    said = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\n"
-    async with daemon() as host, connections(host, 1, said) as readers:
+    sent_bytes = b"POST /api/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 1000\r\n\r\n"
+    async with daemon() as host, connections(host, 1, sent_bytes) as readers:
         assert (await readers[0].readline()).startswith(b"HTTP/1.1 200 ")
         assert await closed(readers[0])  # the rest of the answer, then the end
 

@@ -25,12 +25,12 @@ FEW_LINES = 12  # of warnings in LOG_INTERVAL_S, for thousands of wrong requests
 OF_THE_ROBOT = {"robot.locked", "robot.unlocked", "link.diagnosed"}  # it sends nothing, which is diagnosed in time
 
 
-async def say(host: Daemon, said: bytes, *, quiet_s: float = QUIET_S) -> bytes:
+async def exchange(host: Daemon, sent_bytes: bytes, *, quiet_s: float = QUIET_S) -> bytes:
     """Say it on a connection of its own; returns the beginning of what came."""
     reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
     heard = b""
     try:
-        writer.write(said)
+        writer.write(sent_bytes)
         with contextlib.suppress(TimeoutError, ConnectionError):
             while len(heard) < 100_000:
                 async with asyncio.timeout(quiet_s):
@@ -52,8 +52,10 @@ async def open_connections(host: Daemon) -> float:
 async def test_a_header_that_is_no_text_is_refused(name: str) -> None:
     host_line = b"" if name == "Host" else b"Host: 127.0.0.1\r\n"
     async with daemon() as host:
-        said = b"GET /api/robots HTTP/1.1\r\n" + host_line + name.encode() + b": \xff\r\nConnection: close\r\n\r\n"
-        heard = await say(host, said, quiet_s=ANSWER_TIMEOUT_S)
+        sent_bytes = (
+            b"GET /api/robots HTTP/1.1\r\n" + host_line + name.encode() + b": \xff\r\nConnection: close\r\n\r\n"
+        )
+        heard = await exchange(host, sent_bytes, quiet_s=ANSWER_TIMEOUT_S)
     assert heard.startswith(b"HTTP/1.1 400 ")
     assert heard.endswith(f"the header {name} is no UTF-8".encode() + b'"}}')
 
@@ -124,10 +126,10 @@ async def test_no_request_is_an_error_of_the_daemon() -> None:
 
             async def some() -> None:
                 for _ in range(REQUESTS // AT_ONCE):
-                    said = draw_request(draw)
-                    heard = await say(host, said)
+                    sent_bytes = draw_request(draw)
+                    heard = await exchange(host, sent_bytes)
                     if b"HTTP/1.1 5" in heard and b"HTTP/1.1 503" not in heard:
-                        wrong.append((said[:500], heard[:500]))
+                        wrong.append((sent_bytes[:500], heard[:500]))
 
             async with asyncio.TaskGroup() as tasks:
                 for _ in range(AT_ONCE):
@@ -152,6 +154,6 @@ async def test_no_frame_of_a_web_socket_is_an_error_of_the_daemon() -> None:
                 for _ in range(100):
                     first = draw.choice((0x81, 0x82, 0x89, 0x88, draw.randrange(256)))
                     frame = bytes((first, draw.randrange(256))) + draw.randbytes(draw.randrange(64))
-                    tasks.create_task(say(host, head + frame * draw.choice((1, 3))))
+                    tasks.create_task(exchange(host, head + frame * draw.choice((1, 3))))
             assert (await host.rest("GET", "/api/clients"))[0] == 200
     assert [line for line in lines if "exc_info" in line] == [], f"HOSTLINK_SEED={seed}"

@@ -100,8 +100,8 @@ async def test_a_topic_with_another_md5_is_diagnosed_in_api_and_log_in_the_same_
                     diagnosis = (await host.get("/api/links"))["links"][-1]["diagnosis"]
     assert [each["code"] for each in diagnosis] == ["wrong_md5"]
     assert diagnosis[0]["detail"].startswith("/odd: wanted std_msgs/Bool")
-    told = [line for line in lines if line["event"] == "link.diagnosed"]
-    assert len(told) == 1
-    assert {key: told[0][key] for key in ("code", "cause", "next_step")} == {
+    reported = [line for line in lines if line["event"] == "link.diagnosed"]
+    assert len(reported) == 1
+    assert {key: reported[0][key] for key in ("code", "cause", "next_step")} == {
         key: diagnosis[0][key] for key in ("code", "cause", "next_step")
     }

@@ -69,7 +69,7 @@ async def test_a_robot_is_driven_until_the_block_is_left() -> None:
             for _ in range(10):  # at 10 Hz twice the length of a lease
                 assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
         assert await device.velocity_other_than((0.2, 0.5)) == ZERO
-        assert host.hub.robots.find("robot_0").gate.holder is None
+        assert host.hub.robots.find("robot_0").gate.owner_name is None
 
 
 async def test_stop_stops_and_nothing_is_repeated() -> None:
@@ -114,7 +114,7 @@ async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> N
         assert await refused(me) == "robot_0: its device is not connected"
 
 
-async def test_a_held_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
+async def test_a_repeated_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
@@ -128,7 +128,7 @@ async def test_a_held_velocity_that_is_overruled_is_dropped_and_the_next_drive_r
         assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.3)
 
 
-async def test_a_device_that_connects_again_is_not_driven_by_what_was_held_before() -> None:
+async def test_a_device_that_connects_again_is_not_driven_by_an_earlier_command() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
         await robot.drive(0.2, 0.0)
@@ -202,7 +202,7 @@ async def test_a_command_for_a_link_is_refused_when_the_device_has_connected_aga
             assert "its device has connected again since" in robot.refusal.reason
 
 
-async def test_a_lock_drops_what_another_script_holds_and_opening_it_moves_nothing() -> None:
+async def test_a_lock_drops_what_another_script_repeats_and_the_unlock_moves_nothing() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()),
@@ -215,11 +215,11 @@ async def test_a_lock_drops_what_another_script_holds_and_opening_it_moves_nothi
         await expect(lambda: not robot.is_driven)
         await he.robot("robot_0").unlock()
         assert "somebody stands there" in await refused(me)
-        assert host.hub.robots.find("robot_0").gate.holder is None
+        assert host.hub.robots.find("robot_0").gate.owner_name is None
         await robot.drive(0.2, 0.0)
 
 
-async def test_a_drive_that_is_cancelled_is_not_held() -> None:
+async def test_a_drive_that_is_cancelled_is_not_repeated() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0):
@@ -249,7 +249,7 @@ async def test_a_drive_that_makes_no_sense_is_answered_with_the_reason(
 
 async def test_odometry_gives_each_new_pose_once() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
-        seen: list[float] = []
+        observed: list[float] = []
         async with asyncio.timeout(5):
             async with asyncio.TaskGroup() as tasks:
 
@@ -257,15 +257,15 @@ async def test_odometry_gives_each_new_pose_once() -> None:
                     await expect(lambda: len(host.hub.robots.find("robot_0").followers) == 2)
                     for number in range(1, 6):
                         await device.send(pose(float(number)))
-                        await expect(lambda number=number: len(seen) == number)
+                        await expect(lambda number=number: len(observed) == number)
 
                 sending = tasks.create_task(send_poses())
                 async for odometry in me.robot("robot_0").odometry():
-                    seen.append(odometry["pose"]["x_m"])
-                    if len(seen) == 5:
+                    observed.append(odometry["pose"]["x_m"])
+                    if len(observed) == 5:
                         break
                 await sending
-    assert seen == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert observed == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 async def test_odometry_of_a_robot_that_nobody_knows_is_an_error() -> None:
@@ -276,13 +276,13 @@ async def test_odometry_of_a_robot_that_nobody_knows_is_an_error() -> None:
 
 async def test_watch_gives_what_the_daemon_shows_as_it_changes() -> None:
     async with daemon() as host, connect(host.url) as me:
-        seen: dict[str, object] = {}
+        observed: dict[str, object] = {}
         async with asyncio.timeout(5), contextlib.aclosing(me.watch()) as events:
             async for event in events:
-                seen[event.name] = event.data
-                if len(seen) == 3:
+                observed[event.name] = event.data
+                if len(observed) == 3:
                     break
-            assert seen.keys() == {"robots", "links", "clients"}
+            assert observed.keys() == {"robots", "links", "clients"}
             async with fake_device(host.tcp, robot_topics()) as device:
                 async for event in events:
                     if event.name == "robots" and event.data["robots"]:
@@ -334,7 +334,7 @@ async def test_two_subscriptions_of_one_topic_live_apart() -> None:
         assert host.hub.topics.find_or_none("/chat") is None
 
 
-async def test_a_reader_that_is_too_slow_loses_the_oldest_and_can_see_how_many() -> None:
+async def test_a_reader_that_is_too_slow_loses_the_oldest_and_can_count_them() -> None:
     async with (
         daemon() as host,
         connect(host.url) as me,
@@ -394,10 +394,10 @@ async def test_addresses_may_be_written_in_many_ways(change: str) -> None:
 
 
 async def test_a_token_goes_with_every_request() -> None:
-    seen: list[tuple[str, str]] = []
+    observed: list[tuple[str, str]] = []
 
     async def answer(request: web.Request) -> web.StreamResponse:
-        seen.append((request.path, request.headers.get("Authorization", "")))
+        observed.append((request.path, request.headers.get("Authorization", "")))
         if request.path == "/":
             socket = web.WebSocketResponse()
             await socket.prepare(request)
@@ -411,7 +411,7 @@ async def test_a_token_goes_with_every_request() -> None:
             await me.robots()
         async with connect(f"{url}/?token=other"):
             pass
-    assert seen == [("/", "Bearer secret"), ("/api/robots", "Bearer secret"), ("/", "Bearer other")]
+    assert observed == [("/", "Bearer secret"), ("/api/robots", "Bearer secret"), ("/", "Bearer other")]
 
 
 @pytest.mark.parametrize(

@@ -56,13 +56,13 @@ class World:
 
     async def stands(self) -> None:
         """The robot stands, in the daemon's view and in truth."""
-        await expect(lambda: self.known.gate.holder is None and self.known.gate.current.is_zero)
+        await expect(lambda: self.known.gate.owner_name is None and self.known.gate.current.is_zero)
         await expect(lambda: abs(self.body.speed_m_s) < STOPPED_M_S)
 
     async def stays(self, seconds: float = 0.4) -> None:
         """Nothing drives it by itself."""
         await expect_never(
-            lambda: self.known.gate.holder is not None or abs(self.body.speed_m_s) > STOPPED_M_S, for_s=seconds
+            lambda: self.known.gate.owner_name is not None or abs(self.body.speed_m_s) > STOPPED_M_S, for_s=seconds
         )
 
 
@@ -119,21 +119,21 @@ async def test_what_a_full_tunnel_delivers_late_moves_nothing() -> None:
         assert world.known.gate.counts.commands == commands
 
 
-@pytest.mark.parametrize("is_held", [True, False])
-async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_held: bool) -> None:
+@pytest.mark.parametrize("is_repeated", [True, False])
+async def test_a_stop_that_overtakes_commands_on_their_way_stops_for_good(is_repeated: bool) -> None:
     async with driven() as world:
-        if not is_held:
+        if not is_repeated:
             await world.robot.stop()
         world.line.set_line(Line.STALLS_SOCKETS)
         for _ in range(3):  # shorter than what counts as a loss
-            if not is_held:
+            if not is_repeated:
                 await world.robot.command(0.2, 0.0)
             await asyncio.sleep(0.1)
         await world.robot.stop()
         gate = world.known.gate
-        assert gate.holder is None
+        assert gate.owner_name is None
         world.line.set_line(Line.WORKS)
-        await expect(lambda: gate.holder is None and gate.current.is_zero)
+        await expect(lambda: gate.owner_name is None and gate.current.is_zero)
         await expect_never(lambda: not gate.current.is_zero, for_s=0.3)
         assert world.me.is_connected
 
@@ -154,7 +154,7 @@ async def test_during_the_cut_every_call_raises_at_once() -> None:
             assert time.monotonic() - began_s < 0.1
 
 
-async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_held() -> None:
+async def test_a_drive_that_is_under_way_when_the_line_dies_fails_and_is_not_repeated() -> None:
     async with driven() as world:
         world.line.set_line(Line.SWALLOWS)
         began_s = time.monotonic()

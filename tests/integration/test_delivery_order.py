@@ -153,11 +153,13 @@ def test_everybody_receives_the_messages_of_all_topics_in_one_order(edges: list[
         names = [f"/{number}" for number in range(4)]
         listen(graph, names, early)
         for number, (here, there) in enumerate(edges):
-            seen: list[bytes] = []
+            observed: list[bytes] = []
 
-            def relay(message: Message, number: int = number, there: int = there, seen: list[bytes] = seen) -> None:
-                if not seen:
-                    seen.append(message.payload)
+            def relay(
+                message: Message, number: int = number, there: int = there, observed: list[bytes] = observed
+            ) -> None:
+                if not observed:
+                    observed.append(message.payload)
                     graph.advertise(names[there], "test", type_name=TEXT_TYPE).publish(b"%d" % number, source="test")
 
             graph.subscribe(names[here], Subscriber(relay, "test", TEXT_TYPE, lambda _: None))

@@ -180,20 +180,20 @@ def test_a_bug_of_a_service_is_answered_and_ends_nobody() -> None:
     assert "ZeroDivisionError" in found["message"]
 
 
-def test_a_device_that_could_take_no_response_at_all_loses_its_link_and_is_told_to_wait_no_more() -> None:
+def test_a_device_whose_buffer_fits_no_response_loses_its_link_and_waits_no_more() -> None:
     provider = Provider("/go", "std_srvs/Trigger", "it", answering({"success": True}))
     found, after_s, end = outcome(trigger(buffer_bytes=12), TRIGGER_RESPONSE, provider)
     assert (found, end) == ("stopped", LinkEnd.UNANSWERABLE)
     assert after_s < 0.1
 
 
-def test_a_device_that_never_said_where_responses_go_loses_its_link_at_the_deadline() -> None:
+def test_a_device_that_never_announced_where_responses_go_loses_its_link_at_the_deadline() -> None:
     found, after_s, end = outcome(trigger()[:1], TRIGGER_RESPONSE)
     assert (found, end) == ("stopped", LinkEnd.UNANSWERABLE)
     assert after_s <= LATEST_S
 
 
-def test_a_robot_that_loses_its_link_so_is_told_to_stand_first() -> None:
+def test_a_robot_that_loses_its_link_so_receives_zero_first() -> None:
     velocity = topic(Id.SUBSCRIBER, 101, "/robot_0/velocity_commands", "geometry_msgs/Twist", buffer_bytes=64)
     odometry = topic(Id.PUBLISHER, 126, "/robot_0/odometry", "geometry_msgs/Pose2D")
     robot = [*trigger(buffer_bytes=12), velocity, odometry]
@@ -258,7 +258,7 @@ def test_two_clients_of_one_service_in_one_device_get_their_own_answers() -> Non
     assert run_virtual(run()) == [{"success": True, "message": ""}] * 3
 
 
-def test_a_device_that_was_asked_for_its_topics_meanwhile_hears_the_answer_to_its_newest_call_alone() -> None:
+def test_a_device_whose_topics_were_requested_meanwhile_receives_the_answer_to_its_newest_call_alone() -> None:
     began: list[int] = []
 
     async def first_is_slow(_: Mapping[str, object]) -> Mapping[str, object]:
@@ -325,7 +325,7 @@ def test_a_full_queue_of_replies_only_delays_the_answer() -> None:
     assert run_virtual(run()) == FAILED
 
 
-def test_a_flood_of_calls_costs_no_memory_and_the_device_hears_an_answer() -> None:
+def test_a_flood_of_calls_costs_no_memory_and_the_device_receives_an_answer() -> None:
     calls = 8_000
 
     async def run() -> tuple[int, int, int]:
@@ -379,7 +379,7 @@ def test_the_calls_of_one_device_are_bounded_and_each_is_answered() -> None:
     assert run_virtual(run()) == count - MAX_CALLS
 
 
-def test_a_device_that_leaves_takes_its_calls_with_it() -> None:
+def test_a_device_that_leaves_ends_its_calls() -> None:
     async def run() -> int:
         async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
             hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", never))

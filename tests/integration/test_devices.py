@@ -45,7 +45,7 @@ async def test_messages_of_one_topic_keep_their_order_and_none_is_lost() -> None
         assert [struct.unpack("<i", await device.frame(100))[0] for _ in range(10)] == list(range(10))
 
 
-async def test_a_message_of_one_device_reaches_another_that_takes_it() -> None:
+async def test_a_message_of_one_device_reaches_another_that_subscribes() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, [topic(Id.SUBSCRIBER, 100, "/alarm", "std_msgs/Bool")]) as listener,
@@ -114,9 +114,9 @@ async def test_a_wrong_md5_is_refused_and_named_and_the_other_topics_go_on() -> 
 
 
 async def test_a_type_that_nobody_defines_passes_as_bytes() -> None:
-    odd = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
+    uncommon = topic(Id.PUBLISHER, 125, "/odd", "std_msgs/Bool")._replace(type="my_msgs/Odd", md5="1" * 32)
     heard: asyncio.Queue[Message] = asyncio.Queue()
-    async with daemon() as host, fake_device(host.tcp, [odd]) as device:
+    async with daemon() as host, fake_device(host.tcp, [uncommon]) as device:
         subscribe(host.hub, "/odd", heard.put_nowait)
         await device.send(encode(125, b"raw"))
         message = await heard.get()
@@ -170,14 +170,14 @@ async def test_bad_bytes_cost_neither_their_device_nor_another(bad: bytes) -> No
     assert peak_bytes < 5_000_000
 
 
-async def test_a_device_that_publishes_before_it_was_asked_is_asked_once_and_then_understood() -> None:
+async def test_a_device_that_publishes_before_a_request_gets_one_request_and_is_then_understood() -> None:
     async with daemon() as host, fake_device(host.tcp) as device:
         for _ in range(30):
             await device.send(pose(0.0))
         await device.announce(robot_topics())
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-        assert (await host.get("/api/links"))["links"][0]["asks"] == 1
+        assert (await host.get("/api/links"))["links"][0]["topic_requests"] == 1
 
 
 async def test_protocol_1_is_named() -> None:

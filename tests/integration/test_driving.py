@@ -69,7 +69,7 @@ async def test_anybody_may_stop() -> None:
         assert await device.velocity() == ZERO
 
 
-async def test_a_lower_priority_is_refused_and_a_higher_one_takes_over() -> None:
+async def test_a_lower_priority_is_refused_and_a_higher_one_replaces_the_owner() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
         drive(host, "program")
@@ -85,7 +85,7 @@ async def test_idle_zeros_of_another_source_do_not_stop_who_drives() -> None:
         drive(host, "program")
         drive(host, "idle page", velocity=ZERO)
         assert await device.velocity() == CURVE
-        assert host.hub.robots.find("robot_0").gate.holder == "program"
+        assert host.hub.robots.find("robot_0").gate.owner_name == "program"
 
 
 async def test_numbers_that_are_none_never_reach_a_robot() -> None:
@@ -133,7 +133,7 @@ async def test_a_robot_that_comes_back_is_not_sent_what_was_meant_before() -> No
                     await device.velocity()
 
 
-async def test_a_robot_that_comes_back_while_its_old_link_looks_alive_replaces_it_at_once() -> None:
+async def test_a_robot_that_comes_back_while_its_old_link_seems_alive_replaces_it_at_once() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, robot_topics()) as old:
             await greeted(old)
@@ -163,7 +163,7 @@ async def test_two_robots_behind_one_address_live_side_by_side() -> None:
                 await second.velocity()
 
 
-async def test_another_address_that_tells_a_robots_name_has_a_number_and_is_told_what_to_configure() -> None:
+async def test_another_address_that_announces_a_robots_name_has_a_number_and_a_hint_what_to_configure() -> None:
     with capture_logs() as lines:
         async with daemon() as host, fake_device(host.tcp, robot_topics()) as owner:
             await greeted(owner)
@@ -227,7 +227,7 @@ async def test_a_lock_is_zero_past_every_ramp_and_refuses_everybody_until_it_is_
         assert await device.velocity_other_than(ZERO) == CURVE
 
 
-async def test_a_lock_holds_over_a_reconnect() -> None:
+async def test_a_lock_survives_a_reconnect() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()) as device:
             await greeted(device)
@@ -297,7 +297,7 @@ async def test_a_stop_brakes_as_gently_as_is_configured() -> None:
         assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
 
 
-async def test_priorities_are_taken_from_rest_and_shown() -> None:
+async def test_priorities_are_read_from_rest_and_shown() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0, "priority": 70}')
         assert (await host.get("/api/robots/robot_0"))["priority"] == 70
@@ -324,7 +324,7 @@ async def test_a_program_on_the_websocket_that_vanishes_leaves_a_standing_robot(
         assert [await device.velocity() for _ in range(2)] == [ZERO, ZERO]
 
 
-async def test_a_script_that_asks_rest_no_more_leaves_a_standing_robot() -> None:
+async def test_a_script_that_stops_calling_rest_leaves_a_standing_robot() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await greeted(device)
         await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')

@@ -103,7 +103,7 @@ async def test_each_has_its_own_poses(config: Config, second: str, names: tuple[
 
 
 @PLACES
-async def test_each_hears_its_own_commands(config: Config, second: str, names: tuple[str, str]) -> None:
+async def test_each_receives_its_own_commands(config: Config, second: str, names: tuple[str, str]) -> None:
     async with daemon(config) as host, two_alike(host, second=second) as devices:
         for device, name, velocity in zip(devices, names, (SLOW, FAST), strict=True):
             for by in ("velocity_commands", "cmd_vel"):
@@ -141,8 +141,8 @@ async def test_a_service_of_the_one_is_not_answered_by_the_other() -> None:
             assert answer["message"] == name
 
 
-async def test_a_service_that_each_asks_for_is_that_of_its_name_else_that_of_all() -> None:
-    async def ask(device: FakeDevice) -> bytes:
+async def test_a_service_that_each_calls_is_that_of_its_name_else_that_of_all() -> None:
+    async def call_empty(device: FakeDevice) -> bytes:
         await device.send(encode(128, b"\x01"))
         return (await device.frame(105))[5:]
 
@@ -152,13 +152,13 @@ async def test_a_service_that_each_asks_for_is_that_of_its_name_else_that_of_all
 
     async def answered(program: Any, device: FakeDevice, word: str) -> None:
         async with asyncio.TaskGroup() as tasks:
-            asking = tasks.create_task(ask(device))
+            calling = tasks.create_task(call_empty(device))
             call = await program.receive()
             values = {"success": True, "message": word}
             await program.send(
                 op="service_response", service=call["service"], id=call["id"], values=values, result=True
             )
-        assert asking.result() == word.encode()
+        assert calling.result() == word.encode()
 
     async with daemon(CONFIGURED) as host, two_alike(host, second=OTHER) as (one, other), client(host) as program:
         await offer(program, "/robot_0/ask")
@@ -178,7 +178,7 @@ async def test_a_parameter_is_that_of_its_name_else_that_of_all() -> None:
             assert decode_parameter(await device.frame(Id.PARAMETER)) == ((gain,), (), ())
 
 
-async def test_limits_hold_for_every_robot_that_tells_the_name() -> None:
+async def test_limits_apply_to_every_robot_that_announces_the_name() -> None:
     config = Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.2, odom_topic="/odom")})
     async with daemon(config) as host, two_alike(host):
         for name in ("robot_0", "robot_0_2"):
@@ -187,7 +187,7 @@ async def test_limits_hold_for_every_robot_that_tells_the_name() -> None:
         assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
 
 
-async def test_one_that_comes_back_while_its_old_link_looks_alive_has_its_name_and_its_lock() -> None:
+async def test_one_that_comes_back_while_its_old_link_seems_alive_has_its_name_and_its_lock() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics(), local_host=ONE) as old,
@@ -236,8 +236,8 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
             await expect(lambda: host.hub.robots.find("robot_0").link)
             host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
         async with (
-            fake_device(host.tcp, robot_topics(), local_host=OTHER) as taker,
-            talking(taker, 1.0),
+            fake_device(host.tcp, robot_topics(), local_host=OTHER) as driver,
+            talking(driver, 1.0),
             fake_device(host.tcp, robot_topics(), local_host="127.0.0.4"),
         ):
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
@@ -260,7 +260,7 @@ async def test_one_that_is_surely_another_is_not_locked() -> None:
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
-async def test_what_a_device_says_while_it_is_not_known_who_it_is_is_heard_later() -> None:
+async def test_what_a_device_sends_before_it_is_identified_is_delivered_later() -> None:
     heard: list[float] = []
     async with daemon() as host, fake_device(host.tcp, robot_topics()):
         await expect(lambda: host.hub.robots.find("robot_0").link)
@@ -272,7 +272,7 @@ async def test_what_a_device_says_while_it_is_not_known_who_it_is_is_heard_later
     assert heard == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 
-async def test_a_robot_that_drives_and_tells_its_topics_without_its_odometry_is_stopped() -> None:
+async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry_is_stopped() -> None:
     """As when a TopicInfo is lost on the way: nobody could stop it any more."""
 
     async def drive() -> None:

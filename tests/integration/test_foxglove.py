@@ -15,7 +15,7 @@ from tests.support.waiting import expect
 NODES = "/rosapi/nodes"
 
 
-async def look(player: Client) -> dict[str, tuple[str, str]]:
+async def read_graph(player: Client) -> dict[str, tuple[str, str]]:
     """Name -> type and definition, as it asks for them every three seconds."""
     raw = await player.call("/rosapi/topics_and_raw_types")
     columns = (raw["topics"], raw["types"], raw["typedefs_full_text"])
@@ -39,10 +39,10 @@ async def subscribed(host: Daemon, names: list[str]) -> None:
     await expect(is_so)
 
 
-async def test_a_player_shows_a_robot_by_what_it_is_told_alone() -> None:
+async def test_a_player_shows_a_robot_by_the_protocol_alone() -> None:
     wanted = ["/robot_0/odometry", "/robot_0/odom", "/tf", "/rosout"]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host, level="none") as player:
-        graph = await look(player)
+        graph = await read_graph(player)
         assert "rosgraph_msgs/Log" in {type_name for type_name, _ in graph.values()}  # how it knows ROS 1
         assert "/clock" not in graph
         reader = reader_of(graph)
@@ -61,7 +61,7 @@ async def test_a_player_shows_a_robot_by_what_it_is_told_alone() -> None:
     assert (read["/rosout"].level, read["/rosout"].msg) == (4, "warm")
 
 
-async def test_the_graph_is_looked_at_while_messages_flow() -> None:
+async def test_the_graph_is_read_while_messages_flow() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host, level="none") as player:
         await player.send(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
         await subscribed(host, ["/robot_0/odometry"])
@@ -83,11 +83,11 @@ async def test_the_graph_is_looked_at_while_messages_flow() -> None:
     assert len(frames) - len(answers) == 3
 
 
-async def test_a_topic_that_comes_while_it_looks_is_there_at_the_next_look() -> None:
+async def test_a_topic_that_appears_during_a_query_is_in_the_next_one() -> None:
     async with daemon() as host, client(host, level="none") as player:
         await player.send(op="subscribe", topic="/robot_0/odometry", compression="cbor-raw")
-        assert set(await look(player)) == {"/rosout"}
+        assert set(await read_graph(player)) == {"/rosout"}
         async with fake_device(host.tcp, robot_topics()) as device:
-            assert (await look(player))["/robot_0/odometry"][0] == "geometry_msgs/Pose2D"
+            assert (await read_graph(player))["/robot_0/odometry"][0] == "geometry_msgs/Pose2D"
             await device.send(pose(7.0))
             assert (await player.receive_binary())["topic"] == "/robot_0/odometry"

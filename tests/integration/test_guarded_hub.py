@@ -24,18 +24,18 @@ CONFIG = Config(tcp=TcpConfig(host="127.0.0.1", port=0), api=ApiConfig(port=0))
 class Guard:
     """Remembers what it was told."""
 
-    said: list[tuple[object, ...]] = field(default_factory=list)
+    calls: list[tuple[object, ...]] = field(default_factory=list)
     connections: dict[int, Callable[[], int | None]] = field(default_factory=dict)
 
     def watch(
         self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
     ) -> None:
-        self.said.append(("watch", number, *topic_ids, claim_bytes))
+        self.calls.append(("watch", number, *topic_ids, claim_bytes))
         self.connections[number] = connection
 
     def release(self, number: int) -> None:
         if self.connections.pop(number, None) is not None:
-            self.said.append(("release", number))
+            self.calls.append(("release", number))
 
 
 @contextlib.asynccontextmanager
@@ -54,47 +54,47 @@ async def announce_again(device: FakeDevice, topics: list[TopicInfo]) -> None:
 async def test_a_robot_is_watched_from_its_appearance_to_its_end() -> None:
     async with guarded() as (guard, _, address):
         async with fake_device(address, robot_topics()) as device:
-            await expect(lambda: guard.said == [("watch", 1, 100, 512)])
+            await expect(lambda: guard.calls == [("watch", 1, 100, 512)])
             descriptor = guard.connections[1]()
             assert descriptor is not None
             with socket.socket(fileno=os.dup(descriptor)) as same:
                 assert same.getpeername() == device._writer.get_extra_info("sockname")
-        await expect(lambda: guard.said[-1] == ("release", 1))
+        await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
 async def test_a_second_velocity_topic_is_watched_too() -> None:
     second = topic(Id.SUBSCRIBER, 107, "/robot_0/arm_vel", "geometry_msgs/Twist")
     async with guarded() as (guard, _, address):
         async with fake_device(address, [second, *robot_topics()]):
-            await expect(lambda: guard.said[-1:] == [("watch", 1, 100, 107, 512)])
-        await expect(lambda: guard.said[-1] == ("release", 1))
+            await expect(lambda: guard.calls[-1:] == [("watch", 1, 100, 107, 512)])
+        await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
 async def test_a_device_that_is_no_robot_is_not() -> None:
     async with guarded() as (guard, hub, address):
         async with fake_device(address, [topic(Id.PUBLISHER, 125, "/scan", "sensor_msgs/LaserScan")]):
             await expect(lambda: hub.topics.find_or_none("/scan"))
-        assert guard.said == []
+        assert guard.calls == []
 
 
-async def test_the_guard_hears_of_another_id_and_of_larger_frames() -> None:
+async def test_the_guard_is_notified_of_another_id_and_of_larger_frames() -> None:
     async with guarded() as (guard, _, address), fake_device(address, robot_topics()) as device:
-        await expect(lambda: guard.said)
+        await expect(lambda: guard.calls)
         odometry, velocity, reset = robot_topics()
         await announce_again(device, [odometry, velocity._replace(topic_id=104), reset._replace(buffer_bytes=2048)])
-        await expect(lambda: guard.said[-1] == ("watch", 1, 104, 2048))
+        await expect(lambda: guard.calls[-1] == ("watch", 1, 104, 2048))
 
 
 async def test_a_device_that_is_a_robot_no_more_is_released() -> None:
     async with guarded() as (guard, _, address), fake_device(address, robot_topics()) as device:
-        await expect(lambda: guard.said)
+        await expect(lambda: guard.calls)
         await announce_again(device, [robot_topics()[0]._replace(name="/robot_0/map")])  # another sketch, no lost frame
-        await expect(lambda: guard.said[-1] == ("release", 1))
+        await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
 async def test_a_robot_that_comes_back_is_watched_on_its_new_connection_alone() -> None:
     async with guarded() as (guard, _, address), fake_device(address, robot_topics()):
-        await expect(lambda: guard.said)
+        await expect(lambda: guard.calls)
         async with fake_device(address, robot_topics()) as again:
             await again.send(pose(1.0))
             await expect(lambda: list(guard.connections) == [2])
@@ -104,10 +104,10 @@ async def test_a_robot_that_comes_back_is_watched_on_its_new_connection_alone() 
 async def test_every_end_of_a_link_releases_it(end: str) -> None:
     config = replace(CONFIG, link=LinkConfig(idle_timeout_s=0.3, silence_timeout_s=0.3))
     async with guarded(config) as (guard, _, address), fake_device(address, robot_topics()) as device:
-        await expect(lambda: guard.said)
+        await expect(lambda: guard.calls)
         if end == "hang_up":
             device.hang_up()
-        await expect(lambda: guard.said[-1] == ("release", 1))
+        await expect(lambda: guard.calls[-1] == ("release", 1))
 
 
 async def test_a_daemon_without_a_guard_works_alike() -> None:

@@ -88,12 +88,12 @@ def memory_kib(number: int) -> dict[str, int]:
     return {line.split(":")[0]: int(line.split()[1]) for line in lines if line.endswith("kB")}
 
 
-def held(ours: Guardian) -> int:
+def guarded(ours: Guardian) -> int:
     """How many connections it holds; -1 while it starts."""
-    return held_by(pid(ours))
+    return guarded_by(pid(ours))
 
 
-def held_by(number: int) -> int:
+def guarded_by(number: int) -> int:
     is_ready = Path(f"/proc/{number}/comm").read_text() == "guardian\n"
     return len(list(Path(f"/proc/{number}/fd").iterdir())) - 4 if is_ready else -1
 
@@ -112,7 +112,7 @@ async def test_every_velocity_topic_of_a_device_is_stopped() -> None:
     with connections(1) as (peer,):
         async with guardian() as ours:
             ours.watch(1, peer.ours.fileno, topic_ids=(100, 107), claim_bytes=0)
-            await expect(lambda: held(ours) == 1)
+            await expect(lambda: guarded(ours) == 1)
             ours.abandon()
         zeros = zero_frame(100) + b"\0" + zero_frame(107)
         assert peer.read_all()[0] == 3 * zeros + STOP_REQUEST
@@ -144,7 +144,7 @@ async def test_a_released_connection_is_closed_and_nothing_is_written_to_it() ->
     with connections(2) as peers:
         async with guardian() as ours:
             watch(ours, peers)
-            await expect(lambda: held(ours) == 2)
+            await expect(lambda: guarded(ours) == 2)
             ours.release(0)
             peers[0].ours.close()
             assert peers[0].read_all()[0] == b""  # its end came, so nobody holds it
@@ -169,7 +169,7 @@ async def test_two_hundred_robots_stop_at_once_and_one_that_reads_nothing_delays
             with contextlib.suppress(BlockingIOError):
                 while True:
                     peers[0].ours.send(bytes(65536))
-            await expect(lambda: held(ours) == ROBOTS, timeout_s=20)
+            await expect(lambda: guarded(ours) == ROBOTS, timeout_s=20)
             for peer in peers:
                 peer.ours.close()
             assert ours._channel is not None
@@ -193,18 +193,18 @@ async def test_what_a_device_goes_on_sending_does_not_reset_its_connection_befor
         assert peer.read_all()[0] == SEQUENCE
 
 
-async def test_a_guardian_that_is_killed_is_replaced_by_one_that_holds_everything_again() -> None:
+async def test_a_guardian_that_is_killed_is_replaced_by_one_that_guards_everything_again() -> None:
     with connections(3) as peers, capture_logs() as lines:
         async with guardian() as ours:
             watch(ours, peers)
-            await expect(lambda: held(ours) == 3)
+            await expect(lambda: guarded(ours) == 3)
             first = pid(ours)
             os.kill(first, signal.SIGKILL)
             await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) == 2)
             assert pid(ours) != first
             for peer in peers:
                 peer.ours.setblocking(False)
-            await expect(lambda: held(ours) == 3)
+            await expect(lambda: guarded(ours) == 3)
             for peer in peers:
                 peer.ours.close()
             ours.abandon()
@@ -219,7 +219,7 @@ async def test_a_guardian_that_does_not_answer_is_replaced() -> None:
             os.kill(pid(ours), signal.SIGSTOP)
             watch(ours, [peer])
             await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) == 2)
-            await expect(lambda: held(ours) == 1)
+            await expect(lambda: guarded(ours) == 1)
     assert next(line for line in lines if line["event"] == "guardian.ended")["reason"] == "stuck"
 
 
@@ -239,12 +239,12 @@ async def test_a_stopped_guardian_delays_no_link_and_no_goodbye() -> None:
             assert peer.read_all()[0] == b""
 
 
-async def test_a_guardian_without_descriptors_says_so_and_stops_those_that_it_has() -> None:
+async def test_a_guardian_without_descriptors_reports_it_and_stops_those_that_it_has() -> None:
     with connections(3) as peers, capture_logs() as lines:
         async with guardian(ping_s=0.02) as ours:
-            await expect(lambda: held(ours) == 0)
+            await expect(lambda: guarded(ours) == 0)
             watch(ours, peers[:1])
-            await expect(lambda: held(ours) == 1)
+            await expect(lambda: guarded(ours) == 1)
             resource.prlimit(pid(ours), resource.RLIMIT_NOFILE, (5, 5))  # numbers 3 and 4
             watch(ours, peers)
             await expect(lambda: any(line["event"] == "guardian.incomplete" for line in lines))
@@ -253,7 +253,7 @@ async def test_a_guardian_without_descriptors_says_so_and_stops_those_that_it_ha
             ours.abandon()
         assert peers[0].read_all()[0] == SEQUENCE
     incomplete = [line for line in lines if line["event"] == "guardian.incomplete"]
-    assert [(line["held"], line["robots"]) for line in incomplete] == [(2, 3)]
+    assert [(line["connections"], line["robots"]) for line in incomplete] == [(2, 3)]
 
 
 async def test_a_daemon_without_descriptors_starts_its_guardian_when_it_has_some() -> None:
@@ -268,26 +268,26 @@ async def test_a_daemon_without_descriptors_starts_its_guardian_when_it_has_some
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
         assert [line["event"] for line in lines] == ["guardian.missing"]
         await expect(lambda: any(line["event"] == "guardian.started" for line in lines))
-        await expect(lambda: held(ours) == 1)
+        await expect(lambda: guarded(ours) == 1)
         ours.goodbye()
 
 
-@pytest.mark.parametrize("says_goodbye", [True, False])
-async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*, says_goodbye: bool) -> None:
+@pytest.mark.parametrize("is_orderly", [True, False])
+async def test_answers_that_the_daemon_did_not_read_do_not_hide_its_last_words(*, is_orderly: bool) -> None:
     """The kernel tells of them before it gives out what still waits: ECONNRESET."""
     with connections() as (peer,):
         channel, process = _spawn()
         with channel:
             socket.send_fds(channel, [encode_watch(1, (100,), 0)], [peer.ours.fileno()])
             channel.send(encode_ping())
-            await expect(lambda: held_by(process.pid) == 1)
+            await expect(lambda: guarded_by(process.pid) == 1)
             await asyncio.sleep(0.05)  # the answer waits
             os.kill(process.pid, signal.SIGSTOP)
-            if says_goodbye:
+            if is_orderly:
                 channel.send(encode_goodbye())
         peer.ours.close()
         os.kill(process.pid, signal.SIGCONT)
-        assert peer.read_all()[0] == (b"" if says_goodbye else SEQUENCE)
+        assert peer.read_all()[0] == (b"" if is_orderly else SEQUENCE)
         assert process.wait(5) == 0
 
 
@@ -305,13 +305,13 @@ async def test_signals_to_the_whole_group_or_service_do_not_end_it() -> None:
 
 async def test_it_has_no_descriptor_but_its_own_and_little_memory() -> None:
     async with guardian() as ours:
-        await expect(lambda: held(ours) == 0)
+        await expect(lambda: guarded(ours) == 0)
         assert descriptors(pid(ours)) == ["/dev/null", "/dev/null", "/dev/null", "socket"]
         sizes = memory_kib(pid(ours))
         with connections(ROBOTS) as peers:  # more memory for more robots, and for longer frames, would be too much
             for number, peer in enumerate(peers):
                 ours.watch(number, peer.ours.fileno, topic_ids=(100 + number,), claim_bytes=65543)
-            await expect(lambda: held(ours) == ROBOTS)
+            await expect(lambda: guarded(ours) == ROBOTS)
             with_robots = memory_kib(pid(ours))
         assert with_robots["Rss"] < MOST_KIB
         print(f"with {ROBOTS} robots {with_robots['Rss']} KiB")  # noqa: T201

@@ -32,7 +32,7 @@ async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:
     assert await device.velocity_other_than(ZERO) == CURVE
 
 
-async def hears_zero_and_is_cut(device: FakeDevice) -> None:
+async def receives_zero_and_is_cut(device: FakeDevice) -> None:
     assert await device.velocity_other_than(CURVE) == ZERO
     await device.closed()
 
@@ -63,13 +63,13 @@ async def test_a_crash_in_a_link_stops_its_robot_and_no_other(
         await is_driven(host, "a", one)
         host.hub._device_events._reactions[events.DeviceLogged] = crash
         await one.send(encode(Id.LOG, b"\x01\x02\x00\x00\x00hi"))
-        await hears_zero_and_is_cut(one)
+        await receives_zero_and_is_cut(one)
         await is_driven(host, "b", other)
     assert crashes(logged) == ["link.crashed"]
 
 
 async def test_a_crash_of_a_subscriber_ends_its_participant_alone(logged: list[dict[str, object]]) -> None:
-    seen = []
+    observed = []
 
     def crash(_: Message) -> None:
         raise KeyError("theta")
@@ -77,10 +77,10 @@ async def test_a_crash_of_a_subscriber_ends_its_participant_alone(logged: list[d
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         subscribe(host.hub, "/robot_0/odometry", crash, name="client 1")
-        subscribe(host.hub, "/robot_0/odometry", seen.append, name="client 2")
+        subscribe(host.hub, "/robot_0/odometry", observed.append, name="client 2")
         for number in range(5):
             await device.send(pose(number))
-        await expect(lambda: len(seen) == 5)
+        await expect(lambda: len(observed) == 5)
         await is_driven(host, "robot_0", device)
         assert host.hub.isolation.crashes == {"participant": 1}  # then it is no subscriber any more
     assert [line["participant"] for line in logged if line["event"] == "participant.crashed"] == ["client 1"]
@@ -99,7 +99,7 @@ async def test_a_crash_in_a_robots_gate_ends_its_link_alone(logged: list[dict[st
         await is_driven(host, "a", one)
         await is_driven(host, "b", other)
         host.hub.robots.find("a").gate.step = crash  # type: ignore[method-assign, assignment]
-        await hears_zero_and_is_cut(one)
+        await receives_zero_and_is_cut(one)
         await is_driven(host, "b", other)
     assert "robot.crashed" in crashes(logged)
 
@@ -151,19 +151,19 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
         fake_device(host.tcp, local_host=OTHER) as silent,
     ):
         await expect(lambda: host.hub.robots.find("robot_0").link)
-        held = []
+        opened = []
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, usual[1]))
         try:
             with contextlib.suppress(OSError):  # too many open files
                 while True:
-                    held.append(os.open("/dev/null", os.O_RDONLY))
-            assert held
+                    opened.append(os.open("/dev/null", os.O_RDONLY))
+            assert opened
             await silent.send(b"nonsense" * 100)
             await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links()), timeout_s=15)
             await is_driven(host, "robot_0", device)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, usual)
-            for descriptor in held:
+            for descriptor in opened:
                 os.close(descriptor)
         assert not host.hub.isolation.crashes
 
@@ -176,15 +176,15 @@ async def test_a_link_that_ends_from_here_leaves_a_standing_robot(cause: str) ->
         await is_driven(host, "robot_0", device)
         link = host.hub.links()[0]
         if cause == "idle":
-            link.heard_at_s -= 60.0
+            link.received_at_s -= 60.0
             link.wake()
-            await hears_zero_and_is_cut(device)
+            await receives_zero_and_is_cut(device)
         else:
             async with fake_device(host.tcp, robot_topics()):
-                await hears_zero_and_is_cut(device)
+                await receives_zero_and_is_cut(device)
 
 
-async def test_names_asked_in_vain_are_not_kept(logged: list[dict[str, object]]) -> None:
+async def test_names_requested_in_vain_are_not_kept(logged: list[dict[str, object]]) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         for number in range(2000):
             name = f"/{number}/{'x' * 200}".encode()

@@ -25,7 +25,7 @@ class Keys:
     def __init__(self, driving: Driving, driver: KeyDriver) -> None:
         self.driving, self.driver = driving, driver
 
-    async def hold(self, name: str, seconds: float) -> None:
+    async def press(self, name: str, seconds: float) -> None:
         """The key repeats, and what is due is sent."""
         now_s = asyncio.get_running_loop().time
         until_s = now_s() + seconds
@@ -44,9 +44,9 @@ async def at_the_keys(host: Daemon, url: str = "") -> AsyncIterator[Keys]:
             yield Keys(driving, KeyDriver(robot, driving, watched))
 
 
-async def test_a_held_key_drives_and_at_the_end_comes_zero() -> None:
+async def test_a_pressed_key_drives_and_at_the_end_comes_zero() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, at_the_keys(host) as keys:
-        await keys.hold("w", 0.3)
+        await keys.press("w", 0.3)
         assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
         keys.driving.stop()
         await keys.driver.finish()
@@ -54,30 +54,30 @@ async def test_a_held_key_drives_and_at_the_end_comes_zero() -> None:
         assert keys.driver.refusal == ""
 
 
-async def test_a_device_that_connects_again_is_not_driven_by_a_key_that_is_still_held() -> None:
+async def test_a_device_that_connects_again_is_not_driven_by_a_key_that_is_still_pressed() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), at_the_keys(host) as keys:
-        await keys.hold("w", 0.2)
+        await keys.press("w", 0.2)
         first = host.hub.robots.find("robot_0").link
         async with fake_device(host.tcp, robot_topics()) as new:
             await expect(lambda: host.hub.robots.find("robot_0").link not in (None, first))
             commands = host.hub.robots.find("robot_0").gate.counts.commands
-            await keys.hold("w", 2 * LEASE_S)
+            await keys.press("w", 2 * LEASE_S)
             assert "its device has connected again since" in keys.driver.refusal
             assert host.hub.robots.find("robot_0").gate.current.is_zero
             zeros = host.hub.robots.find("robot_0").gate.counts.commands - commands
             assert zeros <= 3
             await asyncio.sleep(2 * HOLD_S)
-            await keys.hold("w", 0.2)  # pressed again
+            await keys.press("w", 0.2)  # pressed again
             assert await new.velocity_other_than(ZERO) == (0.2, 0.0)
-            await keys.hold("w", 0.2)
+            await keys.press("w", 0.2)
             assert keys.driver.refusal == ""
 
 
 async def drive_until_the_line_dies(host: Daemon, line: Proxy) -> None:
     async with at_the_keys(host, line.url) as keys:
-        await keys.hold("w", 0.2)
+        await keys.press("w", 0.2)
         line.set_line(Line.STALLS)
-        await keys.hold("w", 2.0)
+        await keys.press("w", 2.0)
 
 
 async def test_commands_that_a_network_delivers_late_move_nothing() -> None:
@@ -89,7 +89,7 @@ async def test_commands_that_a_network_delivers_late_move_nothing() -> None:
         with pytest.raises(HostlinkError, match="nothing was heard"):
             await drive_until_the_line_dies(host, line)
         gate = host.hub.robots.find("robot_0").gate
-        await expect(lambda: gate.holder is None)
+        await expect(lambda: gate.owner_name is None)
         commands = gate.counts.commands
         await asyncio.sleep(1.2 * LEASE_S)
         line.set_line(Line.WORKS)

@@ -61,13 +61,13 @@ async def test_a_device_with_another_key_is_closed_and_counted(config: Config) -
 
 
 @pytest.mark.parametrize(
-    "said",
+    "sent_bytes",
     [bytes(ANSWER_BYTES), TOPICS_REQUEST * 10, b"HLK1" + bytes(ANSWER_BYTES)],
     ids=["zeros", "rosserial", "more"],
 )
-async def test_whoever_says_something_else_is_closed(config: Config, said: bytes) -> None:
+async def test_whoever_sends_something_else_is_closed(config: Config, sent_bytes: bytes) -> None:
     async with daemon(config) as host, connection(host.tcp) as (reader, writer):
-        writer.write(said)
+        writer.write(sent_bytes)
         assert len(await reader.read()) == 20  # the challenge, and no request for topics
         assert host.hub.refused == {"no_key": 1}
 
@@ -88,7 +88,7 @@ async def wait_for_a_silent_device() -> tuple[list[str], float]:
     return causes, asyncio.get_running_loop().time()
 
 
-def test_a_device_that_says_nothing_is_given_up() -> None:
+def test_a_silent_device_is_given_up() -> None:
     assert run_virtual(wait_for_a_silent_device()) == (["no_key"], PROOF_TIMEOUT_S)
 
 

@@ -55,20 +55,20 @@ def known(hub: Hub) -> list[str]:
     return [robot.name for robot in hub.robots.all()]
 
 
-def entries(thing: object, seen: set[int] | None = None) -> int:
+def entries(thing: object, observed: set[int] | None = None) -> int:
     """How much the containers of an object hold, with those of the project's objects in it."""
-    seen = set() if seen is None else seen
-    if id(thing) in seen or isinstance(thing, (str, bytes, type)):
+    observed = set() if observed is None else observed
+    if id(thing) in observed or isinstance(thing, (str, bytes, type)):
         return 0
-    seen.add(id(thing))
+    observed.add(id(thing))
     if isinstance(thing, dict):
-        return len(thing) + sum(entries(each, seen) for pair in thing.items() for each in pair)
+        return len(thing) + sum(entries(each, observed) for pair in thing.items() for each in pair)
     if isinstance(thing, (list, tuple, set, frozenset, deque)):
-        return len(thing) + sum(entries(each, seen) for each in thing)
+        return len(thing) + sum(entries(each, observed) for each in thing)
     if not type(thing).__module__.startswith("hostlink.") or isinstance(thing, (Catalog, MessageType, Config)):
         return 0
     fields = [*getattr(thing, "__dict__", {}), *getattr(type(thing), "__slots__", ())]
-    return sum(entries(getattr(thing, name, None), seen) for name in fields)
+    return sum(entries(getattr(thing, name, None), observed) for name in fields)
 
 
 def test_a_crowd_that_came_and_left_is_forgotten() -> None:
@@ -148,7 +148,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
         for number in range(MAX_AWAY + 10):
             hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="test")
             await visit(hub, robot_topics(f"crowd_{number}"))
-        assert robot.gate.holder == "test"
+        assert robot.gate.owner_name == "test"
         await device.aclose()
 
     with_hub(check)
@@ -171,7 +171,7 @@ def test_the_first_robot_has_the_plain_frames_and_another_only_when_it_is_forgot
     with_hub(check, Config(link=LinkConfig(forget_robot_after_s=FORGET_S)))
 
 
-def test_a_board_that_reboots_says_nothing_of_another_behind_its_address() -> None:
+def test_a_board_that_reboots_proves_nothing_about_another_behind_its_address() -> None:
     def codes(hub: Hub, device: ScriptedDevice) -> set[str]:
         return {each.code for each in hub.diagnoses.of(device.link)}
 

@@ -21,7 +21,7 @@ VELOCITY_LAST = [
 ]
 
 
-def told(infos: list[TopicInfo]) -> bytes:
+def announced(infos: list[TopicInfo]) -> bytes:
     return (
         encode(Id.TIME, bytes(8))
         + b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
@@ -30,7 +30,7 @@ def told(infos: list[TopicInfo]) -> bytes:
 
 
 def without_velocity(infos: list[TopicInfo]) -> bytes:
-    return told([info for info in infos if info.type != "geometry_msgs/Twist"])
+    return announced([info for info in infos if info.type != "geometry_msgs/Twist"])
 
 
 async def velocity(device: FakeDevice, topic_id: int, *, other_than: bytes) -> bytes:
@@ -47,22 +47,24 @@ async def moving(host: Daemon, device: FakeDevice, topic_id: int) -> bytes:
 
 
 @pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
-async def test_a_stop_still_reaches_it_and_it_is_asked_again(infos: list[TopicInfo], topic_id: int) -> None:
+async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again(
+    infos: list[TopicInfo], topic_id: int
+) -> None:
     async with daemon() as host, fake_device(host.tcp, infos) as device:
         driven = await moving(host, device, topic_id)
-        asks = host.hub.links()[0].session.counts.asks
+        topic_requests = host.hub.links()[0].session.counts.topic_requests
         await device.send(without_velocity(infos))
         await expect(lambda: host.hub.links()[0].session.counts.negotiations == 2)
         assert (await host.rest("POST", "/api/stop"))[0] == 200
         assert await velocity(device, topic_id, other_than=driven) == bytes(48)
-        await expect(lambda: host.hub.links()[0].session.counts.asks > asks)
-        await device.send(told(infos))
+        await expect(lambda: host.hub.links()[0].session.counts.topic_requests > topic_requests)
+        await device.send(announced(infos))
         await expect(lambda: host.hub.links()[0].session.counts.negotiations == 3)
         assert await moving(host, device, topic_id) == driven
 
 
 @pytest.mark.parametrize(("infos", "topic_id"), [(VELOCITY_FIRST, 100), (VELOCITY_LAST, 101)])
-async def test_one_that_never_tells_it_again_hears_zero_before_it_is_no_robot_any_more(
+async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_robot_any_more(
     infos: list[TopicInfo], topic_id: int
 ) -> None:
     async with daemon() as host, fake_device(host.tcp, infos) as device:

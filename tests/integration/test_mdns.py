@@ -39,14 +39,14 @@ async def test_a_daemon_is_found_by_its_service_and_no_longer_when_it_has_stoppe
         await network.async_close()
 
 
-async def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_the_library_it_prints_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)  # as where it is not installed
     with pytest.raises(ConfigError, match=r"tcp.mdns: needs zeroconf: pip install 'hostlink\[mdns\]'"):
         async with advertised(MDNS, ("127.0.0.1", 1)):
             raise AssertionError("it tells the network")
 
 
-async def test_nothing_is_told_unless_it_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_nothing_is_announced_unless_configured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zeroconf", None)
     async with advertised(replace(MDNS, mdns=False), ("127.0.0.1", 1)):
         assert asyncio.get_running_loop().is_running()

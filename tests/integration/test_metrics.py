@@ -37,31 +37,31 @@ async def test_links_robots_and_clients() -> None:
         await device.send(b"noise" + pose(1.0, 2.0, 0.5))
         await program.receive()
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
-        seen = await metrics(host)
-        assert seen["hostlink_links[]"] == 1
-        assert seen["hostlink_robot_connected[('robot', 'robot_0')]"] == 1
-        assert seen["hostlink_robot_poses_total[('robot', 'robot_0')]"] == 1
-        assert seen["hostlink_link_frames_from_device_total" + device_labels] == 6
-        assert seen["hostlink_link_skipped_bytes_total" + device_labels] == 5
-        assert seen["hostlink_clients[('kind', 'rosbridge')]"] == 1
-        assert seen["hostlink_device_to_client_seconds_count[]"] == 2
-        assert 0 < seen["hostlink_device_to_client_seconds_sum[]"] < 5
-        assert seen["hostlink_client_dropped_total[]"] == 0
+        observed = await metrics(host)
+        assert observed["hostlink_links[]"] == 1
+        assert observed["hostlink_robot_connected[('robot', 'robot_0')]"] == 1
+        assert observed["hostlink_robot_poses_total[('robot', 'robot_0')]"] == 1
+        assert observed["hostlink_link_frames_from_device_total" + device_labels] == 6
+        assert observed["hostlink_link_skipped_bytes_total" + device_labels] == 5
+        assert observed["hostlink_clients[('kind', 'rosbridge')]"] == 1
+        assert observed["hostlink_device_to_client_seconds_count[]"] == 2
+        assert 0 < observed["hostlink_device_to_client_seconds_sum[]"] < 5
+        assert observed["hostlink_client_dropped_total[]"] == 0
         await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
-        seen = await metrics(host)
-        assert seen["hostlink_command_to_device_seconds_count" + device_labels] >= 2  # the first is a zero
-        assert 0 < seen["hostlink_command_to_device_seconds_sum" + device_labels] < 5
-        assert seen["hostlink_robot_gate_total[('outcome', 'commands'), ('robot', 'robot_0')]"] == 1
-        assert seen["hostlink_robot_gate_total[('outcome', 'forgotten_claims'), ('robot', 'robot_0')]"] == 0
-        assert seen["process_open_fds[]"] > 3
+        observed = await metrics(host)
+        assert observed["hostlink_command_to_device_seconds_count" + device_labels] >= 2  # the first is a zero
+        assert 0 < observed["hostlink_command_to_device_seconds_sum" + device_labels] < 5
+        assert observed["hostlink_robot_gate_total[('outcome', 'commands'), ('robot', 'robot_0')]"] == 1
+        assert observed["hostlink_robot_gate_total[('outcome', 'forgotten_claims'), ('robot', 'robot_0')]"] == 0
+        assert observed["process_open_fds[]"] > 3
 
 
 async def test_an_empty_daemon_has_metrics_too() -> None:
     async with daemon() as host:
-        seen = await metrics(host)
-    assert seen["hostlink_links[]"] == 0
-    assert seen["hostlink_client_lag_seconds[]"] == 0
+        observed = await metrics(host)
+    assert observed["hostlink_links[]"] == 0
+    assert observed["hostlink_client_lag_seconds[]"] == 0
 
 
 async def test_late_answers_of_services() -> None:
@@ -119,6 +119,6 @@ async def test_the_dashboard_shows_metrics_that_exist() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5))
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
-        seen = {name.partition("[")[0] for name in await metrics(host)}
+        observed = {name.partition("[")[0] for name in await metrics(host)}
     assert len(wanted) > 10
-    assert wanted - seen == set()
+    assert wanted - observed == set()

@@ -22,9 +22,9 @@ async def goes_on(host: Daemon, device: FakeDevice, *, name: str = "robot_0") ->
     await expect(lambda: host.hub.robots.find(name).link)
     host.hub.gates.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.1), owner="test")
     assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
-    seen = host.hub.robots.find(name).odometry.count
+    observed = host.hub.robots.find(name).odometry.count
     await device.send(pose(3.0))
-    await expect(lambda: host.hub.robots.find(name).odometry.count == seen + 1)
+    await expect(lambda: host.hub.robots.find(name).odometry.count == observed + 1)
     assert (await host.get(f"/api/robots/{name}/odometry"))["pose"]["x_m"] == 3.0
     assert not host.hub.isolation.crashes
 
@@ -66,7 +66,7 @@ async def test_another_device_publishes_another_type_on_a_robots_topic(name: str
             await goes_on(host, robot)
 
 
-async def test_nobody_but_a_robot_says_where_it_is() -> None:
+async def test_nobody_but_a_robot_publishes_its_odometry() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics()) as device,
@@ -107,7 +107,7 @@ async def test_two_robots_that_share_a_velocity_topic_are_both_driven_by_it() ->
 
 
 @pytest.mark.parametrize("is_first", [True, False])
-async def test_nobody_takes_the_emergency_stop_away(is_first: bool) -> None:
+async def test_nobody_replaces_the_emergency_stop(is_first: bool) -> None:
     own = [
         topic(Id.SERVICE_SERVER_PUBLISHER, 130, "/robot_0/lock", "std_srvs/Trigger"),
         topic(Id.SERVICE_SERVER_SUBSCRIBER, 105, "/robot_0/lock", "std_srvs/Trigger"),
@@ -124,7 +124,7 @@ async def test_nobody_takes_the_emergency_stop_away(is_first: bool) -> None:
         assert host.hub.robots.find("robot_0").gate.lock_reason == "emergency stop"
 
 
-async def test_a_device_that_tells_the_transforms_in_the_old_type_silences_nobody() -> None:
+async def test_a_device_that_publishes_the_transforms_in_the_old_type_silences_nobody() -> None:
     frames = [topic(Id.PUBLISHER, 125, "/tf", "tf/tfMessage"), topic(Id.PUBLISHER, 126, "/rosout", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         subscribe(host.hub, "/tf", lambda _: None)

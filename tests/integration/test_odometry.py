@@ -13,7 +13,9 @@ from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
 
-async def tell(host: Daemon, device: FakeDevice, x: float, y: float = 0.0, theta: float = 0.0) -> dict[str, Any]:
+async def publish_pose(
+    host: Daemon, device: FakeDevice, x: float, y: float = 0.0, theta: float = 0.0
+) -> dict[str, Any]:
     """The device tells a pose; returns what hostlink makes of it."""
     odometry = host.hub.robots.find("robot_0").odometry
     count = odometry.count
@@ -32,38 +34,38 @@ async def test_a_device_that_comes_back_at_the_origin(mode: Any, x_m: float) -> 
     config = Config(robots={"robot_0": RobotConfig(odometry_after_restart=mode)})
     async with daemon(config) as host:
         async with fake_device(host.tcp, robot_topics()) as device:
-            assert (await tell(host, device, 1.5))["restarts"] == 0
+            assert (await publish_pose(host, device, 1.5))["restarts"] == 0
         await gone(host)
         async with fake_device(host.tcp, robot_topics()) as device:
-            await tell(host, device, 0.0)
-            shown = await tell(host, device, 0.25)
+            await publish_pose(host, device, 0.0)
+            shown = await publish_pose(host, device, 0.25)
     assert (shown["pose"]["x_m"], shown["restarts"]) == (x_m, 1)
 
 
 async def test_a_device_that_lost_only_its_connection_counts_on() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()) as device:
-            await tell(host, device, 1.5)
+            await publish_pose(host, device, 1.5)
         await gone(host)
         async with fake_device(host.tcp, robot_topics()) as device:
-            shown = await tell(host, device, 1.52)
+            shown = await publish_pose(host, device, 1.52)
     assert (shown["pose"]["x_m"], shown["restarts"]) == (1.52, 0)
 
 
 @pytest.mark.parametrize("way", ["rest", "rosbridge"])
 async def test_a_reset_by_somebody_is_at_the_origin_and_no_restart(way: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await tell(host, device, 1.5)
+        await publish_pose(host, device, 1.5)
         if way == "rest":
             assert (await host.rest("POST", "/api/robots/robot_0/odometry/reset"))[0] == 200
         else:
             await program.send(op="publish", topic="/robot_0/reset_odometry", msg={})
         assert await device.frame(101) == b""
-        shown = await tell(host, device, 0.0)
+        shown = await publish_pose(host, device, 0.0)
     assert (shown["pose"]["x_m"], shown["restarts"]) == (0.0, 0)
 
 
-async def test_a_header_stamp_becomes_host_time_and_the_link_tells_its_clock() -> None:
+async def test_a_header_stamp_becomes_host_time_and_the_link_reports_its_clock() -> None:
     """The device's clock is an hour behind; its third message was held up for half a second on its way."""
     odometry = topic(Id.PUBLISHER, 125, "/robot_0/odometry", "nav_msgs/Odometry")
     type_ = CATALOG.message("nav_msgs/Odometry")

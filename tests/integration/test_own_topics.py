@@ -72,9 +72,9 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     await asyncio.sleep(0.1)
     subscription.close()
     assert heard == [POSE.pack(4.0, 0.0, 0.0)]
-    seen = robot.odometry.snapshot(asyncio.get_running_loop().time())
-    assert seen is not None
-    assert seen.pose.x_m == 4.0
+    observed = robot.odometry.snapshot(asyncio.get_running_loop().time())
+    assert observed is not None
+    assert observed.pose.x_m == 4.0
 
 
 @pytest.mark.parametrize("kind", [Id.PUBLISHER, Id.SUBSCRIBER])
@@ -117,19 +117,19 @@ def test_another_devices_type_of_a_robots_own_topic_ends_when_the_robot_comes(
 
 def test_another_robots_odometry_of_that_name_is_read_on() -> None:
     async def test(made: Crowd) -> None:
-        odd = [
+        uncommon = [
             topic(Id.PUBLISHER, ODOMETRY_ID, VELOCITY, "geometry_msgs/Pose2D"),
             topic(Id.SUBSCRIBER, VELOCITY_ID, "/other/cmd_vel", TWIST_TYPE),
         ]
-        other = await made.connect(odd, "10.0.0.4")
+        other = await made.connect(uncommon, "10.0.0.4")
         device = await made.connect(robot_topics(NAME), "10.0.0.3")
         await robot_works(made, device)
         await other.send(ODOMETRY_ID, POSE.pack(7.0, 0.0, 0.0))
         made.hub.join("driver").drive(made.hub.robots.find("other"), Velocity(0.3))
         await asyncio.sleep(0.1)
-        seen = made.hub.robots.find("other").odometry.snapshot(asyncio.get_running_loop().time())
-        assert seen is not None
-        assert seen.pose.x_m == 7.0
+        observed = made.hub.robots.find("other").odometry.snapshot(asyncio.get_running_loop().time())
+        assert observed is not None
+        assert observed.pose.x_m == 7.0
         assert struct.unpack("<6d", other.payloads(VELOCITY_ID)[-1])[0] == 0.3
         assert len(made.hub.gates.of_link(other.link)) == 1
         await robot_works(made, device)
@@ -141,11 +141,11 @@ def test_a_robot_does_not_take_another_robots_velocity_for_its_odometry() -> Non
     async def test(made: Crowd) -> None:
         device = await made.connect(robot_topics(NAME), "10.0.0.3")
         for velocity in ("/other/cmd_vel", f"/{NAME}/cmd_vel"):
-            odd = [
+            uncommon = [
                 topic(Id.SUBSCRIBER, VELOCITY_ID, velocity, TWIST_TYPE),
                 topic(Id.PUBLISHER, ODOMETRY_ID, VELOCITY, "geometry_msgs/Pose2D"),
             ]
-            await made.connect(odd, "10.0.0.4")
+            await made.connect(uncommon, "10.0.0.4")
             await robot_works(made, device)
 
     play_crowd(test)

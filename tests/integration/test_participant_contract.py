@@ -128,7 +128,7 @@ def test_one_that_may_only_read_subscribes_and_changes_nothing(make: Make) -> No
 # -- how it ends ------------------------------------------------------------------------------------------------------
 
 
-def takes_all(one: Any, made: Scene) -> None:
+def uses_all(one: Any, made: Scene) -> None:
     """All that a participant can have."""
 
     async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
@@ -145,7 +145,7 @@ def takes_all(one: Any, made: Scene) -> None:
 def test_leaving_releases_all_that_it_has_and_stops_what_it_drove(make: Make) -> None:
     async def test(made: Scene) -> None:
         one = make(made, Role.DRIVE)
-        takes_all(one, made)
+        uses_all(one, made)
         await asyncio.sleep(0.1)
         assert made.speeds()[-1] == 0.2
         assert len(made.uses_of(one.participant)) == 5
@@ -168,7 +168,7 @@ def test_leaving_releases_all_that_it_has_and_stops_what_it_drove(make: Make) ->
 def test_a_callback_that_fails_ends_it_alone(make: Make, what: str) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
-        takes_all(one, made)
+        uses_all(one, made)
         other.subscribe(f"/{ROBOT}/odometry")
         await asyncio.sleep(0.1)
         for number in range(2):
@@ -196,7 +196,7 @@ def test_a_part_of_the_daemon_stays_when_a_callback_of_it_fails() -> None:
 
     async def test(made: Scene) -> None:
         one, other = daemon(made, Role.DRIVE), plain(made, Role.DRIVE)
-        takes_all(one, made)
+        uses_all(one, made)
         one.is_failing = True
         with pytest.raises(HostlinkError, match="Defect"):
             await other.call(SERVICE, {"data": True})
@@ -258,8 +258,8 @@ def test_one_that_leaves_as_a_call_of_its_service_times_out_releases_all_that_it
 
         one, loop = make(made, Role.DRIVE), asyncio.get_running_loop()
         one.serve(never)
-        asker = made.hub.join("asker")
-        calling = made.tasks.create_task(_refused(asker.call(SERVICE, {"data": True}, timeout_s=0.2)))
+        caller = made.hub.join("asker")
+        calling = made.tasks.create_task(_refused(caller.call(SERVICE, {"data": True}, timeout_s=0.2)))
         one.drive(ROBOT, 0.2, made.hub)
         left: asyncio.Future[None] = loop.create_future()
         same_turn_s = 5e-7  # within the resolution of the clock
@@ -283,7 +283,7 @@ async def _refused(call: Awaitable[object]) -> str:
 
 
 @pytest.mark.parametrize("make", [plain, rest, daemon])
-def test_one_that_leaves_in_its_own_callback_takes_nothing_of_others_with_it(make: Make) -> None:
+def test_one_that_leaves_in_its_own_callback_ends_nothing_of_others(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.participant.subscribe(f"/{ROBOT}/odometry", lambda _: one.participant.leave())
@@ -377,9 +377,9 @@ def test_one_that_leaves_does_not_receive_its_own_zero() -> None:
 def test_one_that_latched_may_leave_while_its_message_is_delivered() -> None:
     async def test(made: Scene) -> None:
         one, other, late = (plain(made, Role.DRIVE) for _ in range(3))
-        for each, said in ((one, "one"), (other, "other")):
+        for each, content in ((one, "one"), (other, "other")):
             each.participant.advertise(TEXT, TEXT_TYPE, is_latched=True)
-            each.participant.publish(TEXT, text(said))
+            each.participant.publish(TEXT, text(content))
         heard: list[bytes] = []
 
         def receive(message: Message) -> None:
@@ -436,7 +436,7 @@ def test_one_that_does_not_read_its_answers_is_too_slow() -> None:
 
 
 @pytest.mark.parametrize("make", ALL)
-def test_throttled_messages_are_held_for_it_up_to_its_bound(make: Make) -> None:
+def test_throttled_messages_are_queued_for_it_up_to_its_bound(make: Make) -> None:
     async def test(made: Scene) -> None:
         one, other = make(made, Role.DRIVE), plain(made, Role.DRIVE)
         one.subscribe(TEXT, interval_s=0.1, queue_length=2)

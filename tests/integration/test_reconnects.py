@@ -12,7 +12,7 @@ import pytest
 from hostlink.protocol.frame import encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
-from tests.support.resources import held
+from tests.support.resources import in_use
 from tests.support.waiting import expect
 
 RECONNECTS = 1000
@@ -58,7 +58,7 @@ async def test_a_thousand_reconnects_leave_nothing_behind() -> None:
             await come_and_vanish(host, turn)
             if turn % SAMPLE_EVERY == 0:
                 await expect(lambda: not host.hub.links())
-                samples.append((held(), resident_bytes()))
+                samples.append((in_use(), resident_bytes()))
         await expect(lambda: not host.hub.links())
         assert not host.hub.isolation.crashes
         assert [topic.name for topic in host.hub.topics.all()] == ["/rosout"]

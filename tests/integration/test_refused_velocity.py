@@ -39,7 +39,7 @@ async def small_robot() -> AsyncIterator[Daemon]:
         ("POST", "lock", None),
     ],
 )
-async def test_rest_says_why(method: str, path: str, body: bytes | None) -> None:
+async def test_rest_gives_the_reason(method: str, path: str, body: bytes | None) -> None:
     async with small_robot() as host:
         status, answer = await host.rest(method, f"/api/robots/robot_0/{path}", body)
         assert (status, answer["error"]) == (413, {"kind": "FrameTooLarge", "reason": REASON})
@@ -59,7 +59,7 @@ async def test_a_stop_of_all_reaches_the_others_first() -> None:
 
 
 @pytest.mark.parametrize("name", ["/robot_0/velocity_commands", "/robot_0/cmd_vel"])
-async def test_rosbridge_says_why(name: str) -> None:
+async def test_rosbridge_gives_the_reason(name: str) -> None:
     async with small_robot() as host, host.session.ws_connect(host.url) as socket:
         client = Client(socket)
         await client.send(op="set_level", level="error")
@@ -67,7 +67,7 @@ async def test_rosbridge_says_why(name: str) -> None:
         assert await client.receive() == {"op": "status", "level": "error", "msg": REASON, "id": "p"}
 
 
-async def test_the_drive_operation_says_why() -> None:
+async def test_the_drive_operation_gives_the_reason() -> None:
     async with small_robot() as host, host.session.ws_connect(host.url) as socket:
         client = Client(socket)
         await client.send(op="drive", id="d", robot="robot_0", linear=0.1, angular=0.0)
@@ -76,7 +76,7 @@ async def test_the_drive_operation_says_why() -> None:
         }  # fmt: skip
 
 
-async def test_the_python_client_says_why() -> None:
+async def test_the_python_client_gives_the_reason() -> None:
     async with small_robot() as host, connect(host.url) as program:
         with pytest.raises(HostlinkError, match=REASON):
             await program.robot("robot_0").drive(0.1, 0.0)
@@ -89,7 +89,7 @@ async def test_the_python_client_says_why() -> None:
         assert not program.robot("robot_0").is_driven
 
 
-async def test_a_command_says_why() -> None:
+async def test_a_command_gives_the_reason() -> None:
     async with small_robot() as host:
         status, _, error = await run("pub", "/robot_0/cmd_vel", '{"linear": {"x": 0.1}}', "--url", host.url)
     assert (status, error) == (1, f"hostlink: {REASON}\n")
@@ -106,7 +106,7 @@ async def test_the_log_has_one_line_of_it() -> None:
     assert [line["cause"] for line in lines if line["event"] == "robot.unreachable"] == [REASON]
 
 
-async def test_a_robot_that_takes_its_velocity_again_is_reachable() -> None:
+async def test_a_robot_that_accepts_its_velocity_again_is_reachable() -> None:
     async with small_robot() as host:
         robot = host.hub.robots.find("robot_0")
         with pytest.raises(FrameTooLarge):

@@ -101,7 +101,7 @@ async def test_a_half_open_link_stays_open_for_the_host_until_the_robot_is_back(
             await expect(lambda: host.hub.links() not in ([], [old]) and old not in host.hub.links())
 
 
-async def test_the_program_says_what_it_did() -> None:
+async def test_the_program_reports_what_it_did() -> None:
     async with daemon() as host:
         chaos = await asyncio.create_subprocess_exec(
             sys.executable, CHAOS, "--listen", "127.0.0.1:0", "--to", "{}:{}".format(*host.tcp), "--json",
@@ -114,11 +114,11 @@ async def test_the_program_says_what_it_did() -> None:
         address, _, port = listening["at"].rpartition(":")
         await negotiate_and_be_cut((address, int(port)))
         chaos.send_signal(signal.SIGINT)
-        said = [json.loads(line) for line in (await chaos.stdout.read()).splitlines()]
+        reported = [json.loads(line) for line in (await chaos.stdout.read()).splitlines()]
         assert await chaos.wait() == 0
-    assert {"connected", "cut", "ended", "done"} <= {line["what"] for line in said}
-    assert said[-1]["what"] == "done"
-    assert said[-1]["bytes from-device"] > 200
+    assert {"connected", "cut", "ended", "done"} <= {line["what"] for line in reported}
+    assert reported[-1]["what"] == "done"
+    assert reported[-1]["bytes from-device"] > 200
 
 
 async def test_a_wrong_word_is_one_line_and_status_2() -> None:

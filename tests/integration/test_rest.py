@@ -97,15 +97,15 @@ async def test_links_and_topics_and_health() -> None:
         link = (await host.get("/api/links"))["links"][0]
         assert [each["name"] for each in link["topics"]] == ["/led"]
         assert link["frames_from_device"] == 3
-        topics_seen = (await host.get("/api/topics"))["topics"]
-        assert topics_seen[0] == {
+        listed = (await host.get("/api/topics"))["topics"]
+        assert listed[0] == {
             "name": "/led",
             "type": "std_msgs/Bool",
             "publishers": 0,
             "subscribers": 1,
             "messages": 0,
         }
-        assert [each["name"] for each in topics_seen] == ["/led", "/rosout"]
+        assert [each["name"] for each in listed] == ["/led", "/rosout"]
         assert (await host.get("/healthz"))["status"] == "alive"
         status, error = await host.rest("GET", "/readyz")
         assert (status, error["error"]["reason"]) == (503, "not connected: no robot yet")

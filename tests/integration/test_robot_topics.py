@@ -54,7 +54,7 @@ async def test_nothing_is_made_while_nobody_listens_and_no_clock_ever() -> None:
         assert "/clock" not in types(host)
 
 
-async def test_a_pose_that_is_none_is_not_told() -> None:
+async def test_an_invalid_pose_is_not_published() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odom")
         await heard(host, "/robot_0/odom")
@@ -76,7 +76,7 @@ async def test_cmd_vel_drives_through_the_same_gate(name: str, message: dict[str
         async with client(host) as program:
             await program.send(op="publish", topic=f"/robot_0/{name}", msg=message)
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
-            assert host.hub.robots.find("robot_0").gate.holder == "client 1"
+            assert host.hub.robots.find("robot_0").gate.owner_name == "client 1"
         assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
 
 
@@ -92,7 +92,7 @@ async def test_a_stamp_that_is_too_old_is_refused_where_that_is_configured() -> 
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
 
 
-async def test_what_the_gate_sends_is_seen_on_cmd_vel_too() -> None:
+async def test_what_the_gate_sends_is_published_on_cmd_vel_too() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         await expect(lambda: not host.hub.robots.find("robot_0").gate.is_active)
         await program.send(op="subscribe", topic="/robot_0/cmd_vel")
@@ -137,7 +137,7 @@ async def test_names_that_the_device_uses_itself_are_the_devices() -> None:
         assert await device.frame(102) == b"\x01"
 
 
-async def test_a_device_that_comes_later_takes_its_names_back_and_leaves_them_again() -> None:
+async def test_a_device_that_comes_later_reclaims_its_names_and_releases_them_again() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odom", type="nav_msgs/Odometry")
         await heard(host, "/robot_0/odom")
@@ -146,7 +146,7 @@ async def test_a_device_that_comes_later_takes_its_names_back_and_leaves_them_ag
         await expect(lambda: publishers(host, "/robot_0/odom") == {"hostlink"})
 
 
-async def test_a_page_with_a_wrong_type_takes_no_topic_away() -> None:
+async def test_a_page_with_a_wrong_type_blocks_no_topic() -> None:
     async with daemon() as host, client(host) as program:
         for name in ("cmd_vel", "odom", "odometry"):
             await program.send(op="advertise", topic=f"/robot_0/{name}", type="std_msgs/String")
@@ -209,15 +209,15 @@ async def test_names_frames_and_the_transform_are_configurable() -> None:
     assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("world", "base_footprint")
 
 
-async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_tells() -> None:
-    told = topic(Id.PUBLISHER, 125, "/robot_0/wheels", "nav_msgs/Odometry", buffer_bytes=1024)
+async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> None:
+    wheels = topic(Id.PUBLISHER, 125, "/robot_0/wheels", "nav_msgs/Odometry", buffer_bytes=1024)
     type_ = CATALOG.message("nav_msgs/Odometry")
     assert type_ is not None
     covariance = [float(number) for number in range(36)]
     message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}})
     async with (
         daemon() as host,
-        fake_device(host.tcp, [told, robot_topics()[1]]) as device,
+        fake_device(host.tcp, [wheels, robot_topics()[1]]) as device,
         client(host) as program,
     ):
         await program.send(op="subscribe", topic="/robot_0/odom")
@@ -229,7 +229,7 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_tells() -> None
     assert odometry["twist"]["covariance"][35] == 0.01
 
 
-async def test_a_robot_that_leaves_takes_its_topics_with_it() -> None:
+async def test_a_robot_that_leaves_removes_its_topics() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()):
             assert "/robot_0/odom" in types(host)

@@ -69,7 +69,7 @@ async def test_services_nodes_and_who_does_what() -> None:
     assert publishers == {"publishers": ["/robot_0"]}
 
 
-async def test_every_answer_is_what_the_type_of_its_service_says() -> None:
+async def test_every_answer_fits_the_type_of_its_service() -> None:
     """The definitions are rosapi's own; an answer that encodes has no field more and none of another kind."""
     args = {
         "type": "std_msgs/Header", "topic": "/rosout", "service": "/rosapi/topics", "node": "/hostlink",

@@ -128,7 +128,7 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
         ),
     ],
 )
-async def test_what_is_wrong_is_told_and_the_client_stays(request_text: str, reason: str) -> None:
+async def test_what_is_wrong_is_reported_and_the_client_stays(request_text: str, reason: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.socket.send_str(request_text)
         status = await program.receive()
@@ -138,7 +138,7 @@ async def test_what_is_wrong_is_told_and_the_client_stays(request_text: str, rea
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
-async def test_a_client_that_did_not_ask_for_status_gets_none() -> None:
+async def test_a_client_that_did_not_request_status_gets_none() -> None:
     with capture_logs() as lines:
         async with daemon() as host, client(host, level="none") as program:
             await program.send(op="dance")

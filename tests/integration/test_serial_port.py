@@ -22,7 +22,7 @@ from hostlink.transport.serial import DTR_PULSE_S, open_serial, pulse
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics
 from tests.support.pty_pair import pty_pair
-from tests.support.resources import held, open_descriptors
+from tests.support.resources import in_use, open_descriptors
 from tests.support.virtual_loop import run_virtual
 from tests.support.waiting import expect
 
@@ -41,7 +41,7 @@ class Board:
         for end in (self.descriptor, self._theirs):
             tty.setraw(end, termios.TCSANOW)
         self.path = os.ttyname(self._theirs)
-        self.speeds_asked: list[int] = []
+        self.speeds_set: list[int] = []
         self._speed = None if baud is None else getattr(termios, f"B{baud}")
         os.set_blocking(self.descriptor, False)
         asyncio.get_running_loop().add_reader(self.descriptor, self._answer)
@@ -50,7 +50,7 @@ class Board:
         with contextlib.suppress(OSError):  # nobody has the other end open
             if encode(Id.PUBLISHER, b"") in os.read(self.descriptor, 4096):
                 speed = termios.tcgetattr(self.descriptor)[OUTPUT_SPEED]
-                self.speeds_asked.append(speed)
+                self.speeds_set.append(speed)
                 os.write(self.descriptor, ANNOUNCEMENT if self._speed in (None, speed) else b"\x00\xf0garbage")
 
     def unplug(self) -> None:
@@ -98,7 +98,7 @@ async def test_the_rates_are_tried_until_frames_come() -> None:
             await expect(is_connected(host.hub))
             assert [link.number for link in host.hub.links()] == [1]  # the port was opened once
             await expect(lambda: any(line["event"] == "serial.baud_found" for line in lines))
-    assert board.speeds_asked == [termios.B57600, termios.B115200]
+    assert board.speeds_set == [termios.B57600, termios.B115200]
     assert next(line["baud"] for line in lines if line["event"] == "serial.baud_found") == 115200
     board.unplug()
 
@@ -107,7 +107,7 @@ async def test_a_port_that_vanishes_during_the_search_for_its_rate_is_waited_for
     board = Board(baud=9600)
     with capture_logs() as lines:
         async with served(SerialConfig(path=board.path, baud=(57600, 115200), baud_try_s=0.01)) as host:
-            await expect(lambda: board.speeds_asked)
+            await expect(lambda: board.speeds_set)
             board.unplug()
             await expect(lambda: any(line["event"] == "serial.waiting" for line in lines))
             assert not host.hub.isolation.crashes
@@ -115,7 +115,7 @@ async def test_a_port_that_vanishes_during_the_search_for_its_rate_is_waited_for
 
 async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_path: Path) -> None:
     path = tmp_path / "port"
-    seen = []
+    observed = []
     async with served(SerialConfig(path=str(path))) as host:
         for turn in range(100):
             board = Board()
@@ -125,8 +125,8 @@ async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_pa
             board.unplug()
             await expect(lambda: not host.hub.links())
             if turn >= 10:  # the pool of threads has grown to its size
-                seen.append(held())
-    for counts in zip(*seen, strict=True):
+                observed.append(in_use())
+    for counts in zip(*observed, strict=True):
         assert max(counts) - min(counts) <= 2  # a thread more, a descriptor that is just open
 
 
@@ -186,7 +186,7 @@ def test_a_usb_device_is_known_by_its_serial_number() -> None:
         choose_by_serial("9999", found)
 
 
-def test_a_usb_device_that_is_not_there_says_so() -> None:
+def test_a_missing_usb_device_is_reported() -> None:
     with pytest.raises(OSError, match="no-such-number: no USB device with this serial number; there are: "):
         find_port(SerialConfig(usb_serial="no-such-number"))
 
@@ -199,17 +199,17 @@ def test_a_usb_device_that_is_not_there_says_so() -> None:
         ("/dev", r"/dev: not a serial port"),
     ],
 )
-async def test_a_port_that_cannot_be_opened_says_why(path: str, text: str) -> None:
+async def test_a_port_that_cannot_be_opened_gives_the_reason(path: str, text: str) -> None:
     with pytest.raises(OSError, match=text):
         await open_serial(SerialConfig(path=path))
 
 
-async def test_an_impossible_baud_rate_says_so() -> None:
+async def test_an_impossible_baud_rate_is_reported() -> None:
     with pty_pair() as (_, path), pytest.raises(OSError, match=f"{path}: -1 baud: Not a valid baudrate"):
         await open_serial(SerialConfig(path=path, baud=-1))
 
 
-async def test_a_port_that_another_program_has_says_so() -> None:
+async def test_a_port_that_another_program_uses_is_reported() -> None:
     with pty_pair() as (_, path):
         first = await open_serial(SerialConfig(path=path))
         with pytest.raises(OSError, match="another program has it open"):

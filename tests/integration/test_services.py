@@ -129,7 +129,7 @@ async def test_of_two_devices_with_one_service_the_newest_is_called_as_long_as_i
         assert await called(first, "first") == "first"
 
 
-async def test_a_device_cannot_take_hostlinks_own_services_over() -> None:
+async def test_a_device_cannot_replace_hostlinks_own_services() -> None:
     lock = [info._replace(name="/robot_0/lock", type="std_srvs/SetBool") for info in SET_LED]
     async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, lock) as thief:
         await expect(lambda: len([link for link in host.hub.links() if link.session.counts.negotiations]) == 2)
@@ -139,7 +139,7 @@ async def test_a_device_cannot_take_hostlinks_own_services_over() -> None:
         await thief.send(encode(125, answer("unasked")))
 
 
-def test_a_call_holds_a_device_for_a_minute_at_the_most() -> None:
+def test_a_call_occupies_a_device_for_a_minute_at_most() -> None:
     """Its request may be lost on the way, and others wait."""
     sent: list[float] = []
 
@@ -191,13 +191,13 @@ async def test_a_device_calls_a_service_of_another_device() -> None:
         assert await caller.frame(100) == answer("from afar")
 
 
-async def test_a_device_whose_call_fails_is_told_so_instead_of_waiting_for_ever() -> None:
+async def test_a_device_whose_call_fails_gets_an_answer_instead_of_waiting_for_ever() -> None:
     async with daemon() as host, fake_device(host.tcp, TOGGLE) as device:
         await device.send(encode(125, b"\x00"))
         assert await device.frame(100) == answer("no service named /toggle", success=False)
 
 
-async def test_an_answer_that_nobody_asked_for_is_counted_and_harmless() -> None:
+async def test_an_answer_without_a_call_is_counted_and_harmless() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
         await device.send(encode(125, answer("unasked")))
         await expect(lambda: host.hub.late_answers == 1)

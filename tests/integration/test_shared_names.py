@@ -19,9 +19,9 @@ def test_one_that_leaves_does_not_end_the_others_lease() -> None:
         robot = made.hub.robots.find(ROBOT)
         first.drive(robot, Velocity(0.2))
         second.leave()
-        assert (robot.gate.holder, robot.gate.current.linear_x_m_s) == ("program", 0.2)
+        assert (robot.gate.owner_name, robot.gate.current.linear_x_m_s) == ("program", 0.2)
         first.leave()
-        assert (robot.gate.holder, robot.gate.current) == (None, ZERO)
+        assert (robot.gate.owner_name, robot.gate.current) == (None, ZERO)
 
     play(test)
 
@@ -63,8 +63,8 @@ def test_a_program_that_has_a_devices_name_does_not_end_its_lease() -> None:
         robot, driver = made.hub.robots.find(ROBOT), made.other.link
         made.hub.topics.find(VELOCITY).publish(TWIST.pack(0.2, 0, 0, 0, 0, 0), source=driver)
         made.hub.join(str(driver)).leave()
-        assert (robot.gate.holder, robot.gate.current.linear_x_m_s) == (str(driver), 0.2)
+        assert (robot.gate.owner_name, robot.gate.current.linear_x_m_s) == (str(driver), 0.2)
         made.hub.gates.release(driver)
-        assert robot.gate.holder is None
+        assert robot.gate.owner_name is None
 
     play(test)

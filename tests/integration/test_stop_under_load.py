@@ -57,7 +57,7 @@ async def driven(made: World, seconds: float = 1.0) -> None:
         await asyncio.sleep(0.1)
 
 
-def heard_at_s(robot: NumberedRobot, since_s: float) -> float:
+def received_at_s(robot: NumberedRobot, since_s: float) -> float:
     """When the first stop after `since_s` reached the robot; nothing else may come after it."""
     later = [(at_s, payload) for at_s, payload in robot.commands if at_s >= since_s]
     first = next(number for number, (_, payload) in enumerate(later) if payload == STOP)
@@ -82,7 +82,7 @@ def test_a_stop_reaches_an_idle_robot_within_a_turn_and_a_line() -> None:
         since_s = loop().time()
         made.hub.gates.stop(await ready(made))
         await asyncio.sleep(1.0)
-        assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
+        assert received_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
 
     numbered(check)
 
@@ -102,7 +102,7 @@ def test_a_loop_that_is_busy_for_95_of_100_delays_a_stop_by_its_own_turns_only()
             await asyncio.sleep(1.0)
             load.cancel()
         # the writer's turn, the relay's two and the device's are each up to 20 ms late here
-        assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S + 4 * 0.020
+        assert received_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S + 4 * 0.020
 
     numbered(check)
 
@@ -114,7 +114,7 @@ def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> No
             drive(made, Velocity(linear_x_m_s=0.1 + number / 10_000))
         made.hub.gates.stop(await ready(made))
         await asyncio.sleep(1.0)
-        assert heard_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
+        assert received_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
         assert len([at_s for at_s, payload in robot.commands if at_s >= since_s and payload != STOP]) <= 1
 
     numbered(check)

@@ -28,7 +28,7 @@ async def silent_connections(address: tuple[str, int], count: int, *, local_host
             writer.transport.abort()
 
 
-async def test_an_address_that_is_not_allowed_hears_nothing_and_is_counted() -> None:
+async def test_an_address_that_is_not_allowed_receives_nothing_and_is_counted() -> None:
     config = Config(tcp=TcpConfig(allow=(f"{ROBOT}/32",)))
     async with daemon(config) as host:
         async with fake_device(host.tcp, local_host=CROWD) as refused:
@@ -39,7 +39,7 @@ async def test_an_address_that_is_not_allowed_hears_nothing_and_is_counted() -> 
     assert links["refused"] == {"not_allowed": 1}
 
 
-async def test_a_crowd_that_says_nothing_does_not_keep_a_robot_out() -> None:
+async def test_a_silent_crowd_does_not_keep_a_robot_out() -> None:
     """Neither one that comes from a single address, nor one from many."""
     config = Config(tcp=TcpConfig(max_connections=20, max_connections_per_address=15))
     with capture_logs() as lines:
@@ -53,12 +53,12 @@ async def test_a_crowd_that_says_nothing_does_not_keep_a_robot_out() -> None:
                     await expect(lambda: len(host.hub.links()) == 20)
                     assert host.hub.refused == {"too_many_of_address": 285, "too_many": 5, "evicted": 6}
                     assert host.hub.robots.find("robot_0").link is not None
-    told = [line for line in lines if line["event"] == "connection.refused"]
-    assert len(told) == 1  # not one for each
-    assert told[0]["cause"] == "too_many_of_address"
+    reported = [line for line in lines if line["event"] == "connection.refused"]
+    assert len(reported) == 1  # not one for each
+    assert reported[0]["cause"] == "too_many_of_address"
 
 
-async def test_a_device_that_told_its_topics_is_not_sent_away_for_another() -> None:
+async def test_a_device_that_announced_its_topics_is_not_evicted_for_another() -> None:
     config = Config(tcp=TcpConfig(max_connections=2))
     async with (
         daemon(config) as host,

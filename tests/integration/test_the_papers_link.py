@@ -27,11 +27,11 @@ async def drive(loop_s: float) -> Account:
                 await asyncio.sleep(COMMAND_INTERVAL_S)
             await asyncio.sleep(1.0)
             account = Account(poses_sent=robot.sent, commands_sent=made.commands)
-            account.poses_seen = [
+            account.poses_received = [
                 (at_s, int(number)) for (at_s, _), number in zip(made.poses, made.numbers, strict=True)
             ]
             account.obeyed(robot.commands)
-            account.faults = [(at_s, what) for at_s, what, _ in made.told]
+            account.faults = [(at_s, what) for at_s, what, _ in made.reported]
     return account
 
 
@@ -46,5 +46,7 @@ def test_an_hour_costs_no_message_outside_the_cuts() -> None:
     assert (lost["odometry"][0], lost["commands"][0]) == (0, 0)
     assert lost["odometry"][1] + lost["commands"][1] <= 2 * 2 * 10
     assert [window.recovery_s < 1.5 for window in account.windows()] == [True, True]
-    assert account.largest_gap_s(account.poses_seen, at_cuts=False) < 1.5  # the longest wait for a segment, and a turn
+    assert (
+        account.largest_gap_s(account.poses_received, at_cuts=False) < 1.5
+    )  # the longest wait for a segment, and a turn
     assert account.largest_gap_s(account.commands_obeyed, at_cuts=False) < 1.5

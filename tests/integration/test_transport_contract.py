@@ -293,7 +293,7 @@ class TestContract:
         assert transport.peer.startswith(transport.address)
 
 
-async def test_a_reset_is_an_os_error_that_says_so() -> None:
+async def test_a_reset_is_an_os_error_that_names_it() -> None:
     async with tcp() as (transport, peer):
         await peer.break_off()
         with pytest.raises(ConnectionResetError, match="reset"):
@@ -341,7 +341,7 @@ async def test_a_port_in_use_is_named_in_the_error() -> None:
         (TcpConfig(host="2001:db8::1"), r"^TCP \[2001:db8::1\]:11411: cannot be listened on: "),
     ],
 )
-async def test_an_address_that_cannot_be_listened_on_says_why(config: TcpConfig, text: str) -> None:
+async def test_an_address_that_cannot_be_listened_on_gives_the_reason(config: TcpConfig, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         async with serve_tcp(config, lambda _: None):
             raise AssertionError("it listens")

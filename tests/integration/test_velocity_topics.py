@@ -133,7 +133,7 @@ class TestBoth:
         async with daemon() as host, fake_device(host.tcp, infos) as device:
             await driven(host, device, topic_id, name)
             link = host.hub.links()[0]
-            link.heard_at_s -= 60.0
+            link.received_at_s -= 60.0
             link.wake()
             if infos is NO_POSE:
                 await heard(device, topic_id, is_zero=True)
@@ -165,7 +165,7 @@ async def test_a_twist_that_is_no_velocity_by_its_name_stays_as_it_was_sent() ->
     ("infos", "topic_id", "name"), [(NO_POSE, 100, "/cart/cmd_vel"), (SECOND, 102, "/robot_0/arm_vel")]
 )
 class TestAsAnyRobot:
-    async def test_somebody_less_important_is_refused_and_told(
+    async def test_somebody_less_important_is_refused_with_a_reason(
         self,
         infos: list[TopicInfo],
         topic_id: int,
@@ -225,7 +225,7 @@ async def test_a_second_velocity_of_a_robot_has_the_robots_limits_and_another_de
             assert struct.unpack("<6d", payload)[0] == speed_m_s
 
 
-async def test_the_lock_holds_for_a_second_topic_that_comes_later_and_ends_with_the_unlock() -> None:
+async def test_the_lock_applies_to_a_second_topic_that_comes_later_and_ends_with_the_unlock() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         assert (await host.rest("POST", "/api/robots/robot_0/lock"))[0] == 200

@@ -115,7 +115,7 @@ async def test_a_robot_that_publishes_on_after_a_reconnect() -> None:
             await asyncio.sleep(0.02)
         link = (await host.get("/api/links"))["links"][0]
     assert link["unknown_ids"] > 100
-    assert link["asks"] <= 2
+    assert link["topic_requests"] <= 2
 
 
 async def test_the_first_topic_request() -> None:
@@ -205,7 +205,7 @@ async def test_a_hundred_frames_in_one_segment() -> None:
 async def test_each_reconnect() -> None:
     """Leaks a thread and a descriptor | nothing. Here: nothing."""
 
-    def held() -> tuple[int, int]:
+    def in_use() -> tuple[int, int]:
         return len(list(Path("/proc/self/fd").iterdir())), len(asyncio.all_tasks())
 
     async with daemon() as host:
@@ -214,14 +214,14 @@ async def test_each_reconnect() -> None:
             async with fake_device(host.tcp, robot_topics()):
                 pass
             await expect(lambda: not host.hub.links())
-            before = before or held()
-        assert held() <= before
+            before = before or in_use()
+        assert in_use() <= before
 
 
 async def test_an_illegal_topic_name() -> None:
     """An error | the process aborts. Here: no device means it, so it counts as damage; the other topics go on."""
-    odd = topic(Id.PUBLISHER, 126, "/no name\x1b[31m at all!", "std_msgs/Bool")
-    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), odd]) as device:
+    uncommon = topic(Id.PUBLISHER, 126, "/no name\x1b[31m at all!", "std_msgs/Bool")
+    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), uncommon]) as device:
         await device.send(encode(126, b"\x01") + pose(1.0))
         await messages(host, 1)
         assert (await host.get("/api/links"))["links"][0]["malformed"] == 1

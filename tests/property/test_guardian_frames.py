@@ -91,21 +91,21 @@ def test_a_line_of_38400_baud_has_the_zero_in_time_too(*, gives_up: bool) -> Non
 def test_a_frame_that_is_never_given_up_costs_its_own_length_and_no_more(topic_id: int) -> None:
     """Also where an id or a checksum is FF, which a device outside of frames takes for the start of one."""
     for cut in range(1, len(LONG)):
-        seen: dict[int, bytes] = {}
-        reader = RosLibReader(seen.__setitem__, gives_up=False)
+        observed: dict[int, bytes] = {}
+        reader = RosLibReader(observed.__setitem__, gives_up=False)
         reader.turn(LONG[:cut], 0.0)
         reader.turn(stop_sequence((topic_id,), BUFFER_BYTES)[0][1], 0.0)
-        assert seen.get(topic_id) == bytes(48), cut
+        assert observed.get(topic_id) == bytes(48), cut
 
 
 @pytest.mark.parametrize("topic_ids", [(100, 107), (255, 511, 256), tuple(range(100, 116))])
 def test_a_frame_that_is_never_given_up_costs_none_of_several_topics(topic_ids: tuple[int, ...]) -> None:
     for cut in range(1, len(LONG)):
-        seen: dict[int, bytes] = {}
-        reader = RosLibReader(seen.__setitem__, gives_up=False)
+        observed: dict[int, bytes] = {}
+        reader = RosLibReader(observed.__setitem__, gives_up=False)
         reader.turn(LONG[:cut], 0.0)
         reader.turn(stop_sequence(topic_ids, BUFFER_BYTES)[0][1], 0.0)
-        assert {each: seen.get(each) for each in topic_ids} == dict.fromkeys(topic_ids, bytes(48)), cut
+        assert {each: observed.get(each) for each in topic_ids} == dict.fromkeys(topic_ids, bytes(48)), cut
 
 
 def test_without_the_repetition_a_long_claim_would_swallow_every_zero() -> None:

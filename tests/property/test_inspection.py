@@ -49,11 +49,13 @@ def test_agrees_with_the_original_host(name: str, cut: Any) -> None:
     sent = sums(session["host_messages"] for session in sessions)
     assert report["to_device"] == {topic: series for topic, series in sent.items() if "(" not in topic}
     assert report["parameters"] == [each for session in sessions for each in session.get("parameter_requests", [])]
-    told = [
+    reported = [
         {"level": log["level"], "msg": log["msg"]} for session in sessions for log in session.get("device_logs", [])
     ]
-    assert [log for log in told if log not in report["logs"]] == []
-    assert len(report["logs"]) == len(told) + {"reconnect": 1}.get(name, 0)  # on the connection that nobody answered
+    assert [log for log in reported if log not in report["logs"]] == []
+    assert len(report["logs"]) == len(reported) + {"reconnect": 1}.get(
+        name, 0
+    )  # on the connection that nobody answered
     assert report["services"] == services(sent, sessions)
     assert report["skipped_bytes"] == {"reconnect": 23}.get(name, 0)  # cut after 20 and after 3 bytes of a frame
 
@@ -66,24 +68,24 @@ def kind(topic: dict[str, Any]) -> str:
 def sums(series: Iterator[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     total: dict[str, dict[str, Any]] = {}
     for topics in series:
-        for topic, seen in topics.items():
-            last = seen.get("all", seen.get("last"))[-1]
-            first = seen.get("all", seen.get("first"))[0]
+        for topic, observed in topics.items():
+            last = observed.get("all", observed.get("last"))[-1]
+            first = observed.get("all", observed.get("first"))[0]
             before = total.setdefault(topic, {"count": 0, "first": first, "last": last})
-            before["count"] += seen["count"]
+            before["count"] += observed["count"]
             before["last"] = last
     return total
 
 
 def services(sent: dict[str, Any], sessions: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
     answered = sums(session.get("service_server_responses", {}) for session in sessions)
-    asked = sums(session.get("service_client_requests", {}) for session in sessions)
+    requested = sums(session.get("service_client_requests", {}) for session in sessions)
     own = {
         name: {"requests": sent[f"{name} (request to device)"]["count"], "responses": series["count"]}
         for name, series in answered.items()
     }
     called = {
         name: {"requests": series["count"], "responses": sent[f"{name} (response to device)"]["count"]}
-        for name, series in asked.items()
+        for name, series in requested.items()
     }
     return own | called

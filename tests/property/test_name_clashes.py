@@ -127,19 +127,19 @@ class Clashes(RuleBasedStateMachine):
         self.now(asyncio.sleep(seconds))
 
     @precondition(lambda self: len(self.others) < 6)
-    @rule(told=announcements, address=addresses)
-    def connect(self, told: list[TopicInfo], address: str) -> None:
+    @rule(announced=announcements, address=addresses)
+    def connect(self, announced: list[TopicInfo], address: str) -> None:
         async def act() -> None:
-            self.others.append(ScriptedDevice(self.hub, told, address=address))
+            self.others.append(ScriptedDevice(self.hub, announced, address=address))
             await asyncio.sleep(0.01)
 
         self.now(act())
 
     @precondition(lambda self: self.others)
-    @rule(data=st.data(), told=announcements)
-    def announce_other_topics(self, data: st.DataObject, told: list[TopicInfo]) -> None:
+    @rule(data=st.data(), announced=announcements)
+    def announce_other_topics(self, data: st.DataObject, announced: list[TopicInfo]) -> None:
         async def act() -> None:
-            device.infos = told
+            device.infos = announced
             await device.announce()
 
         device = data.draw(st.sampled_from(self.others))
@@ -248,15 +248,15 @@ class Clashes(RuleBasedStateMachine):
     @precondition(lambda self: len(getattr(self, "names", ())) == 2)
     @invariant()
     def their_poses_are_their_own(self) -> None:
-        async def look() -> None:
+        async def check_poses() -> None:
             for number, name in enumerate(self.names):
-                seen = self.hub.robots.find(name).odometry.snapshot(asyncio.get_running_loop().time())
-                assert seen is not None
-                assert seen.pose.x_m == number + 1
-                assert (seen.restarts, seen.ignored) == (0, 0)
-                assert seen.age_s < 0.2
+                estimate = self.hub.robots.find(name).odometry.snapshot(asyncio.get_running_loop().time())
+                assert estimate is not None
+                assert estimate.pose.x_m == number + 1
+                assert (estimate.restarts, estimate.ignored) == (0, 0)
+                assert estimate.age_s < 0.2
 
-        self.now(look())
+        self.now(check_poses())
 
     @precondition(lambda self: len(getattr(self, "names", ())) == 2)
     @invariant()

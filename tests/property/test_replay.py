@@ -59,7 +59,7 @@ def heard(reads: Timed) -> Counter[object]:
     return found
 
 
-def told(session: dict[str, Any]) -> Counter[object]:
+def reported(session: dict[str, Any]) -> Counter[object]:
     """The same of the original host."""
     found = Counter[object]({events.TimeRequested: session["time_requests"]})
     found[events.DeviceLogged] = len(session.get("device_logs", []))
@@ -75,4 +75,4 @@ def test_hears_what_the_original_host_heard(name: str, cut: Any) -> None:
     expected = json.loads((CAPTURES / f"{name}.expected.json").read_text())
     for session in expected["sessions"]:
         reads = [read for read in recorded(name) if read.conn == session["conn"]]
-        assert heard(cut(reads)) == told(session)
+        assert heard(cut(reads)) == reported(session)

@@ -146,7 +146,7 @@ class Drivers(RuleBasedStateMachine):
             except DeviceGone:
                 assert robot.link is None
             except RobotHeld:
-                assert self.locked_since is not None or robot.gate.holder != owner
+                assert self.locked_since is not None or robot.gate.owner_name != owner
             else:
                 assert self.locked_since is None
                 if not velocity.is_zero:
@@ -157,7 +157,7 @@ class Drivers(RuleBasedStateMachine):
     @rule(owner=owners)
     def leave(self, owner: str) -> None:
         async def now() -> None:
-            if self.robots.find(NAME).gate.holder == owner:
+            if self.robots.find(NAME).gate.owner_name == owner:
                 self.driven_until_s = asyncio.get_running_loop().time()
             self.gates.release(owner)
 

@@ -54,11 +54,11 @@ texts = st.one_of(
 
 
 @given(st.lists(st.tuples(st.integers(0, 1), texts), max_size=25))
-def test_no_client_can_break_itself_or_another(said: list[tuple[int, str | bytes]]) -> None:
+def test_no_client_can_break_itself_or_another(sent: list[tuple[int, str | bytes]]) -> None:
     async def run() -> None:
         async with world() as here:
             peers = [here.client(), here.client()]
-            for number, text in said:
+            for number, text in sent:
                 peers[number].client.receive(text)
                 await asyncio.sleep(0)
             await asyncio.sleep(100)  # virtual: every deadline is over
@@ -91,11 +91,11 @@ ids = st.sampled_from([None, "x", "y", 1, 2])
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "a", "/b"]), ids, st.booleans()), max_size=60))
-def test_ids_that_come_and_go_leave_what_is_asked_for(said: list[tuple[str, object, bool]]) -> None:
+def test_ids_that_come_and_go_leave_what_is_subscribed(sent: list[tuple[str, object, bool]]) -> None:
     async def run() -> None:
         async with world() as here:
             peer, wanted = here.client(), set[tuple[str, object]]()
-            for topic, request_id, is_wanted in said:
+            for topic, request_id, is_wanted in sent:
                 peer.send(op="subscribe" if is_wanted else "unsubscribe", topic=topic, id=request_id)
                 if is_wanted:
                     wanted.add((topic, request_id))

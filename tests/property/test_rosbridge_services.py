@@ -32,14 +32,14 @@ class Program:
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
         self.is_there = True
-        self.asked: list[Any] = []
+        self.pending: list[Any] = []
         self.calls: list[int] = []
         self.answers: list[Any] = []
 
     def read(self) -> None:
         for heard in self.peer.received():
             if heard["op"] == "call_service":
-                self.asked.append(heard)
+                self.pending.append(heard)
             elif heard["op"] == "service_response":
                 self.answers.append(heard["id"])
 
@@ -53,21 +53,21 @@ class Program:
             case "call":
                 self.calls.append(number)
                 self.peer.send(op="call_service", id=number, service=what, timeout=more)
-            case "answer" if self.asked:
-                asked = self.asked.pop(0)
-                said = {"op": "service_response", "id": asked["id"], "service": asked["service"]}
-                self.peer.client.receive(json.dumps(said | {"values": what, "result": more}))
+            case "answer" if self.pending:
+                pending = self.pending.pop(0)
+                response = {"op": "service_response", "id": pending["id"], "service": pending["service"]}
+                self.peer.client.receive(json.dumps(response | {"values": what, "result": more}))
             case "leave":
                 self.is_there = False
                 self.peer.client.participant.leave()
 
 
 @given(st.lists(st.tuples(st.integers(0, PEERS - 1), actions), max_size=40))
-def test_every_call_is_answered_exactly_once(said: list[tuple[int, tuple[str, Any, Any]]]) -> None:
+def test_every_call_is_answered_exactly_once(response: list[tuple[int, tuple[str, Any, Any]]]) -> None:
     async def run() -> None:
         async with world() as here:
             programs = [Program(here.client()) for _ in range(PEERS)]
-            for number, (who, action) in enumerate(said):
+            for number, (who, action) in enumerate(response):
                 if programs[who].is_there:
                     programs[who].act(action, number)
                 await asyncio.sleep(action[1] if action[0] == "wait" else 0)

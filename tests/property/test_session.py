@@ -32,22 +32,22 @@ lines = st.lists(st.one_of(noise, frames.map(wire_of), infos, controls, st.just(
 def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], data: st.DataObject) -> None:
     session = Session(check=lambda info: SIZES.get(info.type))
     now_s = 0.0
-    asked_at_s = [now_s for event in session.open(now_s=now_s) if isinstance(event, events.TopicsAsked)]
+    requested_at_s = [now_s for event in session.open(now_s=now_s) if isinstance(event, events.TopicsRequested)]
     for line, pause_s in story:
         for event in session.receive(damaged(line, data), now_s=now_s):
-            asked_at_s += [now_s] * isinstance(event, events.TopicsAsked)
+            requested_at_s += [now_s] * isinstance(event, events.TopicsRequested)
         until_s = now_s + pause_s
         ticks = 0
         while (deadline_s := session.deadline_s()) <= until_s:
             now_s = max(now_s, deadline_s)
             for event in session.tick(now_s=now_s):
-                asked_at_s += [now_s] * isinstance(event, events.TopicsAsked)
+                requested_at_s += [now_s] * isinstance(event, events.TopicsRequested)
             ticks += 1
             assert ticks < 2000, "a deadline that a tick does not move"
         now_s = until_s
         for info in session.topics:
-            sends_only_what_the_device_can_take(session, info, now_s)
-    assert all(later >= earlier + 1.0 for earlier, later in itertools.pairwise(asked_at_s))
+            sends_only_what_fits_the_device(session, info, now_s)
+    assert all(later >= earlier + 1.0 for earlier, later in itertools.pairwise(requested_at_s))
     comes_back(session, now_s)
 
 
@@ -56,8 +56,8 @@ def heard(reads: Iterable[bytes]) -> tuple[list[events.Event], dict[str, int]]:
     session = Session(check=lambda info: SIZES.get(info.type))
     session.open(now_s=0.0)
     found = [event for read in reads for event in session.receive(read, now_s=0.0)]
-    counts = dataclasses.asdict(session.counts) | {"asks": 0}
-    return [event for event in found if not isinstance(event, events.TopicsAsked)], counts
+    counts = dataclasses.asdict(session.counts) | {"topic_requests": 0}
+    return [event for event in found if not isinstance(event, events.TopicsRequested)], counts
 
 
 @given(lines, st.lists(st.sampled_from([GOOD, GOOD[:1], GOOD[1:]]), max_size=3), st.data())
@@ -67,12 +67,12 @@ def test_every_split_gives_the_same_events(line: bytes, tellings: list[list[Topi
     assert heard(split(wire, data)) == heard([wire]) == heard(bytes([byte]) for byte in wire)
 
 
-def sends_only_what_the_device_can_take(session: Session, info: TopicInfo, now_s: float) -> None:
+def sends_only_what_fits_the_device(session: Session, info: TopicInfo, now_s: float) -> None:
     known = {known.topic_id: known for known in session.topics}
     with contextlib.suppress(HostlinkError):  # refused, or sent: then it must fit
         session.publish(info.name, bytes(SIZES.get(info.type, 5)))
-    while (taken := session.take(now_s=now_s, wall_ns=0)) is not None:
-        frame = taken.frame
+    while (outgoing := session.pop_frame(now_s=now_s, wall_ns=0)) is not None:
+        frame = outgoing.frame
         topic_id = int.from_bytes(frame[5:7], "little")
         if topic_id >= 100:
             assert known[topic_id].is_to_device
@@ -81,22 +81,22 @@ def sends_only_what_the_device_can_take(session: Session, info: TopicInfo, now_s
 
 def comes_back(session: Session, now_s: float) -> None:
     """A device that answers the next request for topics works, whatever was before."""
-    asked = False
+    requested = False
     for _ in range(2000):
         now_s += 0.01
-        while (taken := session.take(now_s=now_s, wall_ns=0)) is not None:
-            asked = asked or taken.frame == TOPICS_REQUEST
-        if asked:
+        while (outgoing := session.pop_frame(now_s=now_s, wall_ns=0)) is not None:
+            requested = requested or outgoing.frame == TOPICS_REQUEST
+        if requested:
             break
         session.tick(now_s=now_s)
-    assert asked, "it never asked again"
-    told = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in GOOD) + TIME
+    assert requested, "it never asked again"
+    announced = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in GOOD) + TIME
     # Junk that waits for its end may hide one answer; it is given up, and then the next one is heard.
-    found = session.receive(told, now_s=now_s) + session.receive(encode(125, bytes(24)), now_s=now_s)
+    found = session.receive(announced, now_s=now_s) + session.receive(encode(125, bytes(24)), now_s=now_s)
     if not any(isinstance(event, events.MessageReceived) and event.topic == GOOD[0] for event in found):
         for _ in range(3):
             now_s += 2.5
             session.tick(now_s=now_s)
-        found = session.receive(told + encode(125, bytes(24)), now_s=now_s)
+        found = session.receive(announced + encode(125, bytes(24)), now_s=now_s)
     assert any(isinstance(event, events.MessageReceived) and event.topic == GOOD[0] for event in found)
     session.publish("/velocity", bytes(48))

@@ -39,10 +39,10 @@ def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], retries: bool, 
         now_s += pause_s
     for _ in range(60):  # what is on the UART arrives, and a frame that never ends is dropped
         now_s = run(device, now_s + LOOP_S)
-    device.to_host.take(now_s + 10.0)
+    device.to_host.pop(now_s + 10.0)
 
     device.from_host.send(TOPICS_REQUEST, now_s)
     now_s = run(device, now_s + 0.1)
-    told = [item for item in FrameStream().feed(device.to_host.take(now_s + 10.0)) if isinstance(item, Frame)]
-    assert [frame.topic_id for frame in told] == [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER]
+    sent = [item for item in FrameStream().feed(device.to_host.pop(now_s + 10.0)) if isinstance(item, Frame)]
+    assert [frame.topic_id for frame in sent] == [Id.TIME, Id.PUBLISHER, Id.SUBSCRIBER]
     assert device.is_configured

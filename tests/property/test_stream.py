@@ -117,17 +117,17 @@ def test_it_reads_what_the_plain_rule_reads(wire: bytes, data: st.DataObject) ->
 def test_no_byte_is_lost(wire: bytes, data: st.DataObject) -> None:
     line = damaged(wire, data)
     stream = FrameStream(limit_bytes=LIMIT_BYTES)
-    seen = b""
+    observed = b""
     for read in split(line, data):
         for event in stream.feed(read):
-            seen += event.data if isinstance(event, Skipped) else wire_of(event)
-    assert len(seen) + stream.pending_bytes == len(line)
-    assert line.startswith(seen)
+            observed += event.data if isinstance(event, Skipped) else wire_of(event)
+    assert len(observed) + stream.pending_bytes == len(line)
+    assert line.startswith(observed)
     assert stream.pending_bytes <= LIMIT_BYTES + 8
     while stream.pending_bytes:
         for event in stream.give_up():
-            seen += event.data if isinstance(event, Skipped) else wire_of(event)
-    assert seen == line
+            observed += event.data if isinstance(event, Skipped) else wire_of(event)
+    assert observed == line
 
 
 @given(st.binary(max_size=40).map(lambda junk: junk.replace(b"\xff", b"")), unambiguous, st.data())

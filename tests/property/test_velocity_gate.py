@@ -69,18 +69,18 @@ def use(velocity: Velocity, limits: Limits) -> float:
 
 
 @given(limits_of_speed, velocities)
-def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, asked: Velocity) -> None:
-    given_ = limits.apply(asked)
-    factor = min(1.0, 1 / max(use(asked, limits), 1e-300))
-    assert given_ == pytest.approx(asked.scaled(factor), rel=1e-9)
+def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, requested: Velocity) -> None:
+    given_ = limits.apply(requested)
+    factor = min(1.0, 1 / max(use(requested, limits), 1e-300))
+    assert given_ == pytest.approx(requested.scaled(factor), rel=1e-9)
     assert use(given_, limits) <= SLACK
     assert limits.apply(given_) == pytest.approx(given_, rel=1e-9)
 
 
 @given(limits_of_all, st.builds(Velocity, *[st.floats(allow_nan=False, allow_infinity=False)] * 6))
-def test_any_finite_command_gives_finite_velocities(limits: Limits, asked: Velocity) -> None:
+def test_any_finite_command_gives_finite_velocities(limits: Limits, requested: Velocity) -> None:
     gate = VelocityGate("robot_0", limits)
-    for now_s, wanted in ((0.0, asked), (0.1, asked.scaled(-1)), (0.2, asked)):
+    for now_s, wanted in ((0.0, requested), (0.1, requested.scaled(-1)), (0.2, requested)):
         assert gate.command("ann", wanted, priority=0, now_s=now_s).is_finite
         given_ = gate.step(now_s + 0.05)
         assert given_ is not None
@@ -117,7 +117,7 @@ class GateHistory(RuleBasedStateMachine):
         self.now_s = 100.0
         self.stepped_at_s = self.now_s
         self.given: Velocity = ZERO  # what the device has
-        self.holder: str | None = None
+        self.owner: str | None = None
         self.commanded: dict[str, tuple[float, int]] = {}  # when and with what priority, by owner who has not left
         self.wanted = ZERO
         self.deadline_s = -math.inf
@@ -136,17 +136,17 @@ class GateHistory(RuleBasedStateMachine):
     def somebody_drives(self, owner: str, velocity: Velocity, priority: int) -> None:
         self.notice_the_end()
         stronger = self.stronger_than(owner, priority)
-        if self.is_locked or (stronger and self.holder != owner):
+        if self.is_locked or (stronger and self.owner != owner):
             with pytest.raises(RobotHeld) as refusal:
                 self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
             assert refusal.value.lock_reason == ("smoke" if self.is_locked else None)
-            assert self.is_locked or refusal.value.holder in stronger
+            assert self.is_locked or refusal.value.owner in stronger
             return
         limited = self.gate.command(owner, velocity, priority=priority, now_s=self.now_s)
         assert limited == self.limits.apply(velocity)
-        if self.holder is None and self.given.is_zero:
+        if self.owner is None and self.given.is_zero:
             self.stepped_at_s = self.now_s
-        self.holder, self.wanted = owner, limited
+        self.owner, self.wanted = owner, limited
         self.commanded[owner] = self.now_s, priority
         self.deadline_s = self.now_s + LEASE_S
         self.zeros = int(self.is_new_device)
@@ -157,10 +157,10 @@ class GateHistory(RuleBasedStateMachine):
     def somebody_sends_zero(self, owner: str, priority: int) -> None:
         self.notice_the_end()
         assert self.gate.command(owner, ZERO, priority=priority, now_s=self.now_s) == ZERO
-        if self.holder == owner:
+        if self.owner == owner:
             self.commanded[owner] = self.commanded[owner][0], priority
             self.wanted = ZERO
-        elif self.holder is None:
+        elif self.owner is None:
             self.zeros = max(self.zeros, 1)
         self.step()
 
@@ -175,16 +175,16 @@ class GateHistory(RuleBasedStateMachine):
         self.notice_the_end()
         self.gate.release(owner, now_s=self.now_s)
         self.commanded.pop(owner, None)
-        if self.holder == owner:
+        if self.owner == owner:
             self.end(self.now_s)
-        assert self.gate.holder != owner
+        assert self.gate.owner_name != owner
 
     @rule()
     def somebody_stops_it(self) -> None:
         self.notice_the_end()
         self.gate.stop(now_s=self.now_s)
         self.end(self.now_s)
-        assert self.gate.holder is None
+        assert self.gate.owner_name is None
 
     @rule()
     def the_device_restarts(self) -> None:
@@ -222,7 +222,7 @@ class GateHistory(RuleBasedStateMachine):
             assert given_[owed:] == [None] * (ZEROS + 2 - owed)
         assert not self.gate.may_move
 
-    @precondition(lambda self: self.holder is not None)
+    @precondition(lambda self: self.owner is not None)
     @rule()
     def the_clock_reaches_the_very_end_of_the_lease(self) -> None:
         self.now_s = math.nextafter(max(self.now_s, self.deadline_s), 0)
@@ -235,9 +235,9 @@ class GateHistory(RuleBasedStateMachine):
         before, dt_s = self.given, self.now_s - self.stepped_at_s
         given_ = self.gate.step(self.now_s)
         self.stepped_at_s = self.now_s
-        assert self.gate.holder == self.holder
+        assert self.gate.owner_name == self.owner
         assert not self.is_locked or given_ in (ZERO, None)
-        if self.holder is None:
+        if self.owner is None:
             self.check_end(before, given_, dt_s)
         elif self.zeros > 0:
             assert given_ == ZERO
@@ -247,7 +247,7 @@ class GateHistory(RuleBasedStateMachine):
             assert given_ is not None
             self.check_drive(before, given_, min(dt_s, LONGEST_STEP_S))
         self.given = self.gate.current
-        assert self.gate.may_move == (self.holder is not None or self.zeros > 0 or not self.given.is_zero)
+        assert self.gate.may_move == (self.owner is not None or self.zeros > 0 or not self.given.is_zero)
         assert self.gate.is_active == (self.gate.may_move or self.is_locked)
         return given_
 
@@ -285,17 +285,17 @@ class GateHistory(RuleBasedStateMachine):
         }
 
     def notice_the_end(self) -> None:
-        if self.holder is not None and self.now_s >= self.deadline_s:
+        if self.owner is not None and self.now_s >= self.deadline_s:
             self.end(self.deadline_s)
 
     def end(self, at_s: float) -> None:
-        if self.holder is not None:
+        if self.owner is not None:
             self.stepped_at_s = max(self.stepped_at_s, at_s)
-        self.holder = None
+        self.owner = None
         self.zeros = ZEROS
 
     def stop_at_once(self) -> None:
-        self.holder = None
+        self.owner = None
         self.given, self.zeros = ZERO, ZEROS
 
 

@@ -23,8 +23,10 @@ def topic(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: i
         return TopicInfo(kind, topic_id, name, type_name, message.md5, buffer_bytes)
     service = CATALOG.service(type_name)
     assert service is not None, type_name
-    asks = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
-    return TopicInfo(kind, topic_id, name, type_name, (service.request if asks else service.response).md5, buffer_bytes)
+    is_request = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+    return TopicInfo(
+        kind, topic_id, name, type_name, (service.request if is_request else service.response).md5, buffer_bytes
+    )
 
 
 def robot_topics(name: str = "robot_0") -> list[TopicInfo]:

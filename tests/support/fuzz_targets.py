@@ -10,7 +10,7 @@ from collections.abc import Callable
 from hostlink.errors import BadPayload, HostlinkError
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol import control
-from hostlink.protocol.events import TopicsAsked
+from hostlink.protocol.events import TopicsRequested
 from hostlink.protocol.frame import FIRST_TOPIC_ID, OVERHEAD_BYTES, Frame, Id, encode
 from hostlink.protocol.negotiation import REQUEST_INTERVAL_S
 from hostlink.protocol.session import Session
@@ -49,12 +49,12 @@ def session(data: bytes) -> None:
     tried = Session(check=lambda info: SIZES.get(info.type))
     now_s = 0.0
     found = tried.open(now_s=now_s)
-    asked_at_s = -REQUEST_INTERVAL_S
+    requested_at_s = -REQUEST_INTERVAL_S
     while True:
         for event in found:
-            if isinstance(event, TopicsAsked):
-                assert now_s >= asked_at_s + REQUEST_INTERVAL_S
-                asked_at_s = now_s
+            if isinstance(event, TopicsRequested):
+                assert now_s >= requested_at_s + REQUEST_INTERVAL_S
+                requested_at_s = now_s
         send_all(tried, now_s)
         if now_s >= tried.deadline_s():
             found = tried.tick(now_s=now_s)
@@ -73,8 +73,8 @@ def send_all(tried: Session, now_s: float) -> None:
         with contextlib.suppress(HostlinkError):  # refused before it is queued
             tried.publish(info.name, bytes(SIZES.get(info.type, 3)))
     buffers = {info.topic_id: info.buffer_bytes for info in tried.topics if info.is_to_device}
-    while (taken := tried.take(now_s=now_s, wall_ns=0)) is not None:
-        frame = taken.frame
+    while (outgoing := tried.pop_frame(now_s=now_s, wall_ns=0)) is not None:
+        frame = outgoing.frame
         topic_id = int.from_bytes(frame[5:7], "little")
         assert topic_id < FIRST_TOPIC_ID or topic_id in buffers
         assert buffers.get(topic_id, 0) <= 0 or len(frame) <= buffers[topic_id]

@@ -16,7 +16,7 @@ def gate(limits: Limits = FREE) -> VelocityGate:
     return VelocityGate("robot_0", limits)
 
 
-def held(limits: Limits = FREE, *, priority: int = 50) -> VelocityGate:
+def driven(limits: Limits = FREE, *, priority: int = 50) -> VelocityGate:
     """`ann` drives forward since 0 s, and the robot knows."""
     ours = gate(limits)
     ours.command("ann", FORWARD, priority=priority, now_s=0.0)

@@ -50,9 +50,9 @@ def draw_request(draw: random.Random) -> bytes:
         length, body = _draw_body(draw)
         head.append(length)
     draw.shuffle(head)
-    said = draw.choice((*METHODS, draw_value(draw))) + b" " + path + b" HTTP/1.1\r\n" + b"\r\n".join(head)
-    said += b"\r\n\r\n" + body
-    return said * draw.choice((1, 1, 1, 40)) if draw.random() < 0.9 else said[: draw.randrange(len(said))]
+    request = draw.choice((*METHODS, draw_value(draw))) + b" " + path + b" HTTP/1.1\r\n" + b"\r\n".join(head)
+    request += b"\r\n\r\n" + body
+    return request * draw.choice((1, 1, 1, 40)) if draw.random() < 0.9 else request[: draw.randrange(len(request))]
 
 
 def _draw_headers(draw: random.Random) -> list[bytes]:

@@ -33,7 +33,7 @@ class Account:
     """What was sent and what came, with times of one clock; commands and poses by their number."""
 
     poses_sent: list[tuple[float, int]] = field(default_factory=list)
-    poses_seen: list[tuple[float, int]] = field(default_factory=list)
+    poses_received: list[tuple[float, int]] = field(default_factory=list)
     commands_sent: list[tuple[float, int]] = field(default_factory=list)
     commands_obeyed: list[tuple[float, int]] = field(default_factory=list)
     faults: list[tuple[float, str]] = field(default_factory=list)
@@ -49,7 +49,9 @@ class Account:
         """The cuts, in order."""
         cuts = [at_s for at_s, kind in self.faults if kind in ("cut", "half-open", "reboot", "close")]
         return [
-            Window(at_s, _first_after(at_s + IN_FLIGHT_S, self.poses_seen), _first_after(at_s, self.commands_obeyed))
+            Window(
+                at_s, _first_after(at_s + IN_FLIGHT_S, self.poses_received), _first_after(at_s, self.commands_obeyed)
+            )
             for at_s in cuts
         ]
 
@@ -57,11 +59,11 @@ class Account:
         """(outside the cuts, at the cuts), for each direction."""
         windows = self.windows()
         found = {}
-        for name, sent, seen in (
-            ("odometry", self.poses_sent, self.poses_seen),
+        for name, sent, observed in (
+            ("odometry", self.poses_sent, self.poses_received),
             ("commands", self.commands_sent, self.commands_obeyed),
         ):
-            times = _missing(sent, seen)
+            times = _missing(sent, observed)
             at_cuts = sum(any(window.covers(at_s) for window in windows) for at_s in times)
             found[name] = (len(times) - at_cuts, at_cuts)
         return found
@@ -86,7 +88,7 @@ class Account:
             "lost at cuts": sum(inside for _, inside in lost.values()),
             "recovery_s": [round(window.recovery_s, 2) for window in self.windows()],
             "largest gap odometry_s": [
-                round(self.largest_gap_s(self.poses_seen, at_cuts=at_cuts), 2) for at_cuts in (False, True)
+                round(self.largest_gap_s(self.poses_received, at_cuts=at_cuts), 2) for at_cuts in (False, True)
             ],
             "largest gap commands_s": [
                 round(self.largest_gap_s(self.commands_obeyed, at_cuts=at_cuts), 2) for at_cuts in (False, True)
@@ -98,13 +100,13 @@ def _first_after(at_s: float, events: Sequence[tuple[float, int]]) -> float:
     return next((time_s for time_s, _ in events if time_s > at_s), float("inf"))
 
 
-def _missing(sent: Sequence[tuple[float, int]], seen: Sequence[tuple[float, int]]) -> list[float]:
+def _missing(sent: Sequence[tuple[float, int]], observed: Sequence[tuple[float, int]]) -> list[float]:
     """When each was sent that never came; a number is used again after NUMBERS others, so the search goes in order."""
     missing, at = [], 0
     for sent_at_s, number in sent:
-        while at < len(seen) and seen[at][1] != number and _is_before(seen[at][1], number):
+        while at < len(observed) and observed[at][1] != number and _is_before(observed[at][1], number):
             at += 1
-        if at == len(seen) or seen[at][1] != number:
+        if at == len(observed) or observed[at][1] != number:
             missing.append(sent_at_s)
     return missing
 

@@ -183,24 +183,24 @@ class RosbridgeProgram:
         for waiting in iter(self.queue.pop, None):
             self._receive(json.loads(waiting.item.data))
 
-    def _receive(self, said: dict[str, Any]) -> None:
-        if said["op"] == "publish":
-            type_ = CATALOG.message(TEXT_TYPE if said["topic"] == TEXT else "geometry_msgs/Pose2D")
+    def _receive(self, operation: dict[str, Any]) -> None:
+        if operation["op"] == "publish":
+            type_ = CATALOG.message(TEXT_TYPE if operation["topic"] == TEXT else "geometry_msgs/Pose2D")
             assert type_ is not None
-            self._received.append(type_.encode(said["msg"]))
-        elif said["op"] == "call_service":
-            self._tasks.create_task(self._answer(said))
-        elif said["op"] == "service_response":
-            self._answers[said["id"]].set_result(said)
-        elif said["op"] == "drive_result" and not said["result"]:
-            raise {"RobotHeld": RobotHeld("robot", "other")}.get(said["kind"], HostlinkError(said["reason"]))
-        elif said["op"] == "status":
-            raise BadRequest(said["msg"])
+            self._received.append(type_.encode(operation["msg"]))
+        elif operation["op"] == "call_service":
+            self._tasks.create_task(self._answer(operation))
+        elif operation["op"] == "service_response":
+            self._answers[operation["id"]].set_result(operation)
+        elif operation["op"] == "drive_result" and not operation["result"]:
+            raise {"RobotHeld": RobotHeld("robot", "other")}.get(operation["kind"], HostlinkError(operation["reason"]))
+        elif operation["op"] == "status":
+            raise BadRequest(operation["msg"])
 
-    async def _answer(self, said: dict[str, Any]) -> None:
+    async def _answer(self, operation: dict[str, Any]) -> None:
         assert self._served is not None
-        values = await self._served(said["args"])
-        self.send(op="service_response", id=said["id"], service=SERVICE, values=values, result=True)
+        values = await self._served(operation["args"])
+        self.send(op="service_response", id=operation["id"], service=SERVICE, values=values, result=True)
 
     def _size_of(self, outgoing: Outgoing) -> int:
         if self.is_failing:
@@ -269,9 +269,9 @@ class Scene:
         await asyncio.sleep(0.1)
         assert struct.unpack("<6d", self.other.payloads(VELOCITY_ID)[-1])[0] == 0.2
         assert len(self.neighbour_heard) == before + 1
-        asker = self.hub.join("asker")
-        assert (await asker.call("/neighbour", {}))["message"] == "here"
-        asker.leave()
+        caller = self.hub.join("asker")
+        assert (await caller.call("/neighbour", {}))["message"] == "here"
+        caller.leave()
         assert len(self.hub.links()) == 2
         assert self.hub.isolation.crashes.keys() <= {"participant"}
 

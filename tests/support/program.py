@@ -18,13 +18,13 @@ def main() -> None:
     poses: list[dict[str, float]] = []
     has_moved = threading.Event()
 
-    def look(pose: dict[str, float]) -> None:
+    def on_odometry(pose: dict[str, float]) -> None:
         poses.append(pose)
         if pose["x"] - poses[0]["x"] > 0.05:
             has_moved.set()
 
     odometry = roslibpy.Topic(ros, f"/{robot}/odometry", "geometry_msgs/Pose2D")
-    odometry.subscribe(look)
+    odometry.subscribe(on_odometry)
     velocity = roslibpy.Topic(ros, f"/{robot}/velocity_commands", "geometry_msgs/Twist")
     velocity.advertise()
     deadline_s = time.monotonic() + 20

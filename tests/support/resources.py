@@ -10,6 +10,6 @@ def open_descriptors() -> int:
     return sum(1 for _ in Path("/proc/self/fd").iterdir())
 
 
-def held() -> tuple[int, int, int]:
+def in_use() -> tuple[int, int, int]:
     """Threads, tasks, descriptors."""
     return threading.active_count(), len(asyncio.all_tasks()), open_descriptors()

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import AsyncIterator
 
 PATIENCE_S = 15.0
-LOOK_S = 0.1
+POLL_S = 0.1
 
 
 class Screen:
@@ -32,10 +32,10 @@ class Screen:
     async def shows(self, text: str) -> str:
         async with asyncio.timeout(PATIENCE_S):
             while True:
-                seen = await self.text()
-                if text in seen:
-                    return seen
-                await asyncio.sleep(LOOK_S)
+                observed = await self.text()
+                if text in observed:
+                    return observed
+                await asyncio.sleep(POLL_S)
 
     async def process(self, name: str) -> int:
         """The process with this command line in the screen."""
@@ -48,7 +48,7 @@ class Screen:
                 out, _ = await child.communicate()
                 if out.strip():
                     return int(out.split()[0])
-                await asyncio.sleep(LOOK_S)
+                await asyncio.sleep(POLL_S)
 
 
 @contextlib.asynccontextmanager

@@ -53,9 +53,9 @@ class Host:
 
     def sent(self) -> list[Frame]:
         stream, found = FrameStream(), []
-        while (taken := self.session.take(now_s=self.now_s, wall_ns=5)) is not None:
-            found += [item for item in stream.feed(taken.frame) if isinstance(item, Frame)]
+        while (outgoing := self.session.pop_frame(now_s=self.now_s, wall_ns=5)) is not None:
+            found += [item for item in stream.feed(outgoing.frame) if isinstance(item, Frame)]
         return found
 
     def requests(self) -> list[str]:
-        return [event.reason for event in self.events if isinstance(event, events.TopicsAsked)]
+        return [event.reason for event in self.events if isinstance(event, events.TopicsRequested)]

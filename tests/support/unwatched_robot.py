@@ -51,7 +51,7 @@ class UnwatchedRobot:
     _descriptor: int = -1
 
     def __post_init__(self) -> None:
-        self.reader = RosLibReader(self._take, gives_up=self.reading.gives_up)
+        self.reader = RosLibReader(self._receive, gives_up=self.reading.gives_up)
 
     def topics(self) -> list[TopicInfo]:
         """What it announces."""
@@ -100,7 +100,7 @@ class UnwatchedRobot:
             self.ended_at_s = time.monotonic()
         self.reader.turn(data, time.monotonic())
 
-    def _take(self, topic_id: int, payload: bytes) -> None:
+    def _receive(self, topic_id: int, payload: bytes) -> None:
         if topic_id == Id.PUBLISHER:
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self.topics())
             os.write(self._descriptor, encode(Id.TIME, bytes(8)) + infos + encode(Id.TIME, bytes(8)))

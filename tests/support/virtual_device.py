@@ -46,7 +46,7 @@ class NumberedRobot:
         types = [catalog.message(name) for name in ("geometry_msgs/Pose2D", "geometry_msgs/Twist")]
         pose, twist = (type_ for type_ in types if type_ is not None)
         self._odometry = self.device.advertise("/robot_0/odometry", pose.name, pose.md5)
-        self.device.subscribe("/robot_0/velocity_commands", twist.name, twist.md5, self._take)
+        self.device.subscribe("/robot_0/velocity_commands", twist.name, twist.md5, self._receive)
 
     def turn(self, now_s: float) -> float | None:
         self._now_s = now_s
@@ -61,7 +61,7 @@ class NumberedRobot:
     def reboot(self) -> None:
         self.device.reboot()
 
-    def _take(self, payload: bytes) -> None:
+    def _receive(self, payload: bytes) -> None:
         self.commands.append((self._now_s, payload))
 
 
@@ -133,5 +133,5 @@ class VirtualDevice:
                 await self._spoke.wait()
                 continue
             await asyncio.sleep(max(0.0, arrival_s - now_s()) + LINE_POLL_S)
-            if data := line.take(now_s()):
+            if data := line.pop(now_s()):
                 await transport.send(data)

@@ -53,7 +53,7 @@ class World:
     device: VirtualDevice
     taps: list[Tap]
     poses: list[tuple[float, bytes]] = field(default_factory=list)  # (time, payload) at a subscriber
-    told: list[tuple[float, str, dict[str, Any]]] = field(default_factory=list)  # what the relay reported
+    reported: list[tuple[float, str, dict[str, Any]]] = field(default_factory=list)  # what the relay reported
     commands: list[tuple[float, int]] = field(default_factory=list)  # (time, number) of what the host accepted
     commanded: int = 0
 
@@ -114,7 +114,7 @@ async def world(
             passages.append(tasks.create_task(relay.serve(relay_end), name="passage"))
             return device_end
 
-        relay = Relay(script, reach_host, lambda what, facts: made.told.append((now_s(), what, facts)))
+        relay = Relay(script, reach_host, lambda what, facts: made.reported.append((now_s(), what, facts)))
         made = World(hub, relay, VirtualDevice(program, reach_relay, loop_s=loop_s), taps)
         running = [tasks.create_task(hub.run(), name="hub")]
         await hub.is_running.wait()

@@ -49,7 +49,7 @@ async def test_a_daemon_that_is_killed_and_started_again_while_a_script_drives()
                 await expect(lambda: body.speed_m_s > 0.02)
 
 
-async def test_a_script_that_does_not_run_for_a_while_is_no_cut_but_it_holds_nothing_any_more() -> None:
+async def test_a_script_that_does_not_run_for_a_while_is_no_cut_but_it_repeats_nothing_any_more() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
         async with connect(daemon.url) as me:

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.daemon import daemon
 from tests.support.process import Process, serve
-from tests.support.resources import held
+from tests.support.resources import in_use
 
 CLIENTS = 900
 AT_ONCE = 20
@@ -85,15 +85,15 @@ async def test_nothing_is_kept_of_a_client_that_is_gone(visit: Visit) -> None:
         await visits(visit, port, 100)
         await asyncio.sleep(0.2)
         gc.collect()
-        objects, before = len(gc.get_objects()), held()
+        objects, before = len(gc.get_objects()), in_use()
         await visits(visit, port, 300)
         await asyncio.sleep(0.2)
         gc.collect()
         assert len(gc.get_objects()) - objects < 300  # less than one a client
-        assert held() == before
+        assert in_use() == before
 
 
-async def test_a_daemon_that_has_seen_2700_clients_is_no_larger_than_after_1800() -> None:
+async def test_a_daemon_that_has_served_2700_clients_is_no_larger_than_after_1800() -> None:
     sizes = []
     async with serve() as host, asyncio.TaskGroup() as tasks:
         log = tasks.create_task(drain(host))

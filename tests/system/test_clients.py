@@ -39,43 +39,43 @@ async def run(*command: str) -> Any:
         )  # fmt: skip
         assert program.stdout is not None
         try:
-            said = await program.stdout.readline()
-            if said == b"cut\n":
+            output = await program.stdout.readline()
+            if output == b"cut\n":
                 line.break_off()
             out, err = await program.communicate()
         finally:
             if program.returncode is None:
                 program.kill()
-        assert (program.returncode, said) == (0, b"cut\n"), said.decode() + err.decode()
+        assert (program.returncode, output) == (0, b"cut\n"), output.decode() + err.decode()
     return json.loads(out)
 
 
-def check_what_all_see(seen: Any) -> None:
-    assert seen["odom"]["header"]["frame_id"] == "odom"
-    assert seen["odom"]["pose"]["covariance"][0] == 0.001
-    assert (seen["text"], seen["png"], seen["latched"]) == ("hällo", "plain", "kept")
-    assert seen["throttled"] == [0, 9]
-    assert (seen["answer"]["success"], seen["answer"]["message"].lower()) == (True, "got true")
-    assert "no service named /add" in seen["refused"]
-    assert seen["reconnected"] is True
+def check_what_all_receive(observed: Any) -> None:
+    assert observed["odom"]["header"]["frame_id"] == "odom"
+    assert observed["odom"]["pose"]["covariance"][0] == 0.001
+    assert (observed["text"], observed["png"], observed["latched"]) == ("hällo", "plain", "kept")
+    assert observed["throttled"] == [0, 9]
+    assert (observed["answer"]["success"], observed["answer"]["message"].lower()) == (True, "got true")
+    assert "no service named /add" in observed["refused"]
+    assert observed["reconnected"] is True
 
 
 @pytest.mark.parametrize("library", ["roslib", "roslib-1"])
 async def test_roslib_does_all_that_it_offers(library: str) -> None:
-    seen = await run("node", "everything.mjs", library)
-    check_what_all_see(seen)
-    assert seen["pose"].keys() == {"x", "y", "theta"}
-    assert seen["image"] == "AQID"
-    assert seen["floats"] == {"kind": "Float32Array", "values": [1.5, -2]}
-    assert seen["bytes"] == {"kind": "Uint8Array", "values": [1, 2, 3]}
-    assert seen["wide"] == [7, -7]
-    assert bytes.fromhex(seen["raw"]) == b"\x03\x00\x00\x00abc"
-    assert seen["lock"]["success"] is True
-    assert (seen["param"], seen["deleted"]) == ([1, 2.5], None)
-    assert seen["status"] == "unknown op 'dance'"
-    assert seen.get("action") in (None, "GoalError: Action was aborted: no actions here")  # roslib 1 has no actions
-    assert seen["decoded"] == {"x": "float64", "covariance": ["float64"], "frame": "string"}
-    api = seen["api"]
+    observed = await run("node", "everything.mjs", library)
+    check_what_all_receive(observed)
+    assert observed["pose"].keys() == {"x", "y", "theta"}
+    assert observed["image"] == "AQID"
+    assert observed["floats"] == {"kind": "Float32Array", "values": [1.5, -2]}
+    assert observed["bytes"] == {"kind": "Uint8Array", "values": [1, 2, 3]}
+    assert observed["wide"] == [7, -7]
+    assert bytes.fromhex(observed["raw"]) == b"\x03\x00\x00\x00abc"
+    assert observed["lock"]["success"] is True
+    assert (observed["param"], observed["deleted"]) == ([1, 2.5], None)
+    assert observed["status"] == "unknown op 'dance'"
+    assert observed.get("action") in (None, "GoalError: Action was aborted: no actions here")  # roslib 1 has no actions
+    assert observed["decoded"] == {"x": "float64", "covariance": ["float64"], "frame": "string"}
+    api = observed["api"]
     topics = dict(zip(api["getTopics"]["topics"], api["getTopics"]["types"], strict=True))
     assert topics["/tf"] == "tf2_msgs/TFMessage"
     raw = api["getTopicsAndRawTypes"]
@@ -92,10 +92,10 @@ async def test_roslib_does_all_that_it_offers(library: str) -> None:
 
 
 async def test_roslibpy_does_all_that_it_offers() -> None:
-    seen = await run(sys.executable, "everything.py")
-    check_what_all_see(seen)
-    assert seen["stamp"] == {"secs": 5, "nsecs": 6}
-    api = seen["api"]
+    observed = await run(sys.executable, "everything.py")
+    check_what_all_receive(observed)
+    assert observed["stamp"] == {"secs": 5, "nsecs": 6}
+    api = observed["api"]
     assert api["time"].keys() == {"secs", "nsecs"}
     assert {"/robot_0/odom", "/rosout"} < set(api["topics"])
     assert (api["topic_type"], api["service_type"]) == ("geometry_msgs/Pose2D", "rosapi/Topics")

@@ -13,15 +13,15 @@ MOST_MIB = 200.0
 @pytest.mark.parametrize(
     ("crowd", "count"), [("devices", 50), ("vanish", 50), ("silent", 500)], ids=["devices", "vanish", "silent"]
 )
-async def test_a_crowd_does_not_take_the_robot_from_who_drives_it(crowd: str, count: int) -> None:
-    seen = await measure(Load(crowd, crowd, count, 2.0))
-    assert seen["commands"] >= 90
-    assert seen["median_ms"] < LONGEST_MEDIAN_MS
-    assert seen["memory_mib"] < MOST_MIB
+async def test_a_crowd_does_not_displace_the_driver(crowd: str, count: int) -> None:
+    observed = await measure(Load(crowd, crowd, count, 2.0))
+    assert observed["commands"] >= 90
+    assert observed["median_ms"] < LONGEST_MEDIAN_MS
+    assert observed["memory_mib"] < MOST_MIB
     if crowd == "devices":
-        assert seen["crowd"]["sent"] >= 0.9 * count * 20
-        assert "lost" not in seen["crowd"]
+        assert observed["crowd"]["sent"] >= 0.9 * count * 20
+        assert "lost" not in observed["crowd"]
     elif crowd == "vanish":
-        assert seen["crowd"]["visits"] >= 90
+        assert observed["crowd"]["visits"] >= 90
     else:
-        assert seen["crowd"]["sent_away"] >= count - 256
+        assert observed["crowd"]["sent_away"] >= count - 256

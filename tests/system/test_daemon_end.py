@@ -61,7 +61,7 @@ async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
 @pytest.mark.parametrize("rate_hz", [10, 50, 200])
-async def test_a_robot_that_is_driven_while_the_daemon_ends_hears_zero_last(
+async def test_a_robot_that_is_driven_while_the_daemon_ends_receives_zero_last(
     number: signal.Signals, rate_hz: float
 ) -> None:
     async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, driven(daemon, rate_hz):
@@ -72,8 +72,8 @@ async def test_a_robot_that_is_driven_while_the_daemon_ends_hears_zero_last(
         first = sent.index(ZERO)
         assert set(sent[first:]) == {ZERO}  # from the first zero on nothing moves it any more
         assert await daemon.child.wait() == 0
-        asked = await daemon.read_log("daemon.asked_to_stop")
-        assert asked["cause"] == number.name
+        line = await daemon.read_log("daemon.stop_requested")
+        assert line["cause"] == number.name
 
 
 async def test_a_second_signal_during_the_farewell_does_not_shorten_it() -> None:
@@ -124,7 +124,7 @@ class SerialRobot:
         return found
 
 
-async def test_a_serial_robot_hears_zero_last_too() -> None:
+async def test_a_serial_robot_receives_zero_last_too() -> None:
     with pty_pair() as (descriptor, path):
         async with serve("--serial", f"{path}@115200") as daemon, asyncio.timeout(20):
             robot = SerialRobot(descriptor)

@@ -20,7 +20,7 @@ from tests.support.process import run
 pytestmark = pytest.mark.quiet
 
 PATIENCE_S = 25.0
-LOOK_S = 0.2
+POLL_S = 0.2
 CODES = {
     "silence": "no_bytes",
     "wrong_baud": "wrong_baud",
@@ -37,7 +37,7 @@ CODES = {
     "runaway_wheel": "wheel_runaway",
 }
 DRIVEN = ("stalled_wheel", "runaway_wheel")  # a wheel shows what is wrong with it only while it is driven
-Seen = dict[str, dict[str, dict[str, Any]]]  # robot -> code -> finding, over the whole time
+Observed = dict[str, dict[str, dict[str, Any]]]  # robot -> code -> finding, over the whole time
 
 
 @contextlib.asynccontextmanager
@@ -56,19 +56,19 @@ async def robots(host: Daemon, faults: dict[str, Fault]) -> AsyncIterator[None]:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def seen() -> tuple[Seen, Seen]:
+async def observed() -> tuple[Observed, Observed]:
     """All the faults at once on one daemon, until each of them was named: by the API, and then by doctor."""
     faults = {"healthy": HEALTHY} | FAULTS
     names = {f"127.0.1.{number + 1}": name for number, name in enumerate(faults)}
-    of_api: Seen = {name: {} for name in faults}
-    of_doctor: Seen = {name: {} for name in faults}
+    of_api: Observed = {name: {} for name in faults}
+    of_doctor: Observed = {name: {} for name in faults}
     async with daemon() as host, robots(host, faults), asyncio.timeout(PATIENCE_S):
         while not all(CODES[name] in of_api[name] for name in FAULTS):
             view = await host.get("/api/links")
             note(of_api, [*view["links"], *view["ended"]], names)
             for name in DRIVEN:  # refused until the robot is there
                 await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear": 0.3, "angular": 0.0}')
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
         while not all(CODES[name] in of_doctor[name] for name in FAULTS):
             status, out, err = await run("doctor", "--json", "--url", host.url)
             assert (status, err) == (1, "")
@@ -76,18 +76,18 @@ async def seen() -> tuple[Seen, Seen]:
     return of_api, of_doctor
 
 
-def note(found: Seen, links: list[dict[str, Any]], names: dict[str, str]) -> None:
+def note(found: Observed, links: list[dict[str, Any]], names: dict[str, str]) -> None:
     for link in links:
         name = names[link["peer"].rpartition(":")[0]]
         found[name] |= {each["code"]: each for each in link["diagnosis"]}
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-async def test_the_fault_is_named(fault: str, seen: tuple[Seen, Seen]) -> None:
-    for found in seen:
+async def test_the_fault_is_named(fault: str, observed: tuple[Observed, Observed]) -> None:
+    for found in observed:
         assert CODES[fault] in found[fault]
         assert set(found[fault]) <= {CODES[fault], "went_silent"}
 
 
-async def test_a_healthy_robot_has_no_findings(seen: tuple[Seen, Seen]) -> None:
-    assert [found["healthy"] for found in seen] == [{}, {}]
+async def test_a_healthy_robot_has_no_findings(observed: tuple[Observed, Observed]) -> None:
+    assert [found["healthy"] for found in observed] == [{}, {}]

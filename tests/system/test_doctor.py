@@ -24,9 +24,9 @@ NOWHERE = "http://127.0.0.1:9"
 
 
 def codes(report: str) -> list[str]:
-    seen: dict[str, Any] = json.loads(report)
-    told = [*seen["findings"], *(each for link in seen["links"] for each in link["diagnosis"])]
-    return [each["code"] for each in told]
+    observed: dict[str, Any] = json.loads(report)
+    reported = [*observed["findings"], *(each for link in observed["links"] for each in link["diagnosis"])]
+    return [each["code"] for each in reported]
 
 
 @contextlib.asynccontextmanager

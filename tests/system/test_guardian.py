@@ -36,7 +36,7 @@ def guardian_of(daemon: Forked) -> int:
     return int(daemon.log("guardian.started")[-1]["pid"])
 
 
-def held_by(guardian: int) -> int:
+def guarded_by(guardian: int) -> int:
     """How many connections it holds, beside stdio and its way to the daemon."""
     return len(list(Path(f"/proc/{guardian}/fd").iterdir())) - 4
 
@@ -47,7 +47,7 @@ def children_of(pid: int) -> str:
 
 async def wait_for_guardian(drive: Drive) -> None:
     """Until it holds both robots' connections."""
-    await expect(lambda: held_by(guardian_of(drive.daemon)) == 2)
+    await expect(lambda: guarded_by(guardian_of(drive.daemon)) == 2)
 
 
 async def test_without_a_guardian_a_killed_daemons_robot_moves_on(server: Daemons, tmp_path: Path) -> None:
@@ -115,9 +115,9 @@ async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(s
 async def test_a_stopped_guardian_harms_nobody(server: Daemons) -> None:
     async with driving(server, Reading()) as drive:
         os.kill(guardian_of(drive.daemon), signal.SIGSTOP)
-        seen = [len(robot.velocities) for robot in drive.robots]
+        observed = [len(robot.velocities) for robot in drive.robots]
         await expect(
-            lambda: all(len(robot.velocities) > was + 20 for robot, was in zip(drive.robots, seen, strict=True))
+            lambda: all(len(robot.velocities) > was + 20 for robot, was in zip(drive.robots, observed, strict=True))
         )
         began_s = time.monotonic()
         os.kill(drive.daemon.pid, signal.SIGTERM)
@@ -137,14 +137,14 @@ async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped
         robot_on_tcp(daemon.tcp, "robot_0") as robot,
     ):
         await daemon.logged("robot.appeared")
-        await expect(lambda: held_by(guardian_of(daemon)) == 1)
+        await expect(lambda: guarded_by(guardian_of(daemon)) == 1)
         os.kill(guardian_of(daemon), signal.SIGSTOP)
         await daemon.logged("link.closed")
         closed_s = time.monotonic()
         await robot.ended()
         assert robot.ended_at_s is not None
         assert robot.ended_at_s < closed_s + 0.1
-        assert held_by(guardian_of(daemon)) == 1  # it still does
+        assert guarded_by(guardian_of(daemon)) == 1  # it still does
 
 
 @contextlib.contextmanager
@@ -183,7 +183,7 @@ async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None
         assert not is_running(guardian_of(daemon))
 
 
-async def test_a_lost_terminal_does_not_take_the_guardian_along(tmp_path: Path) -> None:
+async def test_a_lost_terminal_does_not_end_the_guardian(tmp_path: Path) -> None:
     """SIGHUP goes to all of the session; the daemon is killed before it can act on it."""
     with serving_in_terminal(tmp_path / "log") as (_, started):
         daemon = Forked(started.pid, tmp_path / "log")

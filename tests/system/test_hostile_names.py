@@ -21,7 +21,7 @@ HOSTILE = "\x1b]0;x\x07\x1b[2J\x9b31m\u202e\u2066\x7f[red][/x]"
 TOPICS = [*robot_topics(), topic(Id.PUBLISHER, 126, "/robot_0/text", "std_msgs/String")]
 
 
-async def say_text(device: FakeDevice) -> None:
+async def log_text(device: FakeDevice) -> None:
     data = HOSTILE.encode()
     while True:
         await device.send(encode(126, struct.pack("<I", len(data)) + data) + pose(1.0))
@@ -62,7 +62,7 @@ async def test_a_command_prints_only_what_is_printable(arguments: tuple[str, ...
     ):
         await Client(socket).send(op="advertise", topic=f"/{HOSTILE}", type="std_msgs/String")
         await Client(socket).call("/rosapi/topics")
-        talking = tasks.create_task(say_text(device))
+        talking = tasks.create_task(log_text(device))
         _, out, err = await run(*arguments, "--url", host.url)
         talking.cancel()
     assert out + err

@@ -60,6 +60,6 @@ async def test_a_flood_of_lines_is_cut_and_counted(work: Flood, block: bytes, tm
     allowed = BURST_LINES + RATE_HZ * (FLOOD_S + 5) + 30
     assert len(lines) < allowed
     assert log.stat().st_size < allowed * LINE_BYTES
-    told = [line for line in lines if line["event"] == "log.lines_left_out" and line["about"] == "127.0.0.5"]
-    assert sum(line["lines"] for line in told) > 100
+    reported = [line for line in lines if line["event"] == "log.lines_left_out" and line["about"] == "127.0.0.5"]
+    assert sum(line["lines"] for line in reported) > 100
     assert [line["reason"] for line in lines if line["event"] == "link.closed" and line["peer"].startswith("127.0.0.1")]

@@ -23,7 +23,7 @@ from tests.support.waiting import expect, expect_never
 
 pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.quiet]
 
-SEEN_S = 1.0  # within this time the page shows that nobody answers
+NOTICED_S = 1.0  # within this time the page shows that nobody answers
 MOST_STREAMS = 6  # that a browser opens to one address
 GAMEPAD = """
   const pad = { connected: true, axes: [0, 0, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
@@ -58,15 +58,15 @@ class Scene:
         return tuple(control.set_point.target for control in self.robot.controllers)
 
     @property
-    def holder(self) -> str | None:
-        return self.host.hub.robots.find("robot_0").gate.holder
+    def owner(self) -> str | None:
+        return self.host.hub.robots.find("robot_0").gate.owner_name
 
     async def drives(self) -> None:
         await expect(lambda: self.wanted != (0, 0))
 
     async def stands(self, *, within_s: float = 5.0) -> None:
         """The command is zero, and nobody drives any more."""
-        await expect(lambda: self.wanted == (0, 0) and self.holder is None, timeout_s=within_s)
+        await expect(lambda: self.wanted == (0, 0) and self.owner is None, timeout_s=within_s)
 
     async def stays_still(self, seconds: float) -> None:
         await expect_never(lambda: self.wanted != (0, 0), for_s=seconds)
@@ -156,7 +156,7 @@ async def test_a_finger_drives_until_it_is_gone(scene: Scene) -> None:
             await scene.stands(within_s=1.0)
 
 
-async def test_keys_drive_while_they_are_held(scene: Scene) -> None:
+async def test_keys_drive_while_they_are_pressed(scene: Scene) -> None:
     async with connected(scene) as tab:
         keys = tab.page.keyboard
         await keys.down("ArrowUp")
@@ -180,7 +180,7 @@ async def test_a_key_in_a_field_is_a_letter_and_a_slider_moves_nothing(scene: Sc
         await scene.stays_still(0.3)
 
 
-async def test_what_is_held_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
+async def test_what_is_pressed_when_the_window_is_left_must_be_pressed_again(scene: Scene) -> None:
     async with connected(scene) as tab:
         for event in ("blur", "pagehide"):
             await tab.page.keyboard.down("KeyW")
@@ -194,7 +194,7 @@ async def test_what_is_held_when_the_window_is_left_must_be_pressed_again(scene:
         await scene.drives()
 
 
-async def test_a_gamepad_drives_with_its_shoulder_held_and_not_when_it_is_lost(scene: Scene) -> None:
+async def test_a_gamepad_drives_with_its_shoulder_pressed_and_not_when_it_is_lost(scene: Scene) -> None:
     async with connected(scene, script=GAMEPAD) as tab:
         await tab.page.evaluate("pad.axes[1] = -1")
         await tab.shows("#gamepad", "hold a shoulder button")
@@ -299,12 +299,12 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
         await tab.shows("#robots", "nobody drives")
         await tab.shows("#notice", "The stop works")
         network.set_line(Line.STALLS)
-        await tab.shows("#notice", "hostlink does not answer", timeout_s=SEEN_S)
+        await tab.shows("#notice", "hostlink does not answer", timeout_s=NOTICED_S)
         network.set_line(Line.WORKS)
-        await tab.shows("#notice", "The stop works", timeout_s=SEEN_S)
+        await tab.shows("#notice", "The stop works", timeout_s=NOTICED_S)
         network.break_off()
         scene.host.hub.emergency_stop.stop(scene.host.hub.robots.find("robot_0"), "somebody stands there")
-        await tab.shows("#lock-reason", "somebody stands there", timeout_s=2 * SEEN_S)
+        await tab.shows("#lock-reason", "somebody stands there", timeout_s=2 * NOTICED_S)
 
 
 async def test_it_watches_by_one_stream_and_requests_nothing_again_and_again(scene: Scene) -> None:
@@ -324,7 +324,7 @@ async def test_a_dead_network_is_noticed_within_a_second_and_nothing_old_is_driv
         await tab.page.keyboard.down("KeyW")
         await scene.drives()
         network.set_line(line)
-        await tab.shows("#connection", "no answer", timeout_s=SEEN_S)
+        await tab.shows("#connection", "no answer", timeout_s=NOTICED_S)
         await tab.shows("#notice", "does not answer")
         await scene.stands(within_s=1.0)
         await scene.stays_still(LEASE_S)  # what is on its way is older than a command holds
@@ -342,7 +342,7 @@ async def test_a_daemon_that_is_gone_is_waited_for(scene: Scene) -> None:
     async with proxy((host, int(port))) as network, connected(scene, network.url) as tab:
         network.is_refusing = True
         network.break_off()
-        await tab.shows("#connection", "no connection", timeout_s=SEEN_S)
+        await tab.shows("#connection", "no connection", timeout_s=NOTICED_S)
         await tab.shows("#drive-state", "No connection")
         network.is_refusing = False
         await tab.is_connected(timeout_s=3.0)

@@ -82,7 +82,7 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
 
 
 @pytest.mark.parametrize("size", SIZES)
-async def test_it_looks_right_and_reads_right(browser: Browser, size: str) -> None:
+async def test_its_layout_and_its_text_are_right(browser: Browser, size: str) -> None:
     """Pictures are kept; nothing hangs over the side, and axe finds nothing that keeps anybody out."""
     async with daemon(PAPER) as host, visit(browser, host.url, **SIZES[size]) as tab:
         await tab.is_connected()

@@ -90,10 +90,10 @@ async def test_a_roslibpy_program_drives_the_simulated_robot_and_reads_it_back()
             out, err = await program.communicate()
         assert program.returncode == 0, err.decode()
         stopped = await daemon.read_log("robot.stopped")
-    seen = json.loads(out)
-    assert seen["count"] > 5
-    assert seen["last"]["x"] - seen["first"]["x"] > 0.05
-    assert abs(seen["last"]["y"]) < 0.05
+    observed = json.loads(out)
+    assert observed["count"] > 5
+    assert observed["last"]["x"] - observed["first"]["x"] > 0.05
+    assert abs(observed["last"]["y"]) < 0.05
     assert stopped["robot"] == "robot_0"
 
 
@@ -150,12 +150,12 @@ async def test_ten_robots_at_once() -> None:
     assert all(robot["connected"] for robot in robots)
 
 
-async def test_a_port_that_is_taken_is_one_line_and_status_2() -> None:
+async def test_a_port_in_use_is_one_line_and_status_2() -> None:
     async with serve() as daemon:
-        taken = "{}:{}".format(*daemon.tcp)
-        status, _, complaint = await run("serve", "--listen", taken, "--api", "127.0.0.1:0")
+        address = "{}:{}".format(*daemon.tcp)
+        status, _, complaint = await run("serve", "--listen", address, "--api", "127.0.0.1:0")
         assert status == 2
-        assert complaint.splitlines()[-1].startswith(f"hostlink: TCP {taken}: is in use")
+        assert complaint.splitlines()[-1].startswith(f"hostlink: TCP {address}: is in use")
         status, _, complaint = await run(
             "serve", "--listen", "127.0.0.1:0", "--api", daemon.url.removeprefix("http://")
         )

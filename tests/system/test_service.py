@@ -53,7 +53,7 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Sy
     listener.socket.close()
 
 
-async def test_systemd_hears_of_the_start_of_each_heartbeat_and_of_the_stop(systemd: tuple[Systemd, str]) -> None:
+async def test_systemd_is_notified_of_the_start_of_each_heartbeat_and_of_the_stop(systemd: tuple[Systemd, str]) -> None:
     listener, address = systemd
     environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
     async with serve(environment=environment) as daemon:
@@ -71,7 +71,7 @@ async def test_systemd_hears_of_the_start_of_each_heartbeat_and_of_the_stop(syst
             assert await daemon.child.wait() == 0
 
 
-async def test_a_stopped_process_says_nothing(systemd: tuple[Systemd, str]) -> None:
+async def test_a_stopped_process_sends_nothing(systemd: tuple[Systemd, str]) -> None:
     """The heartbeat is the event loop's own."""
     listener, address = systemd
     async with serve(environment={"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "100000"}) as daemon:

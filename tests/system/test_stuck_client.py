@@ -44,7 +44,7 @@ class Crowd:
         async for message in web_socket:
             self.ages_s.append(time.perf_counter() - json.loads(message.data)["msg"]["x"])
 
-    def take_p99_s(self) -> float:
+    def pop_p99_s(self) -> float:
         ages_s, self.ages_s = self.ages_s, []
         assert len(ages_s) > 1000
         return statistics.quantiles(ages_s, n=100)[98]
@@ -95,10 +95,10 @@ async def never_reads(raw: socket.socket) -> None:
 async def never_stops(raw: socket.socket) -> None:
     """A client that talks as fast as it can, and asks questions without reading the answers."""
     publish = frame(op="publish", topic="/chat", type="std_msgs/String", msg={"data": "x" * 100})
-    ask = frame(op="call_service", id="1", service="/rosapi/topics")
+    call = frame(op="call_service", id="1", service="/rosapi/topics")
     with contextlib.suppress(ConnectionError):
         while True:
-            await asyncio.get_running_loop().sock_sendall(raw, publish + ask)
+            await asyncio.get_running_loop().sock_sendall(raw, publish + call)
             await asyncio.sleep(TALK_S)
 
 
@@ -139,13 +139,13 @@ async def test_one_stuck_client_among_a_hundred_costs_the_others_nothing_and_the
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(set_later(alone, 2.0))
             await tick(device, alone)
-        p99_alone_s, files, before_mib = others.take_p99_s(), open_files(daemon), resident_mib(daemon)
+        p99_alone_s, files, before_mib = others.pop_p99_s(), open_files(daemon), resident_mib(daemon)
         async with raw_client(daemon) as stuck, raw_client(daemon) as loud, asyncio.TaskGroup() as tasks:
             await never_reads(stuck)
             tasks.create_task(never_stops(loud))
             closing = tasks.create_task(until_closed(daemon, {f"client {GOOD + 1}", f"client {GOOD + 2}"}, done))
             await tick(device, done)
-        p99_beside_s = others.take_p99_s()
+        p99_beside_s = others.pop_p99_s()
         assert closing.result() > 100  # it was told nothing, it lost only its own
         assert p99_beside_s < max(5 * p99_alone_s, WORST_S), (p99_alone_s, p99_beside_s)
         assert resident_mib(daemon) - before_mib < 32

@@ -11,7 +11,7 @@ import aiohttp
 import pytest
 
 from tests.support.process import HOSTLINK, Process, serve, simulated
-from tests.support.screen import LOOK_S, PATIENCE_S, Screen, screen
+from tests.support.screen import PATIENCE_S, POLL_S, Screen, screen
 
 STOP_S = 1.5  # the lease, and a wheel that rolls out
 
@@ -28,8 +28,8 @@ async def driving(layout: str = "original") -> AsyncIterator[tuple[Process, Scre
 
 async def robot(daemon: Process) -> dict[str, Any]:
     async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
-        seen: dict[str, Any] = await response.json()
-        return seen
+        observed: dict[str, Any] = await response.json()
+        return observed
 
 
 async def expect(daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, within_s: float = PATIENCE_S) -> None:
@@ -37,18 +37,18 @@ async def expect(daemon: Process, is_so: Callable[[dict[str, Any]], bool], *, wi
         while True:
             if is_so(await robot(daemon)):
                 return
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
 
 
-def is_driven(seen: dict[str, Any]) -> bool:
-    return seen["odometry"] is not None and seen["odometry"]["twist"]["linear_m_s"] > 0.03
+def is_driven(observed: dict[str, Any]) -> bool:
+    return observed["odometry"] is not None and observed["odometry"]["twist"]["linear_m_s"] > 0.03
 
 
-def stands(seen: dict[str, Any]) -> bool:
-    return seen["holder"] is None and abs(seen["odometry"]["twist"]["linear_m_s"]) < 0.01
+def stands(observed: dict[str, Any]) -> bool:
+    return observed["holder"] is None and abs(observed["odometry"]["twist"]["linear_m_s"]) < 0.01
 
 
-async def hold(terminal: Screen, daemon: Process, key: str) -> None:
+async def press_until_it_moves(terminal: Screen, daemon: Process, key: str) -> None:
     """Press a key again and again, as a keyboard repeats it, until the robot moves."""
     async with asyncio.timeout(PATIENCE_S):
         while not is_driven(await robot(daemon)):
@@ -57,9 +57,9 @@ async def hold(terminal: Screen, daemon: Process, key: str) -> None:
 
 
 @pytest.mark.parametrize(("layout", "key"), [("original", "w"), ("original", "Up"), ("twist", "i")])
-async def test_a_held_key_drives_and_a_released_one_stops(layout: str, key: str) -> None:
+async def test_a_pressed_key_drives_and_a_released_one_stops(layout: str, key: str) -> None:
     async with driving(layout) as (daemon, terminal):
-        await hold(terminal, daemon, key)
+        await press_until_it_moves(terminal, daemon, key)
         assert "driven by client" in await terminal.shows("asked     +0.20 m/s")
         await expect(daemon, stands, within_s=STOP_S)
         await terminal.shows("driven by nobody")
@@ -68,16 +68,16 @@ async def test_a_held_key_drives_and_a_released_one_stops(layout: str, key: str)
 @pytest.mark.parametrize("key", ["Space", "k", "p"])
 async def test_a_stop_key_stops_at_once(key: str) -> None:
     async with driving() as (daemon, terminal):
-        await hold(terminal, daemon, "w")
+        await press_until_it_moves(terminal, daemon, "w")
         await terminal.keys(key)
-        await expect(daemon, lambda seen: seen["velocity"]["linear_m_s"] == 0.0, within_s=0.5)
+        await expect(daemon, lambda observed: observed["velocity"]["linear_m_s"] == 0.0, within_s=0.5)
 
 
 @pytest.mark.parametrize("way", ["C-c", "TERM", "HUP", "KILL", "close"])
 async def test_every_way_out_stops_the_robot(way: str) -> None:
     async with driving() as (daemon, terminal):
         process = await terminal.process("hostlink teleop")
-        await hold(terminal, daemon, "w")
+        await press_until_it_moves(terminal, daemon, "w")
         if way == "close":
             await terminal.tmux("kill-session", "-t", "main")
         elif way == "C-c":
@@ -91,7 +91,7 @@ async def test_every_way_out_stops_the_robot(way: str) -> None:
 async def test_the_terminal_is_as_it_was(way: str) -> None:
     async with driving() as (daemon, terminal):
         process = await terminal.process("hostlink teleop")
-        await hold(terminal, daemon, "w")
+        await press_until_it_moves(terminal, daemon, "w")
         if way == "C-c":
             await terminal.keys("C-c")
         else:
@@ -103,19 +103,19 @@ async def test_the_terminal_is_as_it_was(way: str) -> None:
 
 async def test_suspending_stops_the_robot_and_coming_back_drives_again() -> None:
     async with driving() as (daemon, terminal):
-        await hold(terminal, daemon, "w")
+        await press_until_it_moves(terminal, daemon, "w")
         await terminal.keys("C-z")
         await expect(daemon, stands, within_s=STOP_S)
         await terminal.shows("Stopped")
         await terminal.keys("fg", "Enter")
         await terminal.shows("speeds")
         assert stands(await robot(daemon))
-        await hold(terminal, daemon, "w")
+        await press_until_it_moves(terminal, daemon, "w")
 
 
-async def test_a_daemon_that_goes_away_is_reported_and_what_was_held_does_not_move_the_robot_later() -> None:
+async def test_a_daemon_that_goes_away_is_reported_and_an_earlier_key_does_not_move_the_robot_later() -> None:
     async with driving() as (daemon, terminal):
-        await hold(terminal, daemon, "w")
+        await press_until_it_moves(terminal, daemon, "w")
         daemon.child.kill()
         assert "Ctrl-C ends" in await terminal.shows("the robot stops by itself; trying again")
         await terminal.keys("C-c")

@@ -13,7 +13,7 @@ SMALL = [
 ]
 
 
-async def test_the_screen_says_why_the_robot_neither_drives_nor_stops() -> None:
+async def test_the_screen_shows_why_the_robot_neither_drives_nor_stops() -> None:
     async with daemon() as host, fake_device(host.tcp, SMALL), screen() as terminal:
         await terminal.keys(f"{HOSTLINK} teleop robot_0 --url {host.url}", "Enter")
         await terminal.shows("hostlink teleop   robot_0   connected")

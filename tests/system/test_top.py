@@ -21,8 +21,8 @@ async def test_the_screen_shows_links_robots_and_what_is_wrong() -> None:
             await expect(lambda: links.row_count == robots.row_count == 1 and "buffer" in links.get_row_at(0)[-1])
             assert links.get_row_at(0)[2:4] == ["robot_0", "3"]
             assert robots.get_row_at(0)[:3] == ["robot_0", "1", "nobody"]
-            told = str(screen.query_one("#advice", Static).render())
-            assert "/robot_0/velocity_commands: a frame of 56 bytes, the device takes 48" in told
+            reported = str(screen.query_one("#advice", Static).render())
+            assert "/robot_0/velocity_commands: a frame of 56 bytes, the device takes 48" in reported
             await pilot.press("q")
     assert screen.failure is None
 
@@ -45,7 +45,7 @@ async def test_once_as_text_and_as_json() -> None:
     assert shown["links"][0]["robots"] == ["robot_0"]
 
 
-async def test_without_a_terminal_it_says_what_to_do() -> None:
+async def test_without_a_terminal_it_prints_what_to_do() -> None:
     status, out, err = await run("top")
     assert (status, out) == (2, "")
     assert err == "hostlink: top: needs a terminal; elsewhere use --once or --json\n"

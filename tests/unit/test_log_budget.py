@@ -36,9 +36,9 @@ def test_a_crowd_of_names_is_bounded_and_loses_no_count() -> None:
         for _ in range(3):
             budget.allows(f"peer {number}", 0.0)
     assert len(budget._buckets) == MAX_PEERS
-    told = budget.pop_left_out()
-    assert told[""] == 10 * 2
-    assert sum(told.values()) == budget.left_out == (MAX_PEERS + 10) * 2
+    reported = budget.pop_left_out()
+    assert reported[""] == 10 * 2
+    assert sum(reported.values()) == budget.left_out == (MAX_PEERS + 10) * 2
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0, 5)), max_size=300))

@@ -116,9 +116,9 @@ def test_what_a_peer_causes_has_a_budget_and_what_was_left_out_is_logged(log: io
     logs.log_what_is_missing()
     found = events(log)
     assert "log_budget" not in found[0]
-    told = [line for line in found if line["event"] == "log.lines_left_out" and line["about"] == "192.0.2.77"]
-    assert len(told) == 1
-    lines = told[0]["lines"]
+    reported = [line for line in found if line["event"] == "log.lines_left_out" and line["about"] == "192.0.2.77"]
+    assert len(reported) == 1
+    lines = reported[0]["lines"]
     assert isinstance(lines, int)
     assert 150 <= lines <= 200  # of 700 the burst of 500 is written, and what the rate allowed meanwhile
     assert len([line for line in found if line["event"] == "device.logged"]) == 703 - lines

@@ -20,11 +20,11 @@ class Room:
         self._left = dict(most)
         self._staying: list[Connection] = []
 
-    def take(self, kind: str, count: int) -> int:
+    def reserve(self, kind: str, count: int) -> int:
         """As many of them as there is room for."""
-        taken = min(count, self._left[kind])
-        self._left[kind] -= taken
-        return taken
+        granted = min(count, self._left[kind])
+        self._left[kind] -= granted
+        return granted
 
     def give_back(self, kind: str, count: int) -> None:
         self._left[kind] += count

@@ -28,8 +28,8 @@ class Sample:
 class Health:
     """One question to /healthz; `status` 0: no answer."""
 
-    asked_s: float
-    took_s: float
+    requested_s: float
+    lasted_s: float
     status: int
 
 
@@ -74,12 +74,12 @@ class DaemonRecord:
 
     def add_health(self, health: Health) -> None:
         """Add an answer, or that none came."""
-        self.slowest_s = max(self.slowest_s, health.took_s)
-        end_s = health.asked_s + health.took_s
-        limit_s = self._limits.healthz_s * self._noise.stretch(health.asked_s, end_s)
-        self._judge("/healthz answers, s", health.took_s, limit_s, health.asked_s)
-        if health.status not in (0, 200) or (health.status == 0 and health.took_s <= limit_s):
-            self._fail("/healthz answers 200", health.status, 200, health.asked_s)
+        self.slowest_s = max(self.slowest_s, health.lasted_s)
+        end_s = health.requested_s + health.lasted_s
+        limit_s = self._limits.healthz_s * self._noise.stretch(health.requested_s, end_s)
+        self._judge("/healthz answers, s", health.lasted_s, limit_s, health.requested_s)
+        if health.status not in (0, 200) or (health.status == 0 and health.lasted_s <= limit_s):
+            self._fail("/healthz answers 200", health.status, 200, health.requested_s)
 
     def add_robots(self, are_connected: list[bool], at_s: float) -> None:
         """The robots of /api/robots."""

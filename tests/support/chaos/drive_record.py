@@ -17,7 +17,7 @@ NUMBERS = 9000  # commands that can be told apart
 HONEST_RAD_S = 0.125  # how fast every honest command turns: by it alone it differs from everybody else's
 LEAST_COMMANDS = 100  # of which a 99th percentile is made
 OVERDUE_S = 0.25  # a command that nothing has answered for so long counts as late as it is by now
-HELD_S = 0.2  # a driven robot hears its velocity eight times a second
+WAITED_S = 0.2  # a driven robot hears its velocity eight times a second
 YOUNG_S = 0.4  # a command that is younger holds the robot: its lease is 0.5 s
 SAME_S = 1.0  # velocities of somebody else within it are one violation
 RIVAL_REST_S = 1.5  # what another commanded may still move the robot: its lease, and a flood's delay
@@ -53,8 +53,8 @@ class DriveRecord:
         self._opened_s: float | None = None  # a connection whose first velocity has not come
         self._honest_s = (-math.inf, -math.inf)  # when an honest velocity came last, and when it was sent
         self._sent_s: dict[int, float] = {}
-        self._foreign_s = -math.inf  # when one that was not allowed was found last
-        self._asked: dict[str, float] = {}
+        self._unowned_s = -math.inf  # when one that was not allowed was found last
+        self._requested: dict[str, float] = {}
         self._rivals: dict[object, tuple[float, float]] = {}
 
     def rival_began(self, key: object, at_s: float) -> None:
@@ -75,7 +75,7 @@ class DriveRecord:
         """What did not hold, as far as it can be said by now."""
         self._judge_end(now_s, is_over=False)
         self._judge_latency(now_s)
-        for what, at_s in list(self._asked.items()):
+        for what, at_s in list(self._requested.items()):
             self._judge_answer(what, at_s, now_s)
         if self._opened_s is not None and now_s - self._opened_s > self._limits.reconnect_s + self._lag(self._opened_s):
             self._fail("the honest robot is served again", self._opened_s, now_s, self._limits.reconnect_s)
@@ -117,7 +117,7 @@ class DriveRecord:
         elif _is_honest(linear, angular):
             self._move(at_s, round(linear / STEP_M_S))
         else:
-            self._judge_foreign(at_s, linear, angular)
+            self._judge_unowned(at_s, linear, angular)
 
     def _on_opened(self, at_s: float) -> None:
         self._opened_s = at_s
@@ -127,18 +127,18 @@ class DriveRecord:
             self._found.append(Violation("the honest robot keeps its link", 0.0, 0.0, at_s=at_s))
         self._end, self._opened_s, self._is_served = None, None, False
         self._waiting.clear()
-        self._asked.clear()
+        self._requested.clear()
         self.velocity_before_close = self.last_velocity or self.velocity_before_close
         self.last_velocity = None
 
-    def _on_asked(self, at_s: float, what: str) -> None:
-        self._asked.setdefault(what, at_s)
+    def _on_requested(self, at_s: float, what: str) -> None:
+        self._requested.setdefault(what, at_s)
 
     def _on_answered(self, at_s: float, what: str) -> None:
-        asked_s = self._asked.get(what)
-        if asked_s is not None:
-            self._judge_answer(what, asked_s, at_s)
-            self._asked.pop(what, None)
+        requested_s = self._requested.get(what)
+        if requested_s is not None:
+            self._judge_answer(what, requested_s, at_s)
+            self._requested.pop(what, None)
 
     def _on_refused(self, at_s: float, why: str) -> None:
         self._found.append(Violation("the honest program is served", 0.0, 0.0, why, at_s=at_s))
@@ -164,16 +164,16 @@ class DriveRecord:
             self._fail("no velocity after the driver's end", end.at_s, at_s, self._limits.zero_s, detail=end.how)
         end.stood_s = None
 
-    def _judge_foreign(self, at_s: float, linear: float, angular: float) -> None:
+    def _judge_unowned(self, at_s: float, linear: float, angular: float) -> None:
         value = f"{linear:g} m/s, {angular:g} rad/s"
         came_s, sent_s = self._honest_s
-        is_held = self._is_driving and at_s - came_s < HELD_S and at_s - sent_s < YOUNG_S
-        if not is_held and self._has_rival(at_s):
+        is_waited = self._is_driving and at_s - came_s < WAITED_S and at_s - sent_s < YOUNG_S
+        if not is_waited and self._has_rival(at_s):
             self._stand(at_s)  # by the honest program's commands it moves no more
-        elif at_s > self._foreign_s + SAME_S:
-            promise = "nobody drives over a higher priority" if is_held else "only who may drive drives"
+        elif at_s > self._unowned_s + SAME_S:
+            promise = "nobody drives over a higher priority" if is_waited else "only who may drive drives"
             self._found.append(Violation(promise, 0.0, 0.0, value, at_s=at_s))
-            self._foreign_s = at_s
+            self._unowned_s = at_s
 
     def _has_rival(self, at_s: float) -> bool:
         self._rivals = {key: span for key, span in self._rivals.items() if span[1] >= at_s - RIVAL_REST_S}
@@ -211,11 +211,11 @@ class DriveRecord:
             self._found.append(Violation("command p99", self.latest_p99_s, limit_s, detail, at_s=began_s))
             self._latencies.clear()
 
-    def _judge_answer(self, what: str, asked_s: float, now_s: float) -> None:
-        limit_s = self._limits.answer_s * self._noise.stretch(asked_s, now_s) + self._lag(asked_s)
-        if now_s - asked_s > limit_s:
-            self._fail(f"the honest robot's {what} is answered", asked_s, now_s, limit_s)
-            del self._asked[what]
+    def _judge_answer(self, what: str, requested_s: float, now_s: float) -> None:
+        limit_s = self._limits.answer_s * self._noise.stretch(requested_s, now_s) + self._lag(requested_s)
+        if now_s - requested_s > limit_s:
+            self._fail(f"the honest robot's {what} is answered", requested_s, now_s, limit_s)
+            del self._requested[what]
 
     def _overdue(self, now_s: float) -> list[tuple[float, float]]:
         return [(sent_s, now_s - sent_s) for _, sent_s in self._waiting if now_s - sent_s > OVERDUE_S]

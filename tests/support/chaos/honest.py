@@ -111,7 +111,7 @@ class Robot:
             while True:
                 await asyncio.sleep(interval_s)
                 if question and self.is_served.is_set():
-                    event("asked", question)
+                    event("requested", question)
                 await connection.send(frame)
 
 

@@ -17,7 +17,7 @@ class Limits:
     p99_s: float = _limit(0.100, "99th percentile of a step: the honest program's send to the honest robot's read")
     zero_s: float = _limit(0.6, "from the end of the honest driver to the robot's last non-zero velocity")
     answer_s: float = _limit(1.0, "the honest robot's request for the time or a parameter; it spins until then")
-    asked_s: float = _limit(7.0, "a device's service call to its answer or its link's end: 5 s and a margin")
+    requested_s: float = _limit(7.0, "a device's service call to its answer or its link's end: 5 s and a margin")
     healthz_s: float = _limit(2.0, "GET /healthz over a new connection")
     reconnect_s: float = _limit(8.0, "the honest robot's new connection to its first zero")
     memory_mib: float = _limit(250.0, "resident memory")

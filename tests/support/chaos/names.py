@@ -50,8 +50,8 @@ def md5_of(kind: Id, type_name: str) -> str:
     service = CATALOG.service(type_name)
     if service is None:
         return WRONG_MD5
-    asks = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
-    return (service.request if asks else service.response).md5
+    is_request = kind in (Id.SERVICE_SERVER_SUBSCRIBER, Id.SERVICE_CLIENT_PUBLISHER)
+    return (service.request if is_request else service.response).md5
 
 
 def endpoint(kind: Id, topic_id: int, name: str, type_name: str, *, buffer_bytes: int = 512) -> TopicInfo:

@@ -231,14 +231,14 @@ class Conductor:
         began_s = self._calls.pop(facts["called"], None)
         if began_s is not None and facts["outcome"] not in ("answered", "the link ended"):
             detail = f"{facts['called']}: {facts['outcome']}"
-            limit_s = self._wanted.limits.asked_s
+            limit_s = self._wanted.limits.requested_s
             self._note([Violation(CALL_IS_ANSWERED, facts["waited_s"], limit_s, detail, at_s=began_s)])
 
     def _overdue_calls(self, now_s: float) -> list[Violation]:
         """Calls that nobody has answered in time, each once."""
         found = []
         for what, began_s in list(self._calls.items()):
-            limit_s = self._wanted.limits.asked_s * self._noise.stretch(began_s, now_s)
+            limit_s = self._wanted.limits.requested_s * self._noise.stretch(began_s, now_s)
             if now_s - began_s > limit_s:
                 del self._calls[what]
                 found.append(Violation(CALL_IS_ANSWERED, now_s - began_s, limit_s, what, at_s=began_s))
@@ -288,12 +288,12 @@ class Conductor:
         except TimeoutError:
             self._note([Violation("SIGTERM ends the daemon, s", 5 * limits.end_s, limits.end_s, "it still runs")])
             return
-        took_s = time.monotonic() - began_s
-        self.outcome.figures["end_s"] = took_s
+        lasted_s = time.monotonic() - began_s
+        self.outcome.figures["end_s"] = lasted_s
         limit_s = limits.end_s * self._noise.stretch(began_s, time.monotonic())
         found = []
-        if took_s > limit_s:
-            found.append(Violation("SIGTERM ends the daemon, s", took_s, limit_s))
+        if lasted_s > limit_s:
+            found.append(Violation("SIGTERM ends the daemon, s", lasted_s, limit_s))
         if status != 0:
             found.append(Violation("SIGTERM ends the daemon with status 0", status, 0))
         self._watch.scan(time.monotonic())

@@ -55,7 +55,7 @@ class Stage:
     async def _connected(
         self, to: tuple[str, int], dice: random.Random, kind: str, way: str, receive_bytes: int = 0
     ) -> AsyncIterator[Connection]:
-        if not self.room.take(kind, 1):
+        if not self.room.reserve(kind, 1):
             raise ConnectionError(f"no room for another {kind}")
         try:
             connection = await Connection.dial(to, hostile_address(dice), kind, receive_bytes=receive_bytes)

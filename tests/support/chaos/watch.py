@@ -66,11 +66,11 @@ class Watch:
     async def poll_health(self) -> None:
         """Every REQUEST_INTERVAL_S: its health, and how many robots it knows."""
         while True:
-            asked_s = time.monotonic()
+            requested_s = time.monotonic()
             status, _ = await self.get("/healthz")
             if self._is_ending or not (self._process / "fd").exists():
                 return
-            self._record.add_health(Health(asked_s, time.monotonic() - asked_s, status))
+            self._record.add_health(Health(requested_s, time.monotonic() - requested_s, status))
             status, body = await self.get("/api/robots")
             if status == 200:
                 robots = json.loads(body)["robots"]

@@ -38,11 +38,11 @@ def test_it_remembers_a_bounded_number() -> None:
 @given(st.floats(1, 1000), st.lists(st.floats(0, 0.5), max_size=200))
 def test_never_more_than_the_rate_and_a_burst(per_s: float, pauses_s: list[float]) -> None:
     limit = RateLimit(per_s)
-    now_s, passed, said, silent_until_s = 0.0, 0, 0, 0.0
+    now_s, passed, sent, silent_until_s = 0.0, 0, 0, 0.0
     for pause_s in pauses_s:
         now_s += pause_s
         passed += limit.allows("a", now_s)
         silent_until_s += limit.debt_s("b", silent_until_s)
-        said += 1
+        sent += 1
     assert passed <= per_s * now_s + per_s + 1e-6
-    assert said <= per_s * silent_until_s + per_s + 1e-6
+    assert sent <= per_s * silent_until_s + per_s + 1e-6

@@ -62,7 +62,7 @@ async def test_a_program_hears_itself_if_it_subscribes() -> None:
         assert messages(peer.received()) == [{"data": "me"}]
 
 
-async def test_a_topic_is_advertised_until_its_last_id_takes_it_back() -> None:
+async def test_a_topic_is_advertised_until_its_last_id_unadvertises_it() -> None:
     async with world() as here:
         peer = here.client()
         for number in ("a", "b"):
@@ -151,7 +151,7 @@ async def test_two_compressions_of_one_topic_come_once_in_the_rawest_form() -> N
         assert listener.received() == []
 
 
-async def test_png_is_plain_json_and_is_said_so() -> None:
+async def test_png_is_plain_json_and_a_warning() -> None:
     async with world() as here:
         listener = here.client()
         listener.send(op="subscribe", compression="png", fragment_size=10, **CHAT)
@@ -163,7 +163,7 @@ async def test_png_is_plain_json_and_is_said_so() -> None:
 # -- values -----------------------------------------------------------------------------------------------------------
 
 
-async def said(type_name: str, message: object) -> Any:
+async def encoded(type_name: str, message: object) -> Any:
     """What one client hears of what another says: the message, or the reason why not."""
     async with world() as here:
         speaker, listener = here.client(), here.client()
@@ -186,8 +186,8 @@ async def said(type_name: str, message: object) -> Any:
         ("sensor_msgs/CompressedImage", {"data": [1, 2, 3]}, "AQID"),
     ],
 )
-async def test_values_are_taken_and_given_as_clients_write_them(type_name: str, message: object, heard: object) -> None:
-    got = await said(type_name, message)
+async def test_values_are_read_and_written_as_clients_expect(type_name: str, message: object, heard: object) -> None:
+    got = await encoded(type_name, message)
     assert (got["data"] if isinstance(heard, str) else got) == heard
 
 
@@ -203,7 +203,7 @@ async def test_values_are_taken_and_given_as_clients_write_them(type_name: str, 
     ],
 )
 async def test_values_that_cannot_be_are_named(type_name: str, message: object, reason: str) -> None:
-    assert reason in await said(type_name, message)
+    assert reason in await encoded(type_name, message)
 
 
 @pytest.mark.parametrize(
@@ -219,17 +219,17 @@ async def test_values_that_cannot_be_are_named(type_name: str, message: object, 
 )
 async def test_a_stamp_that_is_missing_or_zero_or_now_is_now(header: dict[str, object]) -> None:
     pose = {"header": header} if header else {}
-    single = await said("geometry_msgs/PoseStamped", pose)
-    path = await said("nav_msgs/Path", {"poses": [pose, {}]})
+    single = await encoded("geometry_msgs/PoseStamped", pose)
+    path = await encoded("nav_msgs/Path", {"poses": [pose, {}]})
     for stamp in (single["header"]["stamp"], *(one["header"]["stamp"] for one in (path, *path["poses"]))):
         assert abs(stamp["secs"] - time.time()) < 5
 
 
 async def test_a_stamp_that_is_there_is_kept_and_now_is_any_time() -> None:
-    kept = await said("std_msgs/Header", {"stamp": {"secs": 5, "nsecs": 6}})
+    kept = await encoded("std_msgs/Header", {"stamp": {"secs": 5, "nsecs": 6}})
     assert kept["stamp"] == {"secs": 5, "nsecs": 6}
-    assert abs((await said("std_msgs/Time", {"data": "now"}))["data"]["secs"] - time.time()) < 5
-    assert (await said("std_msgs/Time", {}))["data"] == {"secs": 0, "nsecs": 0}
+    assert abs((await encoded("std_msgs/Time", {"data": "now"}))["data"]["secs"] - time.time()) < 5
+    assert (await encoded("std_msgs/Time", {}))["data"] == {"secs": 0, "nsecs": 0}
 
 
 # -- the rest ---------------------------------------------------------------------------------------------------------

@@ -35,10 +35,12 @@ async def test_a_call_goes_to_the_program_complete_and_its_answer_comes_back_com
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch", args=[True])
-        (asked,) = await server.answers()
-        assert (asked["op"], asked["service"], asked["args"]) == ("call_service", "switch", {"data": True})
+        (request,) = await server.answers()
+        assert (request["op"], request["service"], request["args"]) == ("call_service", "switch", {"data": True})
         for _ in range(2):
-            server.send(op="service_response", id=asked["id"], service="switch", values={"success": True}, result=True)
+            server.send(
+                op="service_response", id=request["id"], service="switch", values={"success": True}, result=True
+            )
         assert await caller.answers() == [
             {
                 "op": "service_response", "service": "/switch", "result": True, "id": 7,
@@ -60,8 +62,8 @@ async def test_a_failure_has_its_reason_in_values(answer: dict[str, Any], reason
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
-        (asked,) = await server.answers()
-        server.send(op="service_response", id=asked["id"], service="switch", **answer)
+        (request,) = await server.answers()
+        server.send(op="service_response", id=request["id"], service="switch", **answer)
         (heard,) = await caller.answers()
         assert heard["result"] is False
         assert reason in heard["values"]
@@ -73,9 +75,9 @@ async def test_what_a_service_answers_is_delivered_whatever_it_calls_its_result(
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
-        (asked,) = await server.answers()
+        (request,) = await server.answers()
         values = {"success": False, "message": "the door is open"}
-        server.send(op="service_response", id=asked["id"], service="switch", values=values, result=result)
+        server.send(op="service_response", id=request["id"], service="switch", values=values, result=result)
         (heard,) = await caller.answers()
         assert (heard["values"], heard["result"]) == (values, True)
         assert server.received() == []
@@ -92,22 +94,22 @@ async def test_what_a_service_answers_is_delivered_whatever_it_calls_its_result(
         ({"values": {}, "result": [True]}, "switch: result must be true or false"),
     ],
 )
-async def test_an_answer_that_is_none_fails_the_call_at_once_and_is_told_to_who_sent_it(
+async def test_an_answer_that_is_none_fails_the_call_at_once_and_is_reported_to_who_sent_it(
     answer: dict[str, Any], reason: str
 ) -> None:
     async with world() as here:
         server, caller = await offered(here), here.client()
         caller.send(op="call_service", id=7, service="/switch")
-        (asked,) = await server.answers()
-        server.send(op="service_response", id=asked["id"], service="switch", **answer)
+        (request,) = await server.answers()
+        server.send(op="service_response", id=request["id"], service="switch", **answer)
         (heard,) = await caller.answers()
         (status,) = server.received()
-        assert (heard["result"], status["level"], status["id"]) == (False, "error", asked["id"])
+        assert (heard["result"], status["level"], status["id"]) == (False, "error", request["id"])
         assert reason in heard["values"]
         assert reason in status["msg"]
 
 
-async def test_an_answer_that_nobody_waits_for_is_told_and_harmless() -> None:
+async def test_an_answer_that_nobody_waits_for_is_reported_and_harmless() -> None:
     async with world() as here:
         server = await offered(here)
         for more in ({"id": "client 1 7"}, {}, {"id": 3}):
@@ -131,32 +133,32 @@ async def test_what_is_offered_no_more_fails_the_calls_that_wait_for_it_and_no_o
         server.send(op="advertise_service", service="/other", type="std_srvs/Trigger")
         caller.send(op="call_service", id=1, service="/switch")
         caller.send(op="call_service", id=2, service="/other")
-        asked = await server.answers()
+        request = await server.answers()
         server.send(op="unadvertise_service", service="/switch")
         (heard,) = await caller.answers()
         assert (heard["id"], heard["result"], heard["values"]) == (1, False, "no service named /switch")
-        server.send(op="service_response", id=asked[1]["id"], service="/other", values={"success": True}, result=True)
+        server.send(op="service_response", id=request[1]["id"], service="/other", values={"success": True}, result=True)
         assert [answer["id"] for answer in await caller.answers()] == [2]
 
 
-async def test_the_newest_offer_gets_the_calls_and_who_had_them_is_told_and_has_them_again() -> None:
+async def test_the_newest_offer_gets_the_calls_and_its_predecessor_is_notified_and_has_them_again() -> None:
     async with world() as here:
         first, caller = await offered(here), here.client()
         caller.send(op="call_service", id=1, service="/switch")
-        (asked,) = await first.answers()
+        (request,) = await first.answers()
         second = await offered(here)
-        told = f"/switch: {second.client.participant.name} offers it too and gets the calls, as long as it is there"
-        assert statuses(first.received()) == [told]
-        first.send(op="service_response", id=asked["id"], service="switch", values={"message": "first"}, result=True)
+        expected = f"/switch: {second.client.participant.name} offers it too and gets the calls, as long as it is there"
+        assert statuses(first.received()) == [expected]
+        first.send(op="service_response", id=request["id"], service="switch", values={"message": "first"}, result=True)
         assert (await caller.answers())[0]["values"]["message"] == "first"
         caller.send(op="call_service", id=2, service="/switch")
         assert (len(await second.answers()), first.received()) == (1, [])
         second.client.participant.leave()
         caller.send(op="call_service", id=3, service="/switch")
-        assert [asked["op"] for asked in await first.answers()] == ["call_service"]
+        assert [request["op"] for request in await first.answers()] == ["call_service"]
 
 
-async def test_who_offers_a_service_again_is_told_nothing() -> None:
+async def test_who_offers_a_service_again_is_not_notified() -> None:
     async with world() as here:
         server = await offered(here)
         server.send(op="advertise_service", service="/switch", type="std_srvs/SetBool")
@@ -180,9 +182,9 @@ async def test_a_type_that_nobody_defines_passes_as_it_is() -> None:
     async with world() as here:
         server, caller = await offered(here, "my_srvs/Odd"), here.client()
         caller.send(op="call_service", id=7, service="/switch", args={"any": [1, None]})
-        (asked,) = await server.answers()
-        assert asked["args"] == {"any": [1, None]}
-        server.send(op="service_response", id=asked["id"], service="switch", values={"x": 1}, result=True)
+        (request,) = await server.answers()
+        assert request["args"] == {"any": [1, None]}
+        server.send(op="service_response", id=request["id"], service="switch", values={"x": 1}, result=True)
         assert (await caller.answers())[0]["values"] == {"x": 1}
 
 

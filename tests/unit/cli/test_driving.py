@@ -36,7 +36,7 @@ def test_the_map_of_teleop_twist_keyboard(key: str, velocity: tuple[float, float
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_speed_key_moves_nothing_and_holds_for_the_key_that_is_held(layout: str) -> None:
+def test_a_speed_key_moves_nothing_and_applies_to_the_pressed_key(layout: str) -> None:
     made = driving(layout)
     speed = "t" if layout == "original" else "q"
     made.receive(Key(speed), 0.0)
@@ -55,7 +55,7 @@ def test_speeds_stay_within_reason() -> None:
     assert (made.linear_m_s, made.angular_rad_s) == (0.01, 0.05)
 
 
-def test_a_tap_lasts_until_a_repeat_could_have_come_and_a_held_key_as_long_as_it_repeats() -> None:
+def test_a_tap_lasts_until_a_repeat_could_have_come_and_a_pressed_key_as_long_as_it_repeats() -> None:
     made = driving()
     made.receive(Key("w"), 0.0)
     assert made.velocity(GRACE_S - 0.01) == (V, 0)
@@ -68,7 +68,7 @@ def test_a_tap_lasts_until_a_repeat_could_have_come_and_a_held_key_as_long_as_it
     assert made.velocity(now_s + HOLD_S) == (0.0, 0.0)
 
 
-def test_a_release_stops_at_once_where_the_terminal_tells() -> None:
+def test_a_release_stops_at_once_where_the_terminal_reports_it() -> None:
     made = driving()
     made.receive(Key("w"), 0.0)
     made.receive(Key("w", Action.RELEASED), 0.05)

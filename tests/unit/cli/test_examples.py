@@ -53,9 +53,9 @@ def parts(kind: type[Any], shown: dict[str, Any]) -> Iterator[tuple[type[Any], d
 
 
 def test_the_example_names_every_setting_with_its_default(whole: dict[str, Any]) -> None:
-    seen = list(parts(Config, whole))
-    assert {kind for kind, _ in seen} >= {Config, SerialConfig, RobotConfig, ApiConfig, TokenConfig}
-    for kind, shown in seen:
+    observed = list(parts(Config, whole))
+    assert {kind for kind, _ in observed} >= {Config, SerialConfig, RobotConfig, ApiConfig, TokenConfig}
+    for kind, shown in observed:
         fields = dataclasses.fields(kind)
         assert set(shown) == {field.name for field in fields}, kind
         defaults = {field.name: field.default for field in fields if isinstance(field.default, int | float | str)}

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Look, advice, figures, link_rows, robot_rows
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Sample, advice, figures, link_rows, robot_rows
 
 FINDING = {"code": "damaged", "cause": "why", "next_step": "do", "detail": "3 of 4"}
 
@@ -23,8 +23,8 @@ def link(number: int = 1, **counts: Any) -> dict[str, Any]:
     }
 
 
-def look(at_s: float, *links: dict[str, Any], robots: list[dict[str, Any]] | None = None) -> Look:
-    return Look(at_s, {"links": list(links), "ended": [], "ports": []}, robots or [])
+def sample(at_s: float, *links: dict[str, Any], robots: list[dict[str, Any]] | None = None) -> Sample:
+    return Sample(at_s, {"links": list(links), "ended": [], "ports": []}, robots or [])
 
 
 def robot(**state: Any) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def robot(**state: Any) -> dict[str, Any]:
 
 def test_rates_are_of_the_time_between_two_samples() -> None:
     now = link(frames_from_device=60, frames_to_device=20, bytes_from_device=2000, skipped_bytes=100)
-    shown = figures(look(10.0, link(frames_from_device=20)), look(12.0, now, robots=[robot()]))
+    shown = figures(sample(10.0, link(frames_from_device=20)), sample(12.0, now, robots=[robot()]))
     assert link_rows(shown) == [
         ("1", "10.0.0.2:5000", "robot_0", "2", "20.0", "10.0", "1000", "5.0", "0.1", "healthy")
     ]  # fmt: skip
@@ -41,7 +41,7 @@ def test_rates_are_of_the_time_between_two_samples() -> None:
 
 
 def test_a_link_that_was_not_there_before_counts_from_its_beginning() -> None:
-    shown = figures(look(10.0), look(12.0, link(frames_from_device=60)))
+    shown = figures(sample(10.0), sample(12.0, link(frames_from_device=60)))
     assert shown["links"][0]["frames_from_device_s"] == 15.0
     assert shown["links"][0]["skipped_percent"] == 0.0
 
@@ -50,7 +50,7 @@ def test_a_robot_is_shown_with_and_without_odometry() -> None:
     pose = {"x_m": 1.0, "y_m": -0.5, "theta_rad": 3.14159}
     odometry = {"pose": pose, "twist": {"linear_m_s": 0.2, "angular_rad_s": 0.0}, "rate_hz": 10.0, "age_s": 0.05}
     robots = [robot(odometry=odometry, holder="client 1"), robot(link=None, locked=True)]
-    rows = robot_rows(figures(look(0.0), look(1.0, robots=robots)))
+    rows = robot_rows(figures(sample(0.0), sample(1.0, robots=robots)))
     assert rows[0] == ("robot_0", "1", "client 1", "+0.20", "+0.00", "+1.00", "-0.50", "+180", "10.0", "0.1")
     assert rows[1] == ("robot_0", "gone", "locked", *("-",) * 7)
     assert len(ROBOT_COLUMNS) == len(rows[0])
@@ -58,10 +58,10 @@ def test_a_robot_is_shown_with_and_without_odometry() -> None:
 
 def test_advice_is_about_links_ports_and_those_that_ended() -> None:
     ended = {"number": 3, "peer": "p", "end": "idle", "seconds": 11.2, "ended_ago_s": 4.0, "diagnosis": [FINDING]}
-    now = look(1.0, link(diagnosis=[FINDING]))
+    now = sample(1.0, link(diagnosis=[FINDING]))
     now.links["ports"].append({"name": "/dev/ttyACM0", "diagnosis": [FINDING | {"detail": ""}]})
     now.links["ended"].append(ended)
-    assert advice(figures(look(0.0), now)) == [
+    assert advice(figures(sample(0.0), now)) == [
         "link 1 damaged: why (3 of 4)",
         "  next: do",
         "/dev/ttyACM0 damaged: why",

@@ -31,7 +31,7 @@ def shown(live: LiveFigures, seconds: int) -> list[tuple[int, dict[str, Any]]]:
     return [(tick, figures) for tick, figures in found if figures is not None]
 
 
-def test_the_first_figures_come_with_the_second_look() -> None:
+def test_the_first_figures_come_with_the_second_sample() -> None:
     live = LiveFigures(1.0)
     assert live.update(robots(), 0.0) is None
     assert live.update(links(0), 0.01) is None

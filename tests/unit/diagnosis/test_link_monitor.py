@@ -10,7 +10,7 @@ from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.errors import FrameTooLarge
 from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsAsked, TopicsNegotiated
+from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsNegotiated, TopicsRequested
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.session import Session
 
@@ -24,9 +24,9 @@ def session() -> Session:
 def test_intervals_are_between_requests_that_nobody_provoked() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for now_s in (0.1, 2.6, 5.1):
-        monitor.observe(TopicsAsked("connected") if now_s == 0.1 else TimeRequested(), now_s)
+        monitor.observe(TopicsRequested("connected") if now_s == 0.1 else TimeRequested(), now_s)
     monitor.observe(TimeRequested(), 7.6)
-    monitor.observe(TopicsAsked("unknown_id"), 8.0)
+    monitor.observe(TopicsRequested("unknown_id"), 8.0)
     monitor.observe(TimeRequested(), 8.1)
     monitor.observe(TimeRequested(), 10.6)
     evidence = monitor.evidence(11.0, silent_s=0.0)
@@ -38,7 +38,7 @@ def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(TimeRequested(), 2.5)
     for start_s in (10.0, 20.0):
-        monitor.observe(TopicsAsked("no_time_requests"), start_s)
+        monitor.observe(TopicsRequested("no_time_requests"), start_s)
         monitor.observe(TimeRequested(), start_s + 0.1)
         monitor.observe(TimeRequested(), start_s + 2.6)
     assert monitor.evidence(23.0, silent_s=0.0).revivals == 2
@@ -46,27 +46,27 @@ def test_a_board_that_falls_silent_and_comes_back_has_revived() -> None:
 
 
 def test_what_is_recent_is_of_the_last_half_minute() -> None:
-    told = session()
-    monitor = LinkMonitor(told, now_s=0.0)
-    told.open(now_s=0.0)
-    told.receive(b"noise" * 10, now_s=0.5)
+    negotiated = session()
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    negotiated.open(now_s=0.0)
+    negotiated.receive(b"noise" * 10, now_s=0.5)
     for now_s in range(1, 41):
         monitor.sample(float(now_s))
         if now_s == 20:
-            told.receive(b"more " * 2, now_s=20.5)
+            negotiated.receive(b"more " * 2, now_s=20.5)
     evidence = monitor.evidence(40.0, silent_s=1.0)
     assert (evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (60, 10)
     assert evidence.non_rosserial == b"more more "
 
 
 def test_what_does_not_fit_is_known_from_what_was_announced_refused_and_logged() -> None:
-    told = session()
-    monitor = LinkMonitor(told, now_s=0.0)
-    told.open(now_s=0.0)
-    told.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
-    told.tick(now_s=1.0)
+    negotiated = session()
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    negotiated.open(now_s=0.0)
+    negotiated.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
+    negotiated.tick(now_s=1.0)
     with pytest.raises(FrameTooLarge):
-        told.publish("/cmd_vel", bytes(48))
+        negotiated.publish("/cmd_vel", bytes(48))
     monitor.observe(DeviceLogged(3, "Message from device dropped: message larger than buffer."), 1.1)
     assert monitor.evidence(2.0, silent_s=0.0).too_small == (
         "/cmd_vel: a frame of 56 bytes, the device takes 48",
@@ -79,7 +79,7 @@ STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
 
 
 @pytest.mark.parametrize(
-    ("level", "text", "is_taken"),
+    ("level", "text", "is_kept"),
     [
         (3, STALLED, True),
         (2, STALLED, False),
@@ -89,11 +89,11 @@ STALLED = "left wheel stalled: no edge at PWM 4095; off until a zero"
         (3, "left wheel stalled: " + "x" * 200, False),
     ],
 )
-def test_an_error_line_of_a_wheel_is_kept_as_it_is(level: int, text: str, is_taken: bool) -> None:
+def test_an_error_line_of_a_wheel_is_kept_as_it_is(level: int, text: str, is_kept: bool) -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     monitor.observe(DeviceLogged(level, text), 5.0)
     evidence = monitor.evidence(12.0, silent_s=0.0)
-    assert evidence.wheel_stalled == (Complaint(text, 7.0) if is_taken else None)
+    assert evidence.wheel_stalled == (Complaint(text, 7.0) if is_kept else None)
     assert evidence.wheel_runaway is None
 
 
@@ -101,18 +101,18 @@ def test_the_last_line_of_a_wheel_counts() -> None:
     monitor = LinkMonitor(session(), now_s=0.0)
     for at_s, side in ((1.0, "left"), (2.0, "right")):
         monitor.observe(DeviceLogged(3, f"{side} wheel runs away: 250 of 100 ticks/s"), at_s)
-    told = monitor.evidence(3.0, silent_s=0.0).wheel_runaway
-    assert told == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
+    negotiated = monitor.evidence(3.0, silent_s=0.0).wheel_runaway
+    assert negotiated == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
 
 def test_refused_topics_have_their_reason() -> None:
     def refuse(info: TopicInfo) -> int | None:
         raise FrameTooLarge(info.name, 2, 1)
 
-    told = Session(check=refuse)
-    told.open(now_s=0.0)
-    told.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
-    assert LinkMonitor(told, now_s=0.0).evidence(1.0, silent_s=0.0).refused == (
+    negotiated = Session(check=refuse)
+    negotiated.open(now_s=0.0)
+    negotiated.receive(encode(Id.SUBSCRIBER, encode_topic_info(TWIST)), now_s=0.1)
+    assert LinkMonitor(negotiated, now_s=0.0).evidence(1.0, silent_s=0.0).refused == (
         "/cmd_vel: frame of 2 bytes, the device takes 1",
     )
 
@@ -141,20 +141,20 @@ def test_a_port_that_cannot_be_opened_is_a_finding(number: int, code: str) -> No
 
 
 def test_another_baud_is_judged_by_what_comes_after_it() -> None:
-    told = session()
-    told.open(now_s=0.0)
-    monitor = LinkMonitor(told, now_s=0.0)
-    told.receive(b"noise" * 10, now_s=0.5)
+    negotiated = session()
+    negotiated.open(now_s=0.0)
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    negotiated.receive(b"noise" * 10, now_s=0.5)
     monitor.set_baud(115200, now_s=1.0)
-    told.receive(b"more", now_s=1.5)
+    negotiated.receive(b"more", now_s=1.5)
     monitor.sample(2.0)
     evidence = monitor.evidence(2.0, silent_s=0.5)
     assert (evidence.baud, evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (115200, 54, 4)
 
 
 def test_it_knows_whether_topics_were_negotiated() -> None:
-    told = session()
-    monitor = LinkMonitor(told, now_s=0.0)
+    negotiated = session()
+    monitor = LinkMonitor(negotiated, now_s=0.0)
     assert not monitor.was_negotiated
     monitor.observe(TopicsNegotiated((TWIST,), is_changed=True, gap_at=None), 1.0)
     assert monitor.was_negotiated

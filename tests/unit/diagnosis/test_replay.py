@@ -41,15 +41,15 @@ def test_text_between_the_frames() -> None:
 
 
 def test_a_device_that_does_not_answer() -> None:
-    asks = [Read("host", "fffe0000ff0000ff", float(t)) for t in (0, 2, 4)]
-    quiet = [Read("device", t=0.0, event="open"), *asks, Read("device", t=11.0, event="close")]
+    requests = [Read("host", "fffe0000ff0000ff", float(t)) for t in (0, 2, 4)]
+    quiet = [Read("device", t=0.0, event="open"), *requests, Read("device", t=11.0, event="close")]
     assert [each.code for each in findings(quiet)] == ["no_bytes"]
 
 
 def test_only_time_requests_are_no_topics() -> None:
-    asks = [Read("host", "fffe0000ff0000ff", t) for t in (0.0, 2.0, 4.0)]
+    requests = [Read("host", "fffe0000ff0000ff", t) for t in (0.0, 2.0, 4.0)]
     answers = [Read("device", "fffe0800f70a000000000000000000f5", t + 0.1) for t in (0.0, 2.0, 4.0)]
-    reads = sorted([*asks, *answers, Read("device", t=6.0, event="close")], key=lambda read: read.t)
+    reads = sorted([*requests, *answers, Read("device", t=6.0, event="close")], key=lambda read: read.t)
     assert [each.code for each in findings(reads)] == ["no_topics"]
 
 

@@ -25,8 +25,8 @@ def telemetry() -> bytes:
 def test_a_slower_device_is_named_by_its_requests_for_the_time(
     sent: int, read: int, gap_bits: float, error: float
 ) -> None:
-    seen = resample(TIME_REQUESTS, ratio=read / sent * error, gap_bits=gap_bits)[:512]
-    guess = guess_speed(seen, read)
+    observed = resample(TIME_REQUESTS, ratio=read / sent * error, gap_bits=gap_bits)[:512]
+    guess = guess_speed(observed, read)
     assert guess is not None
     assert guess.baud == sent
     assert str(guess) == f"read at {read} baud, most likely sent at {sent}"
@@ -51,7 +51,7 @@ def test_behind_a_network_only_the_ratio_is_known() -> None:
 
 
 @pytest.mark.parametrize(
-    "seen",
+    "observed",
     [
         random.Random(1).randbytes(1024),
         b"x=12.5 y=3 theta=0.5\r\n" * 40,
@@ -60,8 +60,8 @@ def test_behind_a_network_only_the_ratio_is_known() -> None:
     ],
     ids=["noise", "text", "too few", "damage at the right speed"],
 )
-def test_a_sample_that_shows_no_speed_gives_no_guess(seen: bytes) -> None:
-    assert guess_speed(seen, 57600) is None
+def test_a_sample_that_shows_no_speed_gives_no_guess(observed: bytes) -> None:
+    assert guess_speed(observed, 57600) is None
 
 
 def test_a_boot_message_of_another_version_is_recognised() -> None:

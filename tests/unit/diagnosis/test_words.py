@@ -12,8 +12,8 @@ DOCUMENT = (Path(__file__).parents[3] / "docs" / "troubleshooting.md").read_text
 
 @pytest.mark.parametrize("code", words())
 def test_the_row_of_a_finding_is_as_its_words(code: str) -> None:
-    said = words()[code]
-    assert f"\n| {said['symptom']} | `{code}` | {said['cause']} | {said['next_step']} |\n" in DOCUMENT
+    texts = words()[code]
+    assert f"\n| {texts['symptom']} | `{code}` | {texts['cause']} | {texts['next_step']} |\n" in DOCUMENT
 
 
 def test_the_rows_stand_in_order_and_there_are_no_others() -> None:

@@ -43,7 +43,7 @@ def test_what_a_connection_does_not_accept_is_kept_in_order() -> None:
     assert writer.next_s() is None
 
 
-def test_the_writer_says_when_there_is_more() -> None:
+def test_the_writer_knows_when_there_is_more() -> None:
     writer = StopWriter((100,), 0)
     assert not writer.is_done()
     assert writer.pop_due(0.0) == zero_frame(100)

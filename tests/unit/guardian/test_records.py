@@ -28,5 +28,5 @@ def test_every_record_has_one_size() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_an_answer_says_how_many_are_held(held: int) -> None:
-    assert records.decode_answer(records.encode_answer(held)) == held
+def test_an_answer_counts_the_connections(connections: int) -> None:
+    assert records.decode_answer(records.encode_answer(connections)) == connections

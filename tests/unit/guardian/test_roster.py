@@ -14,8 +14,8 @@ class Guardian:
 
     def __init__(self, roster: Roster) -> None:
         self.roster = roster
-        self.held: dict[int, int] = {}  # number -> topic id
-        self.told = 0
+        self.connections: dict[int, int] = {}  # number -> topic id
+        self.confirmed = 0
 
     def hear_one(self) -> bool:
         found = self.roster.next()
@@ -25,12 +25,12 @@ class Guardian:
         kind, number, topic_ids, _ = records.decode(record)
         if kind == records.WATCH:
             assert descriptor is not None
-            (self.held[number],) = topic_ids
+            (self.connections[number],) = topic_ids
         else:
             assert descriptor is None
-            del self.held[number]
-        self.roster.confirm(is_held=descriptor is not None)
-        self.told += 1
+            del self.connections[number]
+        self.roster.confirm(has_descriptor=descriptor is not None)
+        self.confirmed += 1
         return True
 
     def hear_all(self) -> None:
@@ -46,12 +46,12 @@ def test_a_link_is_sent_with_its_descriptor_then_released() -> None:
     roster = Roster()
     roster.watch(3, watched())
     assert roster.next() == (records.encode_watch(3, (100,), 512), 7)
-    roster.confirm(is_held=True)
-    assert (roster.next(), roster.held) == (None, 1)
+    roster.confirm(has_descriptor=True)
+    assert (roster.next(), roster.connections) == (None, 1)
     roster.release(3)
     assert roster.next() == (records.encode_release(3), None)
-    roster.confirm(is_held=False)
-    assert (roster.next(), roster.held) == (None, 0)
+    roster.confirm(has_descriptor=False)
+    assert (roster.next(), roster.connections) == (None, 0)
 
 
 def test_a_link_that_came_and_went_before_it_was_sent_is_not_sent() -> None:
@@ -75,7 +75,7 @@ def test_a_new_velocity_topic_replaces_the_old_one() -> None:
     for topic_id in (100, 104):
         roster.watch(3, watched(topic_id))
         guardian.hear_all()
-    assert guardian.held == {3: 104}
+    assert guardian.connections == {3: 104}
 
 
 def test_everything_is_sent_to_a_new_guardian() -> None:
@@ -88,7 +88,7 @@ def test_everything_is_sent_to_a_new_guardian() -> None:
     roster.forget()
     second = Guardian(roster)
     second.hear_all()
-    assert set(second.held) == {1, 3}
+    assert set(second.connections) == {1, 3}
 
 
 def test_nothing_piles_up_for_a_guardian_that_does_not_listen() -> None:
@@ -103,7 +103,7 @@ def test_nothing_piles_up_for_a_guardian_that_does_not_listen() -> None:
 
 
 @given(STEPS)
-def test_in_the_end_the_guardian_holds_what_is_open_and_wanted(steps: list[tuple[str, int]]) -> None:
+def test_in_the_end_the_guardian_guards_what_is_open_and_wanted(steps: list[tuple[str, int]]) -> None:
     roster = Roster()
     guardian = Guardian(roster)
     wanted: dict[int, int] = {}
@@ -124,7 +124,7 @@ def test_in_the_end_the_guardian_holds_what_is_open_and_wanted(steps: list[tuple
             guardian = Guardian(roster)
             roster.forget()
     guardian.hear_all()
-    assert guardian.held.keys() >= wanted.keys() - closed
-    assert guardian.held.keys() <= wanted.keys()
-    assert all(guardian.held[number] == wanted[number] for number in wanted.keys() - closed)
-    assert roster.held == len(guardian.held)
+    assert guardian.connections.keys() >= wanted.keys() - closed
+    assert guardian.connections.keys() <= wanted.keys()
+    assert all(guardian.connections[number] == wanted[number] for number in wanted.keys() - closed)
+    assert roster.connections == len(guardian.connections)

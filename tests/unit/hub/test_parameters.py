@@ -38,10 +38,10 @@ def test_what_cannot_be_sent_is_named(value: ParameterValue, text: str) -> None:
     assert str(caught.value) == text
 
 
-@pytest.mark.parametrize("asked", ["/gain", "gain", "~gain"])
+@pytest.mark.parametrize("requested", ["/gain", "gain", "~gain"])
 @pytest.mark.parametrize("set_as", ["/gain", "gain"])
-def test_a_leading_slash_or_tilde_does_not_matter(asked: str, set_as: str) -> None:
-    assert find_parameter({set_as: 7}, asked) == Parameter(ints=(7,))
+def test_a_leading_slash_or_tilde_does_not_matter(requested: str, set_as: str) -> None:
+    assert find_parameter({set_as: 7}, requested) == Parameter(ints=(7,))
 
 
 def test_there_is_none() -> None:

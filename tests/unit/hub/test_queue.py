@@ -109,7 +109,7 @@ async def test_wait_returns_when_something_was_put() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from(["/a", "/b", "/c", ""]), st.integers(1, MAX_BYTES // 3)), max_size=60))
-def test_bounds_hold_and_what_leaves_is_in_order(puts: list[tuple[str, int]]) -> None:
+def test_bounds_are_kept_and_what_leaves_is_in_order(puts: list[tuple[str, int]]) -> None:
     queue = made()
     for number, (topic, size) in enumerate(puts):
         data = b"%06d" % number + bytes(size)

@@ -70,7 +70,7 @@ def test_floods_of_any_number_of_links_leave_the_loop_to_others_every_few_millis
         assert pause_s <= TURN_S + 2 * piece_s
 
 
-def test_links_that_wait_take_turns() -> None:
+def test_links_that_wait_alternate() -> None:
     async def run() -> list[int]:
         share, served = FairShare(), []
 

@@ -11,7 +11,10 @@ ROBOT, OTHER, CROWD = "192.168.4.2", "192.168.4.3", "10.0.0.1"
 
 
 def connections(*entries: tuple[str, bool]) -> list[OpenConnection]:
-    return [OpenConnection(number, address, is_identified=told) for number, (address, told) in enumerate(entries)]
+    return [
+        OpenConnection(number, address, is_identified=is_identified)
+        for number, (address, is_identified) in enumerate(entries)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -64,17 +67,17 @@ def test_no_identified_connection_is_evicted() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from([ROBOT, OTHER, CROWD]), st.booleans()), max_size=60))
-def test_whoever_comes_the_bounds_hold_and_robots_stay(arrivals: list[tuple[str, bool]]) -> None:
+def test_whoever_comes_the_bounds_are_kept_and_robots_stay(arrivals: list[tuple[str, bool]]) -> None:
     config = TcpConfig(max_connections=5, max_connections_per_address=3)
     admission = Admission(config)
     there: list[OpenConnection] = []
     robots = set()
-    for number, (address, told) in enumerate(arrivals):
+    for number, (address, is_identified) in enumerate(arrivals):
         verdict = admission.judge(address, there)
         there = [connection for connection in there if connection.number != verdict.evicts]
         if verdict.refusal is None:
-            there.append(OpenConnection(number, address, is_identified=told))
-            robots |= {number} if told else set()
+            there.append(OpenConnection(number, address, is_identified=is_identified))
+            robots |= {number} if is_identified else set()
         assert len(there) <= config.max_connections
         assert sum(connection.address == address for connection in there) <= config.max_connections_per_address
         assert robots <= {connection.number for connection in there}

@@ -65,5 +65,5 @@ def test_a_robot_for_which_there_is_no_room_waits_before_it_may_try_again() -> N
     with capture_logs() as lines:
         hub = run_virtual(one_too_many())
     assert hub.refused == {"too_many_robots": 9}
-    told = [line["event"] for line in lines]
-    assert (told.count("link.refused"), told.count("connection.refused")) == (1, 1)
+    reported = [line["event"] for line in lines]
+    assert (reported.count("link.refused"), reported.count("connection.refused")) == (1, 1)

@@ -69,7 +69,7 @@ NESTED = {
     "fixed": ["x", "yz"],
     "flags": [False, True],
 }
-HOLLOW = {"inner": {}, "two": [{}, {}]}
+EMPTY = {"inner": {}, "two": [{}, {}]}
 CORNERS = {"corners": [{"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 4.0, "y": 5.0, "z": 6.0}]}
 
 
@@ -79,8 +79,8 @@ CORNERS = {"corners": [{"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 4.0, "y": 5.0, "z":
         ("t/Kinds", KINDS),
         ("t/Arrays", ARRAYS),
         ("t/Nothing", {}),
-        ("t/Hollow", HOLLOW),
-        ("t/Hollows", {"some": [{}] * 16, "more": [HOLLOW] * 2}),
+        ("t/Hollow", EMPTY),
+        ("t/Hollows", {"some": [{}] * 16, "more": [EMPTY] * 2}),
         ("t/Nested", NESTED),
         ("t/Grids", {"grids": [CORNERS, CORNERS]}),
     ],

@@ -115,5 +115,5 @@ def test_any_bytes_give_a_value_or_none(payload: bytes) -> None:
     assert found is None or encode_topic_info(found) == payload
 
 
-def test_a_count_that_the_payload_cannot_hold_is_refused_before_anything_is_made_of_it() -> None:
+def test_a_count_over_the_payload_is_refused_before_anything_is_allocated() -> None:
     assert decode_parameter(b"\xff\xff\xff\x7f" + bytes(8)) is None

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, byte_sum, encode, holds_protocol_1
+from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Id, byte_sum, contains_protocol_1, encode
 
 
 @pytest.mark.parametrize(
@@ -52,4 +52,4 @@ def protocol_1(topic_id: int, payload: bytes) -> bytes:
     ],
 )
 def test_protocol_version_1(data: bytes, is_there: bool) -> None:
-    assert holds_protocol_1(data) is is_there
+    assert contains_protocol_1(data) is is_there

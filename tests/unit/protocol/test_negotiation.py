@@ -12,16 +12,16 @@ from tests.support.session_host import LED, ODOMETRY, TIME, Host, wire
 def regular_device() -> Host:
     host = Host(ODOMETRY, LED)
     host.receive(TIME, after_s=2.5)
-    assert host.session.is_asking_time
+    assert host.session.is_requesting_time
     return host
 
 
 @pytest.mark.parametrize("period_s", [1.0, 2.5, 3.9])
 def test_time_requests_at_their_period_are_regular(period_s: float) -> None:
     host = Host(ODOMETRY)
-    assert not host.session.is_asking_time  # two at once are part of a negotiation
+    assert not host.session.is_requesting_time  # two at once are part of a negotiation
     host.receive(TIME, after_s=period_s)
-    assert host.session.is_asking_time
+    assert host.session.is_requesting_time
 
 
 @pytest.mark.parametrize("period_s", [0.01, 0.9, 4.1, 60.0])
@@ -29,10 +29,10 @@ def test_time_requests_at_any_other_period_are_not(period_s: float) -> None:
     host = Host(ODOMETRY)
     for _ in range(5):
         host.receive(TIME, after_s=period_s)
-    assert not host.session.is_asking_time
+    assert not host.session.is_requesting_time
 
 
-def test_a_silent_regular_device_hears_a_request_before_its_link_ends() -> None:
+def test_a_silent_regular_device_receives_a_request_before_its_link_ends() -> None:
     """It may have restarted behind a radio that keeps the connection: then it waits for exactly this."""
     host = regular_device()
     host.wait(3.4)
@@ -54,7 +54,7 @@ def test_a_device_that_goes_on_talking_has_five_seconds_for_its_next_time_reques
     assert host.requests() == ["no_time_requests"]
 
 
-def test_a_device_that_never_requests_the_time_hears_a_request_after_five_seconds() -> None:
+def test_a_device_that_never_requests_the_time_receives_a_request_after_five_seconds() -> None:
     host = Host(ODOMETRY)
     host.wait(4.9)
     assert host.requests() == []

@@ -13,10 +13,10 @@ WALL_NS = 1_000_000_002
 
 
 def drain(outbox: Outbox) -> list[bytes]:
-    taken = []
-    while (one := outbox.take(now_s=0.0, wall_ns=WALL_NS)) is not None:
-        taken.append(one.frame)
-    return taken
+    popped = []
+    while (one := outbox.pop_frame(now_s=0.0, wall_ns=WALL_NS)) is not None:
+        popped.append(one.frame)
+    return popped
 
 
 def test_the_order_of_everything() -> None:
@@ -55,7 +55,7 @@ def test_the_zero_of_a_new_session_leaves_also_when_newer_velocities_come_before
     assert drain(outbox) == [b"b"]
 
 
-def test_a_topic_with_depth_keeps_its_newest_in_order_and_topics_take_turns() -> None:
+def test_a_topic_with_depth_keeps_its_newest_in_order_and_topics_alternate() -> None:
     outbox = Outbox()
     for number in range(4):
         outbox.put_command(100, b"a%d" % number, depth=2)
@@ -127,8 +127,8 @@ def test_never_faster_than_the_uart_but_for_one_ring(puts: list[tuple[float, int
         if (wait_s := outbox.wait_s(now_s)) is not None:
             assert wait_s <= 201 / uart_bytes_s  # a frame may leave a byte too early
         outbox.put_command(100, bytes(size))
-        taken = outbox.take(now_s=now_s, wall_ns=0)
-        sent_bytes += 0 if taken is None else len(taken.frame)
+        popped = outbox.pop_frame(now_s=now_s, wall_ns=0)
+        sent_bytes += 0 if popped is None else len(popped.frame)
         assert sent_bytes <= RING_BYTES + now_s * uart_bytes_s + 200
 
 
@@ -136,20 +136,20 @@ def test_a_paced_frame_leaves_when_its_wait_is_over() -> None:
     outbox = Outbox(uart_bytes_s=3840)
     for number in range(4):
         outbox.put_command(100 + number, bytes(40))
-    assert [outbox.take(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
+    assert [outbox.pop_frame(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
     wait_s = outbox.wait_s(0.0)
     assert wait_s == pytest.approx((80 - (128 - 24 - 40)) / 3840)
-    assert outbox.take(now_s=wait_s + 1e-9, wall_ns=0) is not None
+    assert outbox.pop_frame(now_s=wait_s + 1e-9, wall_ns=0) is not None
 
 
 def test_a_paced_frame_leaves_less_than_a_byte_too_early() -> None:
     outbox = Outbox(uart_bytes_s=11520)
     for number in range(3):
         outbox.put_command(100 + number, bytes(40))
-    assert [outbox.take(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
+    assert [outbox.pop_frame(now_s=0.0, wall_ns=0) is None for _ in range(3)] == [False, False, True]
     allowed_bytes = 128 - 24 - 40
-    assert outbox.take(now_s=(80 - allowed_bytes - 1.1) / 11520, wall_ns=0) is None
-    assert outbox.take(now_s=(80 - allowed_bytes - 0.9) / 11520, wall_ns=0) is not None
+    assert outbox.pop_frame(now_s=(80 - allowed_bytes - 1.1) / 11520, wall_ns=0) is None
+    assert outbox.pop_frame(now_s=(80 - allowed_bytes - 0.9) / 11520, wall_ns=0) is not None
 
 
 @given(st.floats(0.0, 1e6), st.integers(100, 1_000_000), st.lists(st.integers(8, 520), min_size=1, max_size=40))
@@ -160,15 +160,15 @@ def test_a_clock_that_waits_exactly_as_long_as_wait_s_returns_gets_a_frame(
     outbox = Outbox(uart_bytes_s=uart_bytes_s)
     for number, size in enumerate(sizes):
         outbox.put_command(100 + number, bytes(size))
-    taken, waits = 0, 0
+    popped, waits = 0, 0
     while (wait_s := outbox.wait_s(now_s)) is not None:
         if wait_s:
             waits += 1
             assert now_s + wait_s > now_s
             now_s += wait_s
-        taken += outbox.take(now_s=now_s, wall_ns=0) is not None
+        popped += outbox.pop_frame(now_s=now_s, wall_ns=0) is not None
         assert waits <= len(sizes)
-    assert taken == len(sizes)
+    assert popped == len(sizes)
 
 
 # -- a stop is never kept waiting -------------------------------------------------------------------------------------
@@ -195,10 +195,10 @@ class Line:
             if wait_s is None or self.now_s + wait_s > until_s:
                 break
             self.now_s += wait_s
-            taken = self.outbox.take(now_s=self.now_s, wall_ns=0)
-            if taken is not None:
-                self.begun_at_s[taken.frame] = max(self.now_s, self.free_at_s)
-                self.free_at_s = self.begun_at_s[taken.frame] + len(taken.frame) * self.byte_s
+            popped = self.outbox.pop_frame(now_s=self.now_s, wall_ns=0)
+            if popped is not None:
+                self.begun_at_s[popped.frame] = max(self.now_s, self.free_at_s)
+                self.free_at_s = self.begun_at_s[popped.frame] + len(popped.frame) * self.byte_s
         self.now_s = until_s
 
     @property
@@ -305,7 +305,7 @@ def test_the_age_of_the_oldest_frame_is_that_of_what_really_waits() -> None:
     outbox.put_command(100, bytes(100))
     outbox.put_command(101, bytes(100))
     outbox.begin_waiting(1.0)
-    assert outbox.take(now_s=1.0, wall_ns=0) is not None
+    assert outbox.pop_frame(now_s=1.0, wall_ns=0) is not None
     outbox.put_command(101, bytes(90))  # in the place of the one that waits
     outbox.begin_waiting(1.05)
     assert outbox.oldest_s(1.1) == pytest.approx(0.05)

@@ -115,7 +115,7 @@ def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_tha
     assert host.session.rejected == {"too_long": 1}
 
 
-def test_a_size_holds_from_the_next_frame_on() -> None:
+def test_a_size_is_valid_from_the_next_frame_on() -> None:
     host = Host()
     right, wrong = encode(125, bytes(24)), encode(125, bytes(23))
     found = host.receive(wire(ODOMETRY) + wrong + right)

@@ -24,7 +24,7 @@ def test_several_clients_of_one_service_are_distinguished_by_their_order() -> No
     assert host.session.response_endpoint(second(REQUESTS)) == second(RESPONSES)
 
 
-def test_a_device_that_did_not_say_where_responses_go_cannot_be_answered() -> None:
+def test_a_device_that_did_not_announce_where_responses_go_cannot_be_answered() -> None:
     host = Host(REQUESTS, second(REQUESTS), RESPONSES)
     for request in (second(REQUESTS), REQUESTS._replace(topic_id=130), REQUESTS._replace(name="/other")):
         with pytest.raises(UnknownTopic, match=f"no endpoint for responses named {request.name}"):

@@ -11,7 +11,7 @@ from hostlink.protocol import events
 from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, encode_parameter_request
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.negotiation import MAX_SAME_REQUESTS
-from hostlink.protocol.outbox import Taken
+from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import Session
 from hostlink.protocol.to_device import DEFAULT_BUFFER_BYTES
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
@@ -20,7 +20,7 @@ from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, w
 def test_it_requests_topics_at_once() -> None:
     host = Host()
     assert host.requests() == ["connected"]
-    assert host.session.take(now_s=host.now_s, wall_ns=0) == Taken(TOPICS_REQUEST)
+    assert host.session.pop_frame(now_s=host.now_s, wall_ns=0) == OutgoingFrame(TOPICS_REQUEST)
 
 
 def test_without_an_answer_it_requests_again_every_two_seconds() -> None:
@@ -59,14 +59,14 @@ def test_the_time_is_answered_first_with_the_clock_of_the_moment_of_sending() ->
 
 def test_an_unknown_id_causes_at_most_one_request_a_second_and_three_in_all() -> None:
     host = Host(ODOMETRY)
-    asked_at_s = []
+    requested_at_s = []
     for _ in range(1000):
         host.receive(encode(140, b"?"))
         if host.requests():
-            asked_at_s.append(host.now_s)
+            requested_at_s.append(host.now_s)
             host.receive(TIME + wire(ODOMETRY) + TIME)
-    assert len(asked_at_s) == MAX_SAME_REQUESTS
-    assert all(later - earlier >= 1.0 for earlier, later in itertools.pairwise(asked_at_s))
+    assert len(requested_at_s) == MAX_SAME_REQUESTS
+    assert all(later - earlier >= 1.0 for earlier, later in itertools.pairwise(requested_at_s))
     assert host.session.counts.unknown_ids == 1000
 
 
@@ -76,7 +76,7 @@ def test_frames_before_the_answer_cause_no_second_request() -> None:
         host.receive(encode(125, bytes(24)))
     host.receive(TIME + wire(ODOMETRY) + TIME)
     host.wait(3.0)
-    assert host.session.counts.asks == 1
+    assert host.session.counts.topic_requests == 1
 
 
 @pytest.mark.parametrize(
@@ -90,13 +90,13 @@ def test_frames_before_the_answer_cause_no_second_request() -> None:
 def test_a_gap_in_the_ids_causes_three_requests(infos: list[TopicInfo], gap_at: int) -> None:
     host = Host(*infos)
     assert [event.gap_at for event in host.events if isinstance(event, events.TopicsNegotiated)] == [gap_at]
-    asks = 0
+    topic_requests = 0
     for _ in range(10):
         host.wait(1.2)
         if "gap" in host.requests():
-            asks += 1
+            topic_requests += 1
             host.receive(TIME + wire(*infos) + TIME)
-    assert asks == MAX_SAME_REQUESTS
+    assert topic_requests == MAX_SAME_REQUESTS
 
 
 def test_other_topics_are_a_new_cause_for_requests() -> None:
@@ -301,7 +301,7 @@ def test_a_paced_device_is_waited_for() -> None:
     session = Session(check=check, uart_bytes_s=960)
     session.open(now_s=0.0)
     assert session.wait_s(0.0) == 0.0
-    assert session.take(now_s=0.0, wall_ns=0) == Taken(TOPICS_REQUEST)
+    assert session.pop_frame(now_s=0.0, wall_ns=0) == OutgoingFrame(TOPICS_REQUEST)
     assert session.wait_s(0.0) is None
 
 

@@ -7,6 +7,7 @@ from hostlink.protocol.stream import MAX_CLAIMED_BYTES, FrameStream, Rejection, 
 
 A, B = Frame(125, b"first"), Frame(126, b"second")
 WIRE_A, WIRE_B = encode(*A), encode(*B)
+LIAR = b"\xff\xfe\xe8\xfd\x1a"  # claims 65000 bytes
 
 
 def events(stream: FrameStream, *reads: bytes) -> list[Frame | Skipped]:
@@ -119,7 +120,7 @@ def test_a_size_that_the_type_cannot_have_is_damage() -> None:
     assert frames(stream, WIRE_A) == [A]
 
 
-def test_what_a_frame_changes_holds_for_the_next_one_of_the_same_read() -> None:
+def test_what_a_frame_changes_applies_to_the_next_one_of_the_same_read() -> None:
     fixed: dict[int, int] = {}
     stream = FrameStream(fixed_bytes=fixed)
     found = []

@@ -87,4 +87,4 @@ def test_the_host_requests_topics_to_learn_whether_a_device_lives() -> None:
     host.wait(2.0)
     host.session.request_topics("claimed_twice")
     assert host.session.deadline_s() <= host.now_s
-    assert host.session.tick(now_s=host.now_s) == [events.TopicsAsked("claimed_twice")]
+    assert host.session.tick(now_s=host.now_s) == [events.TopicsRequested("claimed_twice")]

@@ -208,7 +208,7 @@ def test_a_robot_from_the_same_address_replaces_its_older_link() -> None:
     assert accepted(ours, 3, HOME, paper_robot()) == ("robot_0", 2)
 
 
-def test_a_device_that_tells_its_topics_again_replaces_nobody() -> None:
+def test_a_device_that_announces_its_topics_again_replaces_nobody() -> None:
     ours = directory()
     for _ in range(2):
         assert accepted(ours, 1, HOME, paper_robot()) == ("robot_0", None)
@@ -263,7 +263,7 @@ def test_two_robots_that_talk_at_once_are_two() -> None:
     assert (claim.own_name, claim.replaces, claim.is_numbered, claim.is_certain) == ("robot_0", None, True, False)
 
 
-def test_who_speaks_seldom_is_asked_and_lives_if_it_answers() -> None:
+def test_who_seldom_sends_gets_a_request_and_stays_if_it_answers() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.now_s += 2.4  # all but the time between two of its requests for the time
@@ -294,7 +294,7 @@ def test_who_talked_all_the_time_and_stops_is_gone_at_once() -> None:
     assert claim.replaces == 1
 
 
-def test_where_two_were_seen_a_short_silence_says_nothing() -> None:
+def test_where_two_were_present_a_short_silence_proves_nothing() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     assert beside(ours, 2, HOME, paper_robot(), 1) == "robot_0_2"
@@ -308,7 +308,7 @@ def test_where_two_were_seen_a_short_silence_says_nothing() -> None:
     assert (claim.robot.name, claim.replaces) == ("robot_0", 1)
 
 
-def test_two_slow_ones_that_take_each_other_for_dead_do_so_once() -> None:
+def test_two_slow_ones_that_count_each_other_as_dead_do_so_once() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.now_s += 1.0
@@ -381,7 +381,7 @@ def test_a_name_that_is_configured_for_another_address_is_nobody_elses_even_when
 # -- who comes back to its name ---------------------------------------------------------------------------------------
 
 
-def test_robots_that_were_seen_at_once_come_back_to_their_names_in_any_order() -> None:
+def test_robots_that_were_present_at_once_come_back_to_their_names_in_any_order() -> None:
     ours = directory()
     addresses = [f"192.168.4.{number}" for number in range(2, 5)]
     names = [beside(ours, link, address, paper_robot(), *range(link)) for link, address in enumerate(addresses)]
@@ -392,7 +392,7 @@ def test_robots_that_were_seen_at_once_come_back_to_their_names_in_any_order() -
             assert accepted(ours, link, addresses[link], paper_robot()) == (names[link], None)
 
 
-def test_behind_one_address_the_port_tells_who_comes_back() -> None:
+def test_behind_one_address_the_port_identifies_who_comes_back() -> None:
     ours = directory()
     for link, port in ((1, 5001), (2, 5002), (3, 5003)):
         beside(ours, link, HOME, paper_robot(), *range(1, link), port=port)
@@ -408,7 +408,7 @@ def test_behind_one_address_the_port_tells_who_comes_back() -> None:
     assert not claim.is_certain
 
 
-def test_one_that_is_alone_takes_its_name_along_to_another_address() -> None:
+def test_one_that_is_alone_keeps_its_name_at_another_address() -> None:
     ours = directory()
     accepted(ours, 1, HOME, paper_robot())
     ours.leave(1)
@@ -435,7 +435,7 @@ def test_a_robot_that_is_there_is_not_forgotten() -> None:
 # -- how long it takes ------------------------------------------------------------------------------------------------
 
 
-def test_ten_thousand_topics_are_looked_at_once_each() -> None:
+def test_ten_thousand_topics_are_read_once_each() -> None:
     topics = [
         *(to_device(f"/n{number}/cmd_vel") for number in range(10_000)),
         *(from_device(f"/n{number}/odom") for number in range(10_000)),

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from hostlink.robot.freshness import DRIFT, Freshness
 
 
-def test_the_first_command_is_taken_for_the_quickest() -> None:
+def test_the_first_command_counts_as_the_quickest() -> None:
     assert Freshness().late_s(1e9, 5.0) == 0.0
 
 
-def test_a_command_is_as_late_as_it_took_longer_than_the_quickest() -> None:
+def test_a_command_is_as_late_as_its_delay_exceeds_the_shortest() -> None:
     freshness = Freshness()
     freshness.late_s(100.0, 5.0)
     assert freshness.late_s(100.1, 5.7) == pytest.approx(0.6, abs=DRIFT)

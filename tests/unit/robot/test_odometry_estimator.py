@@ -30,18 +30,18 @@ def view_of(poses: list[Pose], times_s: list[float] | None = None) -> OdometryEs
     return view
 
 
-def seen(view: OdometryEstimator, now_s: float = 1.0) -> OdometrySnapshot:
+def observed(view: OdometryEstimator, now_s: float = 1.0) -> OdometrySnapshot:
     snapshot = view.snapshot(now_s)
     assert snapshot is not None
     return snapshot
 
 
 def shown(view: OdometryEstimator) -> Pose:
-    return seen(view).pose
+    return observed(view).pose
 
 
 def twist_of(view: OdometryEstimator) -> Twist:
-    return seen(view).twist
+    return observed(view).twist
 
 
 def test_nothing_is_known_before_the_first_pose() -> None:
@@ -71,7 +71,7 @@ def test_the_twist_of_an_arc_is_exact_however_tight(linear_m_s: float, angular_r
 
 def test_theta_may_cross_pi() -> None:
     view = view_of(arc(0.2, 1.0, 5, Pose(0.5, 0.5, math.pi - 0.2)))
-    assert seen(view).pose.theta_rad < 0
+    assert observed(view).pose.theta_rad < 0
     assert twist_of(view) == pytest.approx(Twist(0.2, 1.0))
 
 
@@ -86,8 +86,8 @@ def test_poses_of_one_read_count_once_for_the_motion_and_all_for_the_rate() -> N
     times_s = [0.1, 0.1, 0.3, 0.3, 0.5, 0.5]
     view = view_of(arc(0.2, 0.5, 6), times_s)
     assert twist_of(view) == pytest.approx(Twist(0.2, 0.5))
-    assert seen(view).rate_hz == pytest.approx(10.0)
-    assert seen(view).count == 6
+    assert observed(view).rate_hz == pytest.approx(10.0)
+    assert observed(view).count == 6
 
 
 def test_a_late_read_cut_in_two_is_no_leap() -> None:
@@ -96,10 +96,10 @@ def test_a_late_read_cut_in_two_is_no_leap() -> None:
     assert twist_of(view).linear_m_s == pytest.approx(0.3, rel=0.01)
 
 
-def test_two_poses_that_come_together_say_nothing() -> None:
+def test_two_poses_that_come_together_change_nothing() -> None:
     view = view_of(arc(0.3, 0.0, 2), [0.0, 0.001])
     assert twist_of(view) == Twist()
-    assert seen(view).rate_hz == 0
+    assert observed(view).rate_hz == 0
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_a_restart_begins_anew_where_the_robot_was(after: Pose) -> None:
     view = view_of([*before, after])
     assert twist_of(view) == Twist()
     assert shown(view) == pytest.approx(before[-1])
-    assert seen(view).restarts == 1
+    assert observed(view).restarts == 1
 
 
 def test_a_reset_close_to_the_origin_begins_anew() -> None:
@@ -130,7 +130,7 @@ def test_a_turn_that_no_robot_makes_begins_anew() -> None:
     """Told twice it is believed: somebody has set the device's odometry."""
     view = view_of([Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 3.0), Pose(3.0, 0.0, 3.0)])
     assert twist_of(view) == Twist()
-    assert (seen(view).restarts, seen(view).ignored) == (1, 1)
+    assert (observed(view).restarts, observed(view).ignored) == (1, 1)
 
 
 def test_driving_through_the_origin_is_no_reset() -> None:
@@ -148,16 +148,16 @@ def test_a_slow_robot_has_a_twist_too() -> None:
     poses = arc(0.3, 0.0, 3)
     view = view_of(poses, [0.0, 1.0, 2.0])
     assert twist_of(view) == pytest.approx(Twist(0.03, 0.0))
-    assert seen(view, 2.5).age_s == 0.5
-    assert seen(view).rate_hz == 1.0
+    assert observed(view, 2.5).age_s == 0.5
+    assert observed(view).rate_hz == 1.0
 
 
 @pytest.mark.parametrize("broken", [Pose(math.nan, 0, 0), Pose(0, math.inf, 0), Pose(0, 0, math.nan)])
 def test_a_pose_of_no_numbers_is_not_counted(broken: Pose) -> None:
     view = view_of(arc(0.3, 0.0, 3))
-    before = seen(view)
+    before = observed(view)
     view.update(broken, now_s=0.5, wall_ns=99)
-    assert seen(view) == dataclasses.replace(before, ignored=1)
+    assert observed(view) == dataclasses.replace(before, ignored=1)
 
 
 # -- restarts ---------------------------------------------------------------------------------------------------------
@@ -177,23 +177,23 @@ def test_an_odometry_goes_on_over_a_restart_of_the_device() -> None:
     view = after_a_restart(continues=True)
     assert shown(view) == pytest.approx(arc(0.3, 0.7, 20, RUN[-1])[-1])
     assert twist_of(view) == pytest.approx(Twist(0.3, 0.7))
-    assert seen(view).restarts == 1
+    assert observed(view).restarts == 1
 
 
 def test_it_restarts_with_the_device_if_it_is_to() -> None:
     view = after_a_restart(continues=False)
     assert shown(view) == AGAIN[-1]
-    assert seen(view).restarts == 1
+    assert observed(view).restarts == 1
 
 
 @pytest.mark.parametrize("continues", [True, False])
-def test_a_reset_that_was_asked_for_begins_at_the_origin(continues: bool) -> None:
+def test_a_requested_reset_begins_at_the_origin(continues: bool) -> None:
     view = after_a_restart(continues=continues)
     view.expect_reset(4.0)
     view.update(AGAIN[-1], now_s=4.0, wall_ns=40)  # on its way before the reset was
     view.update(Pose(0.01, 0.0, 0.0), now_s=4.1, wall_ns=41)
     assert shown(view) == Pose(0.01, 0.0, 0.0)
-    assert seen(view).restarts == 1
+    assert observed(view).restarts == 1
     view.update(Pose(0.04, 0.0, 0.0), now_s=4.2, wall_ns=42)
     assert shown(view) == Pose(0.04, 0.0, 0.0)
 
@@ -204,15 +204,15 @@ def test_a_reset_that_never_came_is_not_waited_for_without_end() -> None:
     view.update(RUN[-1], now_s=7.0, wall_ns=70)
     view.update(Pose(), now_s=7.1, wall_ns=71)
     assert shown(view) == pytest.approx(RUN[-1])
-    assert seen(view).restarts == 1
+    assert observed(view).restarts == 1
 
 
-def test_a_restart_during_a_long_silence_is_seen() -> None:
+def test_a_restart_during_a_long_silence_is_detected() -> None:
     """Ten seconds are enough to drive there, but hardly to the very place and heading."""
     view = view_of(RUN)
     view.update(Pose(0.001, 0.0, 0.0), now_s=12.0, wall_ns=120)
     assert shown(view) == pytest.approx(RUN[-1])
-    assert seen(view).restarts == 1
+    assert observed(view).restarts == 1
 
 
 def test_a_connection_that_was_lost_is_no_restart() -> None:
@@ -221,13 +221,13 @@ def test_a_connection_that_was_lost_is_no_restart() -> None:
     here = Pose(1.4, 2.1, -2.5)
     view.update(here, now_s=20.0, wall_ns=200)
     assert shown(view) == here
-    assert seen(view).restarts == 0
+    assert observed(view).restarts == 0
 
 
 def test_a_wheel_that_shakes_at_the_origin_is_no_restart() -> None:
     view = view_of([Pose(), Pose(0.0012), Pose(), Pose(-0.0012), Pose()])
     assert shown(view) == Pose()
-    assert seen(view).restarts == 0
+    assert observed(view).restarts == 0
 
 
 def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
@@ -236,7 +236,7 @@ def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
     for number, pose in enumerate(poses):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
     assert shown(view) == poses[-1]
-    assert seen(view).restarts == 0
+    assert observed(view).restarts == 0
 
 
 @pytest.mark.parametrize("damaged", [Pose(1e3, 0.0, 0.0), Pose(1e300, -1e300, 1.0), Pose(9.0, 9.0, 9.0)])
@@ -249,13 +249,13 @@ def test_one_damaged_pose_is_not_believed(damaged: Pose) -> None:
         if number == 10:
             view.update(damaged, now_s=number * PERIOD_S, wall_ns=number)
     assert (shown(view), twist_of(view)) == (shown(whole), twist_of(whole))
-    assert (seen(view).restarts, seen(view).ignored) == (0, 1)
+    assert (observed(view).restarts, observed(view).ignored) == (0, 1)
 
 
-def test_a_place_that_is_told_twice_is_believed_and_shown_without_a_jump() -> None:
+def test_a_place_that_is_reported_twice_is_believed_and_shown_without_a_jump() -> None:
     view = view_of([*RUN, Pose(9.0, 9.0, 0.0), Pose(9.03, 9.0, 0.0)])
     assert shown(view) == pytest.approx(RUN[-1])
-    assert (seen(view).restarts, seen(view).ignored) == (1, 1)
+    assert (observed(view).restarts, observed(view).ignored) == (1, 1)
 
 
 @given(
@@ -266,21 +266,21 @@ def test_a_place_that_is_told_twice_is_believed_and_shown_without_a_jump() -> No
 )
 def test_what_is_shown_never_jumps_but_at_a_reset(history: list[tuple[str, float, float]]) -> None:
     """The truth is known here: what is shown is where the robot went since its last reset, whatever was forgotten."""
-    view, told, truth, now_s = OdometryEstimator(), Pose(), Pose(), 0.0
-    view.update(told, now_s=now_s, wall_ns=0)
+    view, reported, truth, now_s = OdometryEstimator(), Pose(), Pose(), 0.0
+    view.update(reported, now_s=now_s, wall_ns=0)
     for event, linear_m_s, angular_rad_s in history:
-        if event == "restart" and (math.hypot(*told[:2]) > SHAKE_M or abs(told.theta_rad) > SHAKE_RAD):
-            told = Pose()
+        if event == "restart" and (math.hypot(*reported[:2]) > SHAKE_M or abs(reported.theta_rad) > SHAKE_RAD):
+            reported = Pose()
         elif event == "reset":
             view.expect_reset(now_s)
-            told = truth = Pose()
+            reported = truth = Pose()
         elif event == "lost":
             now_s += 8.0
         wheels_m = [speed * PERIOD_S for speed in DRIVE.wheel_speeds(linear_m_s, angular_rad_s)]
         if event == "drive":
-            told, truth = DRIVE.integrate(told, *wheels_m), DRIVE.integrate(truth, *wheels_m)
+            reported, truth = DRIVE.integrate(reported, *wheels_m), DRIVE.integrate(truth, *wheels_m)
         now_s += PERIOD_S
-        view.update(told, now_s=now_s, wall_ns=0)
+        view.update(reported, now_s=now_s, wall_ns=0)
         assert shown(view)[:2] == pytest.approx(truth[:2], abs=1e-9)
         assert wrap_angle(shown(view).theta_rad - truth.theta_rad) == pytest.approx(0, abs=1e-9)
 
@@ -293,15 +293,15 @@ def test_stamps_never_go_backwards(steps_ns: list[int]) -> None:
     view, stamp_ns, shown_ns = OdometryEstimator(), 10**18, 0
     for number, step_ns in enumerate(steps_ns):
         view.update(Pose(), now_s=number * PERIOD_S, wall_ns=max(stamp_ns, stamp_ns + step_ns))
-        assert seen(view).stamp_ns >= shown_ns
-        shown_ns = seen(view).stamp_ns
+        assert observed(view).stamp_ns >= shown_ns
+        shown_ns = observed(view).stamp_ns
 
 
 def test_a_host_whose_clock_was_set_back_is_followed() -> None:
     view = OdometryEstimator()
     view.update(Pose(), now_s=0.0, wall_ns=10**18)
     view.update(Pose(), now_s=0.1, wall_ns=10**18 - 3600 * 10**9)
-    assert seen(view).stamp_ns == 10**18 - 3600 * 10**9
+    assert observed(view).stamp_ns == 10**18 - 3600 * 10**9
 
 
 def test_a_restart_after_a_damaged_pose_is_a_restart() -> None:
@@ -309,4 +309,4 @@ def test_a_restart_after_a_damaged_pose_is_a_restart() -> None:
     before = shown(view)
     view.update(Pose(50.0, -50.0, 0.0), now_s=2.0, wall_ns=0)
     view.update(Pose(), now_s=2.1, wall_ns=0)
-    assert (seen(view).ignored, seen(view).restarts, shown(view)) == (1, 1, before)
+    assert (observed(view).ignored, observed(view).restarts, shown(view)) == (1, 1, before)

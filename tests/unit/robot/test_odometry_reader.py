@@ -58,9 +58,9 @@ def test_an_odometry_has_pose_and_twist_also_with_a_quaternion_of_any_length(yaw
 
 
 def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
-    seen = updated(read(ODOMETRY_TYPE, odometry(0.0, Twist(math.nan, 0.0)))).snapshot(0.0)
-    assert seen is not None
-    assert seen.twist == Twist()
+    observed = updated(read(ODOMETRY_TYPE, odometry(0.0, Twist(math.nan, 0.0)))).snapshot(0.0)
+    assert observed is not None
+    assert observed.twist == Twist()
 
 
 @given(texts, texts, st.lists(floats, min_size=11, max_size=11), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
@@ -88,9 +88,9 @@ def test_an_odometry_is_read_as_the_full_decode_has_it(
 def test_any_pose2d_leaves_finite_numbers(x: float, y: float, theta: float) -> None:
     estimator = updated(read(POSE_TYPE, {"x": 0.1, "y": 0.2, "theta": 0.3}))
     estimator.update(read(POSE_TYPE, {"x": x, "y": y, "theta": theta}).pose, now_s=0.4, wall_ns=0)
-    seen = estimator.snapshot(0.4)
-    assert seen is not None
-    assert all(map(math.isfinite, seen.pose))
+    observed = estimator.snapshot(0.4)
+    assert observed is not None
+    assert all(map(math.isfinite, observed.pose))
 
 
 @given(st.sampled_from([POSE_TYPE, ODOMETRY_TYPE]), st.binary(max_size=800))

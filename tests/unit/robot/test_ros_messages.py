@@ -35,11 +35,11 @@ def test_an_odometry_is_read_by_an_independent_reader() -> None:
         assert np.array_equal(matrix, np.diag(np.diag(matrix)))
 
 
-def test_a_covariance_that_the_device_tells_is_kept_and_zeros_or_nan_are_not() -> None:
-    told = [float(number) for number in range(36)]
+def test_a_covariance_that_the_device_publishes_is_kept_and_zeros_or_nan_are_not() -> None:
+    reported = [float(number) for number in range(36)]
     for twist in ([0.0] * 36, [math.nan] * 36):
-        message = odometry_of(Pose(), Twist(), FRAMES, STAMP, Variances(told, twist))
-        assert message["pose"]["covariance"] == told
+        message = odometry_of(Pose(), Twist(), FRAMES, STAMP, Variances(reported, twist))
+        assert message["pose"]["covariance"] == reported
         assert message["twist"]["covariance"][0] == 1e-3
 
 
@@ -48,7 +48,7 @@ def test_where_the_covariances_stand() -> None:
     assert variances_of({"pose": {"covariance": [1.0]}, "twist": {"covariance": [2.0]}}) == ([1.0], [2.0])
 
 
-def test_a_transform_says_the_same() -> None:
+def test_a_transform_has_the_same_pose() -> None:
     odometry = odometry_of(Pose(1.0, 2.0, 0.5), Twist(), FrameIds("r/odom", "r/base_link"), STAMP)
     type_ = CATALOG.message("tf2_msgs/TFMessage")
     assert type_ is not None

@@ -10,7 +10,7 @@ from hostlink.errors import BadRequest, ConfigError, RobotHeld
 from hostlink.robot.claims import MAX_CLAIMS, Claims
 from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.robot.velocity_gate import GateCounts, Limits, VelocityGate
-from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, gate, held, moving, outputs
+from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, driven, gate, moving, outputs
 
 # -- the life of a lease ----------------------------------------------------------------------------------------------
 
@@ -18,7 +18,7 @@ from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, gate, held,
 def test_a_new_gate_is_silent() -> None:
     ours = gate()
     assert outputs(ours, 0.0, 2) == [None, None]
-    assert (ours.is_active, ours.holder, ours.current) == (False, None, ZERO)
+    assert (ours.is_active, ours.owner_name, ours.current) == (False, None, ZERO)
 
 
 def test_a_command_is_given_on_every_step_until_the_lease_ends() -> None:
@@ -26,21 +26,21 @@ def test_a_command_is_given_on_every_step_until_the_lease_ends() -> None:
     assert ours.command("ann", FORWARD, priority=50, now_s=0.0) == FORWARD
     assert ours.is_active
     assert outputs(ours, 0.0, 10) == [FORWARD] * 10
-    assert (ours.holder, ours.current) == ("ann", FORWARD)
+    assert (ours.owner_name, ours.current) == ("ann", FORWARD)
     assert outputs(ours, 0.5) == STOPPED
-    assert (ours.is_active, ours.holder, ours.current) == (False, None, ZERO)
+    assert (ours.is_active, ours.owner_name, ours.current) == (False, None, ZERO)
     assert ours.counts == GateCounts(commands=1, expired=1)
 
 
 def test_a_command_renews_the_lease() -> None:
-    ours = held()
+    ours = driven()
     ours.command("ann", TURN, priority=50, now_s=0.4)
     assert ours.step(0.89) == TURN
     assert ours.step(0.9) == ZERO
 
 
 def test_a_late_command_is_a_new_lease() -> None:
-    ours = held()
+    ours = driven()
     ours.command("ann", TURN, priority=50, now_s=0.5)
     assert ours.counts.expired == 1
     assert ours.step(0.5) == TURN
@@ -52,42 +52,42 @@ def test_the_lease_may_have_another_length() -> None:
     assert [ours.step(1.9), ours.step(2.0)] == [FORWARD, ZERO]
 
 
-def test_the_holder_may_leave() -> None:
-    ours = held()
+def test_the_owner_may_leave() -> None:
+    ours = driven()
     ours.release("ann", now_s=0.1)
     assert outputs(ours, 0.1) == STOPPED
     assert ours.counts.expired == 0
 
 
-def test_a_lease_that_nobody_saw_end_has_expired_all_the_same() -> None:
-    ours = held()
+def test_a_lease_expires_without_anybody_checking_it() -> None:
+    ours = driven()
     ours.release("ann", now_s=0.5)
     assert outputs(ours, 0.5) == STOPPED
     assert ours.counts.expired == 1
 
 
 def test_nobody_else_ends_it_by_leaving() -> None:
-    ours = held()
+    ours = driven()
     ours.release("bob", now_s=0.1)
     assert ours.step(0.1) == FORWARD
 
 
 def test_leaving_after_the_end_changes_nothing() -> None:
-    ours = held()
+    ours = driven()
     outputs(ours, 0.5, 3)
     ours.release("ann", now_s=1.0)
     assert ours.step(1.0) is None
 
 
 def test_anybody_may_stop_it() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     ours.stop(now_s=0.1)
-    assert (ours.holder, ours.current) == (None, ZERO)
+    assert (ours.owner_name, ours.current) == (None, ZERO)
     assert outputs(ours, 0.1) == STOPPED
     assert ours.counts.stops == 1
 
 
-def test_a_stop_is_told_to_a_robot_that_stands() -> None:
+def test_a_stop_is_sent_to_a_robot_that_stands() -> None:
     ours = gate()
     ours.stop(now_s=0.0)
     assert ours.is_active
@@ -95,12 +95,12 @@ def test_a_stop_is_told_to_a_robot_that_stands() -> None:
 
 
 @pytest.mark.parametrize(("owner", "priority"), [("ann", 50), ("ann", 0), ("bob", 50), ("bob", 100)])
-def test_after_a_stop_the_holder_and_whoever_is_as_important_may_drive_again(owner: str, priority: int) -> None:
-    ours = held()
+def test_after_a_stop_the_owner_and_whoever_is_as_important_may_drive_again(owner: str, priority: int) -> None:
+    ours = driven()
     ours.stop(now_s=0.1)
     assert ours.step(0.1) == ZERO
     ours.command(owner, TURN, priority=priority, now_s=0.2)
-    assert (ours.holder, ours.step(0.2)) == (owner, TURN)
+    assert (ours.owner_name, ours.step(0.2)) == (owner, TURN)
 
 
 # -- claims -----------------------------------------------------------------------------------------------------------
@@ -113,17 +113,17 @@ INTERRUPTIONS: dict[str, Callable[[VelocityGate], None]] = {
 
 
 @pytest.mark.parametrize("interruption", INTERRUPTIONS)
-def test_no_interruption_hands_the_robot_to_somebody_less_important(interruption: str) -> None:
-    ours = held(priority=100)
+def test_no_interruption_makes_somebody_less_important_the_owner(interruption: str) -> None:
+    ours = driven(priority=100)
     INTERRUPTIONS[interruption](ours)
     with pytest.raises(RobotHeld, match="ann drives it with a higher priority"):
         ours.command("bob", TURN, priority=99, now_s=0.49)
     assert outputs(ours, 0.49) == STOPPED
     ours.command("bob", TURN, priority=0, now_s=0.7)
-    assert ours.holder == "bob"
+    assert ours.owner_name == "bob"
 
 
-def test_a_stop_and_a_publish_thirty_times_a_second_get_no_time_against_a_holder() -> None:
+def test_a_stop_and_a_publish_thirty_times_a_second_get_no_time_against_an_owner() -> None:
     ours, given = gate(), list[Velocity | None]()
     for tick in range(300):  # 30 Hz, for ten seconds
         now_s = tick / 30
@@ -138,44 +138,44 @@ def test_a_stop_and_a_publish_thirty_times_a_second_get_no_time_against_a_holder
 
 
 def test_a_claim_ends_with_its_owners_leaving_also_while_nobody_drives() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     ours.stop(now_s=0.1)
     ours.release("ann", now_s=0.2)
     ours.command("bob", TURN, priority=0, now_s=0.2)
-    assert ours.holder == "bob"
+    assert ours.owner_name == "bob"
 
 
-def test_who_was_taken_over_keeps_his_claim_when_the_other_leaves() -> None:
-    ours = held(priority=100)
+def test_who_was_replaced_keeps_its_claim_when_the_other_leaves() -> None:
+    ours = driven(priority=100)
     ours.command("bob", TURN, priority=100, now_s=0.1)
     ours.release("bob", now_s=0.2)
     with pytest.raises(RobotHeld, match="ann drives it with a higher priority"):
         ours.command("eve", TURN, priority=60, now_s=0.3)
 
 
-def test_a_holder_who_lowers_himself_goes_on_and_lets_nobody_in_below_the_others() -> None:
-    ours = held(priority=100)
+def test_an_owner_who_lowers_its_priority_goes_on_and_admits_nobody_below_the_others() -> None:
+    ours = driven(priority=100)
     ours.command("bob", TURN, priority=100, now_s=0.1)
     assert ours.command("bob", TURN, priority=0, now_s=0.2) == TURN
     with pytest.raises(RobotHeld, match="ann drives it with a higher priority"):
         ours.command("eve", TURN, priority=60, now_s=0.3)
     ours.command("eve", TURN, priority=60, now_s=0.5)
-    assert ours.holder == "eve"
+    assert ours.owner_name == "eve"
 
 
 def test_a_new_device_is_free_for_everybody() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     ours.restart()
     ours.command("bob", TURN, priority=0, now_s=0.1)
-    assert ours.holder == "bob"
+    assert ours.owner_name == "bob"
 
 
 def test_a_refused_command_claims_nothing() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     with pytest.raises(RobotHeld):
         ours.command("bob", TURN, priority=99, now_s=0.4)
     ours.command("eve", TURN, priority=0, now_s=0.5)
-    assert ours.holder == "eve"
+    assert ours.owner_name == "eve"
 
 
 def test_gates_that_share_their_claims_share_who_may_drive() -> None:
@@ -206,7 +206,7 @@ def test_an_owners_claims_at_two_gates_end_each_with_its_own() -> None:
 
 
 def test_the_claims_are_bounded_and_the_most_important_stay() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     for number in range(MAX_CLAIMS + 5):
         ours.command(f"crowd {number}", TURN, priority=100, now_s=0.1)
     assert ours.counts.forgotten_claims == 6
@@ -218,9 +218,9 @@ def test_the_claims_are_bounded_and_the_most_important_stay() -> None:
 
 
 def test_a_restart_forgets_everything() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     ours.restart()
-    assert (ours.holder, ours.current) == (None, ZERO)
+    assert (ours.owner_name, ours.current) == (None, ZERO)
     assert outputs(ours, 0.1) == STOPPED
 
 
@@ -236,7 +236,7 @@ def test_the_first_velocity_of_a_new_device_is_zero_even_when_somebody_drives_at
 
 
 def test_a_lower_priority_is_refused_and_changes_nothing() -> None:
-    ours = held(priority=50)
+    ours = driven(priority=50)
     with pytest.raises(RobotHeld, match="robot_0: ann drives it with a higher priority"):
         ours.command("bob", TURN, priority=49, now_s=0.4)
     assert ours.step(0.4) == FORWARD
@@ -245,38 +245,38 @@ def test_a_lower_priority_is_refused_and_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("priority", [50, 51])
-def test_as_high_a_priority_takes_over(priority: int) -> None:
-    ours = held(priority=50)
+def test_an_equal_priority_replaces_the_owner(priority: int) -> None:
+    ours = driven(priority=50)
     ours.command("bob", TURN, priority=priority, now_s=0.4)
-    assert (ours.holder, ours.step(0.4), ours.step(0.8)) == ("bob", TURN, TURN)
+    assert (ours.owner_name, ours.step(0.4), ours.step(0.8)) == ("bob", TURN, TURN)
     ours.release("ann", now_s=0.85)
     assert ours.step(0.85) == TURN
 
 
 def test_the_priority_goes_with_the_lease() -> None:
-    ours = held(priority=100)
+    ours = driven(priority=100)
     outputs(ours, 0.5, 1)
     ours.command("bob", TURN, priority=0, now_s=0.6)
-    assert ours.holder == "bob"
+    assert ours.owner_name == "bob"
 
 
 # -- zeros ------------------------------------------------------------------------------------------------------------
 
 
 def test_a_zero_of_another_is_ignored_whatever_its_priority() -> None:
-    ours = held(priority=50)
+    ours = driven(priority=50)
     for priority in (0, 50, 100):
         assert ours.command("bob", ZERO, priority=priority, now_s=0.4) == ZERO
-    assert (ours.holder, ours.step(0.4), ours.step(0.5)) == ("ann", FORWARD, ZERO)
+    assert (ours.owner_name, ours.step(0.4), ours.step(0.5)) == ("ann", FORWARD, ZERO)
     assert ours.counts.ignored_zeros == 3
 
 
-def test_a_zero_of_the_holder_stops_but_does_not_hold() -> None:
-    ours = held()
+def test_a_zero_of_the_owner_stops_but_does_not_extend_the_lease() -> None:
+    ours = driven()
     assert ours.command("ann", ZERO, priority=50, now_s=0.2) == ZERO
     assert ours.step(0.2) == ZERO
     ours.command("ann", ZERO, priority=50, now_s=0.4)
-    assert (ours.holder, ours.step(0.4)) == ("ann", ZERO)
+    assert (ours.owner_name, ours.step(0.4)) == ("ann", ZERO)
     assert outputs(ours, 0.5) == STOPPED
 
 
@@ -284,12 +284,12 @@ def test_idle_zeros_of_a_high_priority_do_not_lock_others_out() -> None:
     ours = gate()
     for number in range(20):
         ours.command("planner", ZERO, priority=100, now_s=number * 0.1)
-        assert (ours.step(number * 0.1), ours.holder) == (ZERO, None)
+        assert (ours.step(number * 0.1), ours.owner_name) == (ZERO, None)
     ours.command("ann", FORWARD, priority=0, now_s=2.0)
-    assert (ours.holder, ours.step(2.0)) == ("ann", FORWARD)
+    assert (ours.owner_name, ours.step(2.0)) == ("ann", FORWARD)
 
 
-def test_an_idle_zero_is_told_once() -> None:
+def test_an_idle_zero_is_sent_once() -> None:
     ours = gate()
     ours.command("ann", ZERO, priority=50, now_s=0.0)
     assert outputs(ours, 0.0, 3) == [ZERO, None, None]
@@ -308,7 +308,7 @@ def test_an_idle_zero_does_not_shorten_a_stop() -> None:
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_refused_and_not_kept(axis: int, wrong: float) -> None:
-    ours = held()
+    ours = driven()
     with pytest.raises(BadRequest, match="robot_0: a velocity must be made of finite numbers"):
         ours.command("ann", FORWARD._replace(**{Velocity._fields[axis]: wrong}), priority=50, now_s=0.4)
     assert (ours.step(0.4), ours.step(0.5)) == (FORWARD, ZERO)
@@ -316,7 +316,7 @@ def test_what_is_no_number_is_refused_and_not_kept(axis: int, wrong: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("limits", "asked", "given"),
+    ("limits", "requested", "given"),
     [
         (Limits(), Velocity(0.9, angular_z_rad_s=3.9), Velocity(0.9, angular_z_rad_s=3.9)),
         (Limits(), Velocity(2.0, angular_z_rad_s=1.0), Velocity(1.0, angular_z_rad_s=0.5)),
@@ -328,8 +328,8 @@ def test_what_is_no_number_is_refused_and_not_kept(axis: int, wrong: float) -> N
         (Limits(max_wheel_m_s=0.3), Velocity(0.6, angular_z_rad_s=2.0), Velocity(0.3, angular_z_rad_s=1.0)),
     ],
 )
-def test_all_components_shrink_by_one_factor(limits: Limits, asked: Velocity, given: Velocity) -> None:
-    assert limits.apply(asked) == pytest.approx(given)
+def test_all_components_shrink_by_one_factor(limits: Limits, requested: Velocity, given: Velocity) -> None:
+    assert limits.apply(requested) == pytest.approx(given)
 
 
 @pytest.mark.parametrize("forward", [1, -1])
@@ -354,7 +354,7 @@ def test_the_largest_numbers_stand_still_under_a_limit() -> None:
 
 @pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits)])
 @pytest.mark.parametrize("wrong", [-0.1, math.nan, math.inf, -math.inf])
-def test_a_limit_that_could_not_hold_is_refused(name: str, wrong: float) -> None:
+def test_an_impossible_limit_is_refused(name: str, wrong: float) -> None:
     with pytest.raises(ConfigError, match=f"limits of a robot: {name} must be a finite number, zero or more, not"):
         Limits(**{name: wrong})
 
@@ -365,7 +365,7 @@ def test_a_limit_that_could_not_hold_is_refused(name: str, wrong: float) -> None
 def test_a_lock_is_zero_at_once_past_every_ramp_and_then_zero_again_and_again() -> None:
     ours = moving(HEAVY)
     ours.lock("smoke")
-    assert (ours.holder, ours.priority, ours.current, ours.lock_reason) == (None, None, ZERO, "smoke")
+    assert (ours.owner_name, ours.priority, ours.current, ours.lock_reason) == (None, None, ZERO, "smoke")
     given = outputs(ours, 1.0, 25)  # for 1.25 s
     assert given == [ZERO] * 3 + [None] * 9 + [ZERO] + [None] * 9 + [ZERO] + [None] * 2
     assert ours.counts.locks == 1
@@ -373,7 +373,7 @@ def test_a_lock_is_zero_at_once_past_every_ramp_and_then_zero_again_and_again() 
 
 @pytest.mark.parametrize("velocity", [FORWARD, ZERO, Velocity(math.nan)])
 def test_a_locked_robot_refuses_every_command(velocity: Velocity) -> None:
-    ours = held()
+    ours = driven()
     ours.lock("smoke")
     for owner in ("ann", "bob"):
         with pytest.raises(RobotHeld, match="robot_0: locked: smoke; POST /api/robots/robot_0/unlock"):
@@ -383,7 +383,7 @@ def test_a_locked_robot_refuses_every_command(velocity: Velocity) -> None:
 
 
 def test_only_unlock_opens_a_lock() -> None:
-    ours = held()
+    ours = driven()
     ours.lock("smoke")
     ours.stop(now_s=0.1)
     ours.release("ann", now_s=0.1)
@@ -398,12 +398,12 @@ def test_only_unlock_opens_a_lock() -> None:
     assert ours.step(100.3) == TURN
 
 
-def test_a_locked_robot_that_has_heard_its_zeros_stands() -> None:
-    ours = held()
+def test_a_locked_robot_that_has_received_its_zeros_stands() -> None:
+    ours = driven()
     ours.lock("smoke")
     outputs(ours, 0.1, 3)
     assert (ours.may_move, ours.is_active) == (False, True)
 
 
-def test_the_priority_of_the_holder_is_known() -> None:
-    assert held(priority=60).priority == 60
+def test_the_priority_of_the_owner_is_known() -> None:
+    assert driven(priority=60).priority == 60

@@ -43,7 +43,7 @@ def test_a_clock_that_goes_back_changes_nothing() -> None:
 # -- decelerations ----------------------------------------------------------------------------------------------------
 
 
-def test_a_take_over_ramps_from_where_the_robot_is() -> None:
+def test_a_new_owner_ramps_from_the_present_velocity() -> None:
     ours = moving(HEAVY)
     ours.command("bob", Velocity(-0.3), priority=50, now_s=1.0)
     given = [ours.step(1.0 + number * 0.1) for number in range(4)]
@@ -74,7 +74,7 @@ def test_both_axes_slow_down_together_so_that_the_curve_stays() -> None:
 
 
 @pytest.mark.parametrize("way", ["stop", "release", "expiry"])
-def test_every_end_of_a_lease_slows_down_and_then_tells_zero_three_times(way: str) -> None:
+def test_every_end_of_a_lease_slows_down_and_then_sends_zero_three_times(way: str) -> None:
     ours = moving(HEAVY)
     end_s = 1.5 if way == "expiry" else 1.2
     if way == "stop":
@@ -82,7 +82,7 @@ def test_every_end_of_a_lease_slows_down_and_then_tells_zero_three_times(way: st
     elif way == "release":
         ours.release("ann", now_s=end_s)
     assert ours.step(end_s) == FORWARD
-    assert (ours.holder, ours.is_active) == (None, True)
+    assert (ours.owner_name, ours.is_active) == (None, True)
     assert outputs(ours, end_s + 0.05, 7) == [
         pytest.approx(Velocity(0.2)),
         pytest.approx(Velocity(0.1)),
@@ -96,7 +96,7 @@ def test_a_step_that_comes_late_has_braked_in_time() -> None:
     assert ours.step(1.7) == ZERO
 
 
-def test_stops_one_after_another_do_not_hold_the_ramp_up() -> None:
+def test_stops_one_after_another_do_not_delay_the_ramp() -> None:
     ours = moving(HEAVY)
     for number in range(200):
         ours.stop(now_s=1.0 + number / 1000)
@@ -111,7 +111,7 @@ def test_an_idle_zero_does_not_cut_the_ramp() -> None:
     assert ours.step(1.05) == pytest.approx(Velocity(0.2))
 
 
-def test_who_drives_while_it_slows_down_takes_it_from_there() -> None:
+def test_who_drives_while_it_slows_down_continues_from_there() -> None:
     ours = moving(HEAVY)
     ours.stop(now_s=1.0)
     ours.step(1.1)

@@ -28,7 +28,7 @@ def spin(made: SimulatedDevice, now_s: float) -> float:
 
 
 def sent(made: SimulatedDevice, now_s: float) -> list[Frame]:
-    return [item for item in FrameStream().feed(made.to_host.take(now_s)) if isinstance(item, Frame)]
+    return [item for item in FrameStream().feed(made.to_host.pop(now_s)) if isinstance(item, Frame)]
 
 
 def test_it_answers_a_request_for_topics_with_the_time_and_its_topics_in_order() -> None:
@@ -97,8 +97,8 @@ def test_eleven_seconds_without_a_time_answer_silence_it() -> None:
     made, _ = device(baud=None)
     made.from_host.send(TOPICS_REQUEST, 0.0)
     spin(made, 0.0)
-    asked = [at_s for at_s in range(1, 30) if spin_and_count_times(made, float(at_s))]
-    assert asked == [1, 3, 6, 9]  # the first is of the answer to the request for topics
+    requested_at = [at_s for at_s in range(1, 30) if spin_and_count_times(made, float(at_s))]
+    assert requested_at == [1, 3, 6, 9]  # the first is of the answer to the request for topics
     assert not made.is_configured
 
 

@@ -12,17 +12,17 @@ POSE = TopicInfo(Id.PUBLISHER, 125, "/odometry", "geometry_msgs/Pose2D", "m" * 3
 TWIST = TopicInfo(Id.SUBSCRIBER, 100, "/velocity", "geometry_msgs/Twist", "m" * 32, 512)
 TIME = encode(Id.TIME, bytes(8))
 MESSAGE = encode(125, bytes(24))
-SAID = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in (POSE, TWIST)) + MESSAGE
+ANNOUNCED = TIME + b"".join(encode(info.kind, encode_topic_info(info)) for info in (POSE, TWIST)) + MESSAGE
 
 
 def frames(fault: str) -> dict[int, bytes]:
     """Id -> payload of what the host can read."""
-    heard = FaultyLine(FAULTS[fault]).pass_on(SAID)
+    heard = FaultyLine(FAULTS[fault]).pass_on(ANNOUNCED)
     return {item.topic_id: item.payload for item in FrameStream().feed(heard) if isinstance(item, Frame)}
 
 
 def test_a_healthy_line_changes_nothing() -> None:
-    assert FaultyLine(HEALTHY).pass_on(SAID[:30]) == SAID[:30]
+    assert FaultyLine(HEALTHY).pass_on(ANNOUNCED[:30]) == ANNOUNCED[:30]
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_what_the_faults_change_in_a_topic() -> None:
 
 
 def test_protocol_1_is_what_a_session_recognises() -> None:
-    assert NonRosserialBytes().add(FaultyLine(FAULTS["protocol_1"]).pass_on(SAID))
+    assert NonRosserialBytes().add(FaultyLine(FAULTS["protocol_1"]).pass_on(ANNOUNCED))
 
 
 def test_the_boot_message_comes_once_and_first() -> None:

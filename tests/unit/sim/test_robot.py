@@ -29,16 +29,16 @@ class Track:
         self.frames: list[Frame] = []
         self.drive(0.0, 0.0, 0.2)
 
-    def drive(self, linear: float, angular: float, seconds: float, *, is_told: bool = True) -> None:
+    def drive(self, linear: float, angular: float, seconds: float, *, is_commanded: bool = True) -> None:
         twist = CATALOG.message("geometry_msgs/Twist")
         assert twist is not None
         payload = twist.encode({"linear": {"x": linear}, "angular": {"z": angular}})
         for turn in range(round(seconds / LOOP_S)):
-            if is_told and turn % 3 == 0:
+            if is_commanded and turn % 3 == 0:
                 self.robot.device.from_host.send(encode(100, payload), self.now_s)
             assert self.robot.turn(self.now_s) is None
             self.now_s += LOOP_S
-            sent = self.robot.device.to_host.take(self.now_s)
+            sent = self.robot.device.to_host.pop(self.now_s)
             self.frames += [item for item in FrameStream().feed(sent) if isinstance(item, Frame)]
 
 
@@ -67,9 +67,9 @@ def test_backwards_is_backwards() -> None:
 def test_it_stops_within_0_6_s_of_the_last_command() -> None:
     track = Track()
     track.drive(0.3, 0.0, 5.0)
-    track.drive(0.0, 0.0, 0.6, is_told=False)
+    track.drive(0.0, 0.0, 0.6, is_commanded=False)
     assert [control.pwm for control in track.robot.controllers] == [0, 0]
-    track.drive(0.0, 0.0, 0.4, is_told=False)
+    track.drive(0.0, 0.0, 0.4, is_commanded=False)
     assert abs(track.robot.speed_m_s) < 0.01
 
 
@@ -150,11 +150,11 @@ def pwms(track: Track) -> list[int]:
 
 def test_a_blocked_wheel_stops_both_is_logged_once_and_waits_for_a_zero() -> None:
     track = Track()
-    held, track.robot.wheels[1].world = track.robot.wheels[1].world, MotorWorld(dead_zone_pwm=FULL_PWM + 1)
+    turned_by, track.robot.wheels[1].world = track.robot.wheels[1].world, MotorWorld(dead_zone_pwm=FULL_PWM + 1)
     track.drive(0.2, 0.0, 4.0)
     assert pwms(track) == [0, 0]
     assert [text.partition(":")[0] for text in errors(track)] == ["right wheel stalled"]
-    track.robot.wheels[1].world = held
+    track.robot.wheels[1].world = turned_by
     track.drive(0.2, 0.0, 2.0)
     assert pwms(track) == [0, 0]
     track.drive(0.0, 0.0, 0.5)
@@ -163,14 +163,14 @@ def test_a_blocked_wheel_stops_both_is_logged_once_and_waits_for_a_zero() -> Non
     assert len(errors(track)) == 1
 
 
-@pytest.mark.parametrize(("fault", "told"), [("stalled_wheel", "stalled"), ("runaway_wheel", "runs away")])
-def test_the_faults_of_a_wheel_are_found_when_it_is_driven(fault: str, told: str) -> None:
+@pytest.mark.parametrize(("fault", "reported"), [("stalled_wheel", "stalled"), ("runaway_wheel", "runs away")])
+def test_the_faults_of_a_wheel_are_found_when_it_is_driven(fault: str, reported: str) -> None:
     track = Track()
     FAULTS[fault].break_wheel(track.robot.wheels[0])
     track.drive(0.0, 0.0, 3.0)
     assert errors(track) == []
     track.drive(0.1, 0.0, 4.0)
-    assert [text.partition(":")[0] for text in errors(track)] == [f"left wheel {told}"]
+    assert [text.partition(":")[0] for text in errors(track)] == [f"left wheel {reported}"]
     assert pwms(track) == [0, 0]
 
 

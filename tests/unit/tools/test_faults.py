@@ -15,17 +15,17 @@ def drain(line: FaultyLine) -> list[tuple[float, bytes]]:
     """All that comes out, with its times."""
     found = []
     while (next_s := line.next_s()) is not None:
-        found += [(next_s, piece) for piece in line.take(next_s)]
+        found += [(next_s, piece) for piece in line.pop_due(next_s)]
     return found
 
 
 def test_a_line_without_habits_passes_bytes_at_once_as_they_came() -> None:
     line = FaultyLine(Habits(), "0")
     line.send(b"one", 1.0)
-    assert (line.next_s(), line.take(1.0)) == (1.0, [b"one"])
+    assert (line.next_s(), line.pop_due(1.0)) == (1.0, [b"one"])
     line.send(b"two", 2.0)
     line.send(b"three", 2.5)
-    assert line.take(3.0) == [b"two", b"three"]
+    assert line.pop_due(3.0) == [b"two", b"three"]
     assert (line.next_s(), line.waiting_bytes) == (None, 0)
 
 
@@ -56,16 +56,16 @@ def test_a_lost_segment_delays_all_and_what_waited_comes_as_one() -> None:
     line.stand_still(1.0)
     line.send(b"one", 0.1)
     line.send(b"two", 0.2)
-    assert line.take(0.9) == []
+    assert line.pop_due(0.9) == []
     assert line.next_s() == 1.0
-    assert line.take(1.0) == [b"onetwo"]
+    assert line.pop_due(1.0) == [b"onetwo"]
 
 
 def test_a_cut_loses_what_is_on_the_line() -> None:
     line = FaultyLine(Habits(delay_s=Span(1.0, 1.0)), "0")
     line.send(b"one", 0.0)
     line.cut()
-    assert (line.next_s(), line.take(5.0), line.waiting_bytes) == (None, [], 0)
+    assert (line.next_s(), line.pop_due(5.0), line.waiting_bytes) == (None, [], 0)
 
 
 @pytest.mark.parametrize(("kind", "length"), [(Kind.DROP, 96), (Kind.DAMAGE, 100), (Kind.DUPLICATE, 104)])
@@ -74,7 +74,7 @@ def test_harm_is_done_once_to_the_next_bytes(kind: Kind, length: int) -> None:
     line.harm(kind, 4)
     line.send(DATA, 0.0)
     line.send(DATA, 1.0)
-    first, second = line.take(1.0)
+    first, second = line.pop_due(1.0)
     assert len(first) == length
     assert first != DATA
     assert second == DATA
@@ -86,7 +86,7 @@ def test_harm_that_finds_too_few_bytes_goes_on_with_the_next() -> None:
     line.harm(Kind.DROP, 3)
     line.send(b"ab", 0.0)
     line.send(b"cdef", 0.0)
-    assert len(b"".join(line.take(0.0))) == 3
+    assert len(b"".join(line.pop_due(0.0))) == 3
 
 
 habits = st.builds(
@@ -110,7 +110,7 @@ def test_without_harm_all_bytes_come_out_in_order_and_never_early(
         if still_s:
             line.stand_still(now_s + still_s)
         line.send(data, now_s)
-        found += b"".join(line.take(now_s))
+        found += b"".join(line.pop_due(now_s))
         assert line.next_s() is None or line.next_s() > now_s
     for at_s, piece in drain(line):
         assert at_s >= last_s
@@ -142,9 +142,9 @@ def test_a_schedule_gives_each_fault_once_its_time_has_come() -> None:
     schedule = Schedule(Script(rules=rules))
     lose, cut = Fault(Kind.LOSE, 1, None), Fault(Kind.CUT, 0, None)
     assert schedule.next_s() == 4
-    assert schedule.take(3.9) == []
-    assert schedule.take(8.0) == [lose, lose]
-    assert schedule.take(12.0) == [cut, lose]
+    assert schedule.pop_due(3.9) == []
+    assert schedule.pop_due(8.0) == [lose, lose]
+    assert schedule.pop_due(12.0) == [cut, lose]
     assert schedule.next_s() == 16
 
 

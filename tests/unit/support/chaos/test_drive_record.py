@@ -10,7 +10,7 @@ from tests.support.chaos.noise import Noise
 
 LIMITS = Limits()
 ZERO = (0.0, 0.0)
-FOREIGN = (0.3, -0.75)
+UNOWNED = (0.3, -0.75)
 INTERVAL_S = 0.03
 
 
@@ -116,25 +116,25 @@ def test_a_robot_that_stood_at_the_end_needs_no_other_zero() -> None:
 
 def test_somebody_elses_velocity_is_found_where_nobody_else_may_drive() -> None:
     story = Story()
-    story.velocity(FOREIGN)
+    story.velocity(UNOWNED)
     assert story.found() == ["only who may drive drives"]
 
 
 def test_velocities_of_somebody_else_are_one_violation_a_second() -> None:
     story = Story()
     for _ in range(15):
-        story.after(0.1).velocity(FOREIGN)
+        story.after(0.1).velocity(UNOWNED)
     assert story.found() == ["only who may drive drives"] * 2
 
 
 def test_somebody_elses_velocity_is_allowed_while_the_honest_program_does_not_drive() -> None:
     story = Story()
     story.record.rival_began(1, story.now_s)
-    story.after(0.1).velocity(FOREIGN)
+    story.after(0.1).velocity(UNOWNED)
     story.record.rival_ended(1, story.now_s)
-    story.after(0.5).velocity(FOREIGN)
+    story.after(0.5).velocity(UNOWNED)
     assert story.found() == []
-    story.after(1.5).velocity(FOREIGN)
+    story.after(1.5).velocity(UNOWNED)
     assert story.found() == ["only who may drive drives"]
 
 
@@ -143,16 +143,16 @@ def test_a_lower_priority_that_drives_over_the_honest_program_is_found() -> None
     story.record.rival_began(1, story.now_s)
     story.drive()
     story.velocity(ZERO)  # the rival's stop
-    story.after(0.01).velocity(FOREIGN)
+    story.after(0.01).velocity(UNOWNED)
     assert story.found() == ["nobody drives over a higher priority"]
 
 
-def test_who_takes_over_after_the_end_does_not_hide_that_the_honest_commands_move_the_robot_no_more() -> None:
+def test_who_drives_after_the_end_does_not_hide_that_the_honest_commands_move_the_robot_no_more() -> None:
     story = Story()
     story.record.rival_began(1, story.now_s)
     story.drive()
     story.event("ended", "drop")
-    story.after(0.02).velocity(FOREIGN)
+    story.after(0.02).velocity(UNOWNED)
     assert story.after(1.0).found() == []
     assert story.record.zeros_s == [pytest.approx(0.02)]
 
@@ -240,13 +240,13 @@ def test_a_new_connection_receives_zero_first_and_soon() -> None:
 
 def test_a_question_of_the_robots_is_answered_in_time() -> None:
     story = Story()
-    story.event("asked", "time request")
+    story.event("requested", "time request")
     story.after(0.5).event("answered", "time request")
     assert story.found() == []
-    story.event("asked", "time request")
+    story.event("requested", "time request")
     assert story.after(1.5).found() == ["the honest robot's time request is answered"]
     assert story.after(1.5).found() == []  # once
-    story.event("asked", "parameter request")
+    story.event("requested", "parameter request")
     story.after(1.5).event("answered", "parameter request")
     assert story.found() == ["the honest robot's parameter request is answered"]
 

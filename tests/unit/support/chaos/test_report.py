@@ -51,8 +51,8 @@ def test_each_limit_has_a_flag() -> None:
 
 def test_the_generator_opens_no_more_connections_than_it_may() -> None:
     room = Room(device=3)
-    assert room.take("device", 2) == 2
-    assert room.take("device", 2) == 1
-    assert room.take("device", 1) == 0
+    assert room.reserve("device", 2) == 2
+    assert room.reserve("device", 2) == 1
+    assert room.reserve("device", 1) == 0
     room.give_back("device", 1)
-    assert room.take("device", 5) == 1
+    assert room.reserve("device", 5) == 1

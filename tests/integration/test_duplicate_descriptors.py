@@ -36,7 +36,7 @@ async def tcp() -> AsyncIterator[tuple[Transport, socket.socket]]:
 
 
 @contextlib.contextmanager
-def held(transport: Transport) -> Iterator[int]:
+def duplicated(transport: Transport) -> Iterator[int]:
     """A duplicate, as another process has it."""
     descriptor = transport.descriptor()
     assert descriptor is not None
@@ -62,17 +62,17 @@ async def send_without_end(peer: socket.socket) -> None:
             await asyncio.sleep(0.001)
 
 
-async def test_a_device_hears_of_the_end_at_once() -> None:
+async def test_a_device_receives_the_end_at_once() -> None:
     async with tcp() as (transport, peer):
-        with held(transport):
+        with duplicated(transport):
             await transport.send(b"last words")
             await transport.aclose()
             assert await read_to_end(peer) == b"last words"
 
 
-async def test_also_when_it_took_nothing_and_the_connection_is_aborted() -> None:
+async def test_also_when_it_read_nothing_and_the_connection_is_aborted() -> None:
     async with tcp() as (transport, peer):
-        with held(transport):
+        with duplicated(transport):
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(0.1):
                     await transport.send(bytes(TOO_MUCH_BYTES))
@@ -83,7 +83,7 @@ async def test_also_when_it_took_nothing_and_the_connection_is_aborted() -> None
 
 async def test_what_a_device_sends_after_the_end_is_refused() -> None:
     async with tcp() as (transport, peer):
-        with held(transport):
+        with duplicated(transport):
             await transport.aclose()
             assert await read_to_end(peer) == b""
             with pytest.raises(ConnectionError):
@@ -94,7 +94,7 @@ async def test_a_serial_port_can_be_opened_again() -> None:
     with pty_pair() as (device, path):
         config = SerialConfig(path=path)
         transport = await open_serial(config)
-        with held(transport):
+        with duplicated(transport):
             await transport.aclose()
             again = await open_serial(config)
             try:
