@@ -28,12 +28,12 @@ class FairShare:
 
     def is_free(self, *, is_flooding: bool = False) -> bool:
         """Whether `wait` would return at once: something of the turn is left, and nobody waits before the caller."""
-        return self._spent_s < self._turn_s and not self._calm and not (is_flooding and self._flooding)
+        return not self._is_used_up and self._is_first(is_flooding=is_flooding)
 
     async def wait(self, expected_s: float, *, is_flooding: bool = False) -> None:
         """Returns when the caller may compute for about `expected_s`: at once while something of the turn is left."""
         queue = self._flooding if is_flooding else self._calm
-        is_admitted = not queue and not (is_flooding and self._calm)
+        is_admitted = self._is_first(is_flooding=is_flooding)
         deferrals = 0
         while not is_admitted or (self._is_used_up and deferrals < MAX_DEFERRALS):
             deferrals += is_admitted  # those before have cost more than was expected
@@ -61,6 +61,9 @@ class FairShare:
     @property
     def _is_used_up(self) -> bool:
         return self._spent_s >= self._turn_s
+
+    def _is_first(self, *, is_flooding: bool) -> bool:
+        return not self._calm and not (is_flooding and self._flooding)
 
     def _expect_turn(self) -> None:
         if not self._is_turn_due:
