@@ -12,6 +12,7 @@ from hostlink.api.clients import Clients, ClientView
 from hostlink.api.owners import Owners
 from hostlink.api.replies import refusal, reply
 from hostlink.api.routes import Route
+from hostlink.api.slices import Slices
 from hostlink.api.views import (
     LinksView,
     OdometryView,
@@ -242,7 +243,7 @@ class Rest:
         return reply({"reset": robot.shown.reset})
 
     async def _links(self, _: web.Request) -> web.Response:
-        return reply(await links_view(self._hub))
+        return reply(await links_view(self._hub, Slices(self._hub)))
 
     async def _topics(self, _: web.Request) -> web.Response:
         return reply({"topics": topic_views(self._hub)})

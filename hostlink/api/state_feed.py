@@ -10,23 +10,21 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import msgspec
 
 from hostlink.api.client_subscriptions import encode_json
 from hostlink.api.clients import Clients
-from hostlink.api.views import RobotView, link_history_view, link_views, robot_view
+from hostlink.api.slices import Slices
+from hostlink.api.views import RobotView, links_view, robot_view
 from hostlink.errors import BadPayload
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
 
-View = TypeVar("View")
-
 TICK_S = 0.1  # poses come ten times a second
 REFRESH_S = 9.5 * TICK_S  # every tenth tick: ages and counters
-SLICE = 8  # robots or links that are encoded in one turn of the loop
 SHARE = 0.03  # of the processor, for one kind of event: a large fleet is sent less often
 BYTE_COST_S = 2e-9  # of sending to one reader
 MAX_LINES = 64
@@ -91,7 +89,7 @@ class StateFeed:
     """The states and log lines for all readers.
 
     A state that costs more to encode and to send comes less often, so that it takes SHARE of the processor at most. It
-    is encoded SLICE by SLICE; commands and devices have their turns in between.
+    is encoded in slices; commands and devices have their turns in between.
     """
 
     def __init__(self, hub: Hub, clients: Clients) -> None:
@@ -104,12 +102,11 @@ class StateFeed:
             _State(name="clients", interval_s=REFRESH_S, encode=self._encode_clients),
         )
         self._hub, self._clients = hub, clients
-        self._turns = hub.turns()
+        self._slices = Slices(hub)
         self._readers: set[Reader] = set()
         self._lines: deque[Message] = deque(maxlen=MAX_LINES)
         self._pieces: dict[str, _RobotPiece] = {}
         self._refresh_at_s = 0.0
-        self._spent_s = 0.0  # on the state that is being encoded
 
     @contextlib.contextmanager
     def reading(self, reader: Reader) -> Iterator[None]:
@@ -160,13 +157,13 @@ class StateFeed:
         self.line_count += 1
 
     async def _renew(self, state: _State) -> None:
-        self._spent_s = 0.0
+        self._slices.spent_s = 0.0
         json = await state.encode()
         if json is not None:
             self.version += 1
             state.version, state.wire = self.version, encode_event(state.name, json)
-            self._spent_s += len(state.wire) * len(self._readers) * BYTE_COST_S
-        state.due_s = asyncio.get_running_loop().time() + max(state.interval_s, self._spent_s / SHARE)
+            self._slices.spent_s += len(state.wire) * len(self._readers) * BYTE_COST_S
+        state.due_s = asyncio.get_running_loop().time() + max(state.interval_s, self._slices.spent_s / SHARE)
 
     async def _encode_robots(self) -> bytes | None:
         now_s = asyncio.get_running_loop().time()
@@ -174,7 +171,7 @@ class StateFeed:
         before, self._pieces = self._pieces, {}
         known = {} if is_refresh else before
         views = map(robot_view, self._hub.robots.all())
-        await self._in_slices(views, lambda view: self._encode_robot(view, known))
+        await self._slices.run(views, lambda view: self._encode_robot(view, known))
         if is_refresh:
             self._refresh_at_s = now_s + REFRESH_S
         elif self._pieces == before:
@@ -188,29 +185,10 @@ class StateFeed:
         self._pieces[view["name"]] = piece
 
     async def _encode_links(self) -> bytes:
-        links: list[msgspec.Raw] = []
-        await self._in_slices(link_views(self._hub), lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
-        return msgspec.json.encode({"links": links, **link_history_view(self._hub)})
+        return msgspec.json.encode(await links_view(self._hub, self._slices))
 
     async def _encode_clients(self) -> bytes:
         return msgspec.json.encode({"clients": self._clients.views(), "refused": self._clients.refused})
-
-    async def _in_slices(self, views: Iterator[View], work: Callable[[View], None]) -> None:
-        """Make the views and do the work for each, SLICE of them in a turn of the loop, and add up what it costs."""
-        now_s = asyncio.get_running_loop().time
-        is_done = False
-
-        def work_on_some() -> None:
-            nonlocal is_done
-            began_s = now_s()
-            some = list(islice(views, SLICE))
-            for view in some:
-                work(view)
-            is_done = len(some) < SLICE
-            self._spent_s += now_s() - began_s
-
-        while not is_done:
-            await self._turns.run(work_on_some, is_flooding=True)
 
 
 def _essence(view: RobotView) -> object:

@@ -3,11 +3,11 @@
 import asyncio
 import functools
 from collections.abc import Iterable, Iterator
-from itertools import islice
 from typing import TypedDict
 
 import msgspec
 
+from hostlink.api.slices import Slices
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
@@ -289,20 +289,11 @@ def link_views(hub: Hub) -> Iterator[LinkView]:
             yield link_view(hub, diagnosis)
 
 
-async def links_view(hub: Hub) -> dict[str, object]:
-    """A LinksView, ready to be encoded.
-
-    The topics of many devices are megabytes of JSON: each link is encoded when its turn of the loop has come.
-    """
-    turns, views = hub.turns(), link_views(hub)
+async def links_view(hub: Hub, slices: Slices) -> dict[str, object]:
+    """A LinksView, ready to be encoded. The topics of many devices are megabytes of JSON: so it is made in slices."""
     links: list[msgspec.Raw] = []
-
-    def add() -> None:
-        links.extend(msgspec.Raw(msgspec.json.encode(view)) for view in islice(views, 1))
-
-    for _ in hub.links():
-        await turns.run(add, is_flooding=True)
-    return {**link_history_view(hub), "links": links}
+    await slices.run(link_views(hub), lambda view: links.append(msgspec.Raw(msgspec.json.encode(view))))
+    return {"links": links, **link_history_view(hub)}
 
 
 def link_history_view(hub: Hub) -> LinkHistoryView:

@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from hostlink.api.slices import Slices
 from hostlink.api.views import finding_views, links_view
 from hostlink.cli.port_users import user_of_file, user_of_port
 from hostlink.cli.serve import running
@@ -135,7 +136,7 @@ def _report(source: str, only: Finding) -> Report:
 
 async def _links(hub: Hub) -> dict[str, Any]:
     """As a daemon's API would answer."""
-    found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub)))
+    found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub, Slices(hub))))
     return found
 
 

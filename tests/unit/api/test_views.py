@@ -4,6 +4,7 @@ import asyncio
 
 import msgspec
 
+from hostlink.api.slices import Slices
 from hostlink.api.views import LinksView, links_view
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
@@ -41,7 +42,7 @@ async def test_a_view_of_many_topics_leaves_the_loop_to_others_after_each_link()
             turns += 1
 
     other = asyncio.get_running_loop().create_task(neighbour())
-    view = await links_view(hub)
+    view = await links_view(hub, Slices(hub))
     other.cancel()
     found = msgspec.json.decode(msgspec.json.encode(view), type=LinksView)
     assert [len(link["topics"]) for link in found["links"]] == [TOPICS] * LINKS
