@@ -11,7 +11,7 @@ def test_an_hour_at_full_load_is_as_fast_as_the_uart_and_no_faster(uart_bytes_s:
     now_s, sent_bytes = 0.0, 0
     while now_s < 3600:
         outbox.put_urgent(101, bytes(512))
-        if outbox.take(now_s=now_s, wall_ns=0) is not None:
+        if outbox.pop_frame(now_s=now_s, wall_ns=0) is not None:
             sent_bytes += 512
         outbox.put_urgent(101, bytes(512))
         now_s += outbox.wait_s(now_s) or 0.0
