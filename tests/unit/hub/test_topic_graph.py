@@ -1,0 +1,108 @@
+"""Who uses a topic, which type it has, and when it goes."""
+
+import pytest
+
+from hostlink.errors import UnknownTopic, WrongType
+from hostlink.hub.message import Message
+from hostlink.hub.topic import DeviceSubscription, Subscriber
+from hostlink.hub.topic_graph import TopicGraph
+from hostlink.messages.catalog import Catalog
+from tests.support.virtual_loop import run_virtual
+
+CATALOG = Catalog()
+LINK, OTHER_LINK = "link 1", "link 2"
+BOOL, STRING = "std_msgs/Bool", "std_msgs/String"
+
+
+class Program:
+    """Keeps what it received, and the errors that ended it."""
+
+    def __init__(self, type_name: str = "") -> None:
+        self.received: list[bytes] = []
+        self.errors: list[Exception] = []
+        self.subscriber = Subscriber(self._receive, self, type_name, self.errors.append)
+
+    def _receive(self, message: Message) -> None:
+        self.received.append(message.payload)
+
+
+def device() -> DeviceSubscription:
+    return DeviceSubscription(lambda _: None, is_gate=False)
+
+
+async def received_later(*, is_latched: bool) -> list[bytes]:
+    """What a program receives that subscribes after a message."""
+    graph, program = TopicGraph(CATALOG), Program()
+    topic = graph.advertise("/a", LINK, type_name=BOOL, is_latched=is_latched)
+    topic.publish(b"\1", source=LINK)
+    graph.subscribe("/a", program.subscriber)
+    assert program.errors == []
+    return program.received
+
+
+def test_only_what_was_latched_is_delivered_to_a_later_subscriber() -> None:
+    assert run_virtual(received_later(is_latched=True)) == [b"\1"]
+    assert run_virtual(received_later(is_latched=False)) == []
+
+
+def test_a_topic_is_not_latched_unless_its_publisher_says_so() -> None:
+    assert TopicGraph(CATALOG).advertise("/a", LINK, type_name=BOOL).latched == {}
+
+
+def test_a_device_that_publishes_a_topic_no_more_still_subscribes_to_it() -> None:
+    graph = TopicGraph(CATALOG)
+    graph.advertise("/a", LINK, type_name=BOOL)
+    topic = graph.subscribe_device("/a", LINK, device(), type_name=BOOL)
+    graph.unadvertise("/a", LINK)
+    assert (topic.publishers, list(topic.devices)) == (set(), [LINK])
+    graph.leave(LINK)
+    assert graph.all() == []
+
+
+def test_a_device_that_subscribes_no_more_still_publishes() -> None:
+    graph = TopicGraph(CATALOG)
+    topic = graph.advertise("/a", LINK, type_name=BOOL)
+    graph.subscribe_device("/a", LINK, device(), type_name=BOOL)
+    graph.unsubscribe_device("/a", LINK)
+    assert (topic.publishers, topic.devices) == ({LINK}, {})
+    graph.leave(LINK)
+    assert graph.all() == []
+
+
+def test_a_topic_is_one_however_its_name_is_written() -> None:
+    graph = TopicGraph(CATALOG)
+    topic = graph.advertise("a", LINK, type_name=BOOL)
+    assert graph.advertise("~a", OTHER_LINK, type_name="") is topic
+    assert graph.find("/a") is topic
+    assert topic.publishers == {LINK, OTHER_LINK}
+
+
+def test_a_topic_goes_with_its_last_user() -> None:
+    graph, program = TopicGraph(CATALOG), Program()
+    unsubscribe = graph.subscribe("/a", program.subscriber)
+    graph.advertise("/a", LINK, type_name=BOOL)
+    graph.leave(LINK)
+    assert list(graph.names()) == ["/a"]
+    unsubscribe()
+    unsubscribe()  # once more changes nothing
+    with pytest.raises(UnknownTopic, match="/a"):
+        graph.find("/a")
+    graph.unadvertise("/a", LINK)
+    graph.unsubscribe_device("/a", LINK)
+
+
+def test_a_subscription_that_ended_late_leaves_the_new_topic_of_its_name_alone() -> None:
+    graph, program = TopicGraph(CATALOG), Program()
+    unsubscribe = graph.subscribe("/a", program.subscriber)
+    unsubscribe()
+    topic = graph.advertise("/a", LINK, type_name=BOOL)
+    unsubscribe()
+    assert graph.find("/a") is topic
+
+
+def test_a_topic_has_one_type_and_one_that_names_none_accepts_it() -> None:
+    graph = TopicGraph(CATALOG)
+    graph.subscribe("/a", Program(BOOL).subscriber)
+    assert graph.advertise("/a", LINK, type_name="").type_name == BOOL
+    with pytest.raises(WrongType, match=STRING):
+        graph.subscribe("/a", Program(STRING).subscriber)
