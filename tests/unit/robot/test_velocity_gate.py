@@ -32,6 +32,12 @@ def test_a_command_is_given_on_every_step_until_the_lease_ends() -> None:
     assert ours.counts == GateCounts(commands=1, expired=1)
 
 
+def test_a_robot_may_move_until_its_last_zero_was_sent() -> None:
+    ours = held()
+    sent = [(ours.step(0.5 + 0.03 * number), ours.may_move, ours.is_active) for number in range(3)]
+    assert sent == [(ZERO, True, True), (ZERO, True, True), (ZERO, False, False)]
+
+
 def test_a_command_renews_the_lease() -> None:
     ours = driven()
     ours.command("ann", TURN, priority=50, now_s=0.4)
