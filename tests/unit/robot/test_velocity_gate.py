@@ -33,7 +33,7 @@ def test_a_command_is_given_on_every_step_until_the_lease_ends() -> None:
 
 
 def test_a_robot_may_move_until_its_last_zero_was_sent() -> None:
-    ours = held()
+    ours = driven()
     sent = [(ours.step(0.5 + 0.03 * number), ours.may_move, ours.is_active) for number in range(3)]
     assert sent == [(ZERO, True, True), (ZERO, True, True), (ZERO, False, False)]
 
