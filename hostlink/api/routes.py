@@ -49,6 +49,9 @@ class Route:
     fails: tuple[HTTPStatus, ...] = ()
 
 
+_PHRASES = {HTTPStatus.REQUEST_ENTITY_TOO_LARGE: "Request Entity Too Large"}  # others since Python 3.13
+
+
 def openapi(routes: Iterable[Route]) -> dict[str, Any]:
     """The OpenAPI 3.1 document of the routes."""
     listed = list(routes)
@@ -101,7 +104,8 @@ def _operation(route: Route) -> dict[str, Any]:
 
 
 def _failure(status: HTTPStatus) -> dict[str, Any]:
-    return {"description": status.phrase, "content": {"application/json": {"schema": _schema(ErrorView)}}}
+    phrase = _PHRASES.get(status, status.phrase)
+    return {"description": phrase, "content": {"application/json": {"schema": _schema(ErrorView)}}}
 
 
 def _schema(type_: type) -> dict[str, str]:
