@@ -1,5 +1,6 @@
 """Route: one path of the API, its role, its body and its response; and the OpenAPI document of all routes."""
 
+import inspect
 import re
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import KW_ONLY, dataclass
@@ -57,6 +58,9 @@ def openapi(routes: Iterable[Route]) -> dict[str, Any]:
     listed = list(routes)
     types = [each for route in listed for each in (route.response, route.request) if each is not None]
     _, schemas = msgspec.json.schema_components([*types, ErrorView], ref_template=_REFERENCE)
+    for schema in schemas.values():
+        if "description" in schema:  # a docstring, which only Python 3.13 strips of its indentation
+            schema["description"] = inspect.cleandoc(schema["description"])
     paths: dict[str, Any] = {}
     for route in listed:
         paths.setdefault(route.path, {})[route.method.lower()] = _operation(route)
