@@ -123,7 +123,10 @@ async def test_a_service_of_a_device_is_called_and_a_failure_has_a_reason() -> N
         ('{"op": "set_level", "level": "loud"}', "level must be one of"),
         ("[" * 100_000, "nested too deeply"),
         (
-            '{"op": "publish", "topic": "/robot_0/velocity_commands", "msg": ' + '{"linear":' * 50_000 + "1" + "}" * 50_001,
+            '{"op": "publish", "topic": "/robot_0/velocity_commands", "msg": '
+            + '{"linear":' * 50_000
+            + "1"
+            + "}" * 50_001,
             "JSON",
         ),
     ],
