@@ -33,6 +33,7 @@ RATE_HZ = 10
 TURNS_A_PERIOD = 50  # the devices speak in so many groups, one after another
 TIME_INTERVAL_S = 2.5
 ARRIVAL_S = 0.002
+ARRIVALS_A_TIME = 200
 AT_ONCE = 50  # connections that are being opened
 TIME = encode(Id.TIME, bytes(8))
 POSE = encode(125, struct.pack("<3d", 1.0, 2.0, 0.5))
@@ -98,6 +99,9 @@ async def devices(
         await loop.create_connection(lambda made=made: made, host, port, local_addr=(source(number), 0))  # type: ignore[misc]
         fleet.append(made)
         await asyncio.sleep(ARRIVAL_S)
+        if number % ARRIVALS_A_TIME == 0:  # on a busy machine all arrivals take longer than a host waits in silence
+            for earlier in fleet:
+                earlier.send(TIME)
     for made in fleet:
         made.send(TIME + POSE)  # its first message ends the announcement of topics
         await asyncio.sleep(ARRIVAL_S)
