@@ -150,7 +150,7 @@ Pid* pid_new(float kp, float ki, float kd, float feedback) { return new Pid(make
 void pid_delete(Pid* pid) { delete pid; }
 float pid_step(Pid* pid, float wanted, float measured, float dt_s) { return pid->step(wanted, measured, dt_s); }
 
-Wheel* wheel_new() { return new Wheel(left_gains()); }
+Wheel* wheel_new(int feedback) { return new Wheel(left_gains(), static_cast<Feedback>(feedback)); }
 void wheel_delete(Wheel* wheel) { delete wheel; }
 void wheel_aim(Wheel* wheel, float ticks_s) { wheel->aim(ticks_s); }
 int32_t wheel_step(Wheel* wheel, uint32_t edges, float dt_s) { return wheel->step(edges, dt_s); }

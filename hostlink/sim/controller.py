@@ -11,6 +11,7 @@ LEAST_PWM = 700
 FILTER = 0.1  # weight of the newest speed
 S_PER_TICK_S = 0.018  # of minimum jerk, for a change of one tick/s
 LOOP_S = 1 / 30
+FEEDBACK_WASHOUT_S = 1.0  # how fast Feedback.WASHED_OUT fades
 HALF_TURN_S = LOOP_S / 2
 NOTHING_TICKS_S = 0.001  # a set-point of less is zero: rounding must not decide a sign
 STANDING_S = 0.1  # without an edge: a wheel has come to rest, or all but
@@ -34,6 +35,13 @@ class Gains:
     ki: float
     kd: float
     feedback: float = 0.05
+
+
+class Feedback(Enum):
+    """What of the last output the PID subtracts from its error."""
+
+    WASHED_OUT = 0  # its changes: a steady output costs no speed
+    PAPER = 1  # all of it: the integral then keeps every speed 5 % below the request
 
 
 LEFT_GAINS = Gains(23.0, 36.0, 0.1)
@@ -103,6 +111,42 @@ class WheelFault(Enum):
     RUNAWAY = auto()  # far faster than it should be, and not slowing down: not this program drives it
 
 
+class Pid:
+    """e = wanted - measured - feedback * last output, or its changes alone; no winding up against the limit."""
+
+    def __init__(self, gains: Gains, feedback: Feedback = Feedback.WASHED_OUT) -> None:
+        self.gains = gains
+        self._feedback = feedback
+        self._steady_ticks_s = 0.0  # the output's slow part, which is not fed back
+        self._output = self._integral = self._last_error = 0.0
+
+    def step(self, wanted: float, measured: float, dt_s: float, *, low: float, high: float) -> float:
+        """The output after `dt_s` more, within `low` and `high`."""
+        gains = self.gains
+        error = wanted - measured - gains.feedback * self._fed_back_ticks_s(dt_s)
+        integral = self._integral + error * dt_s
+        free = gains.kp * error + gains.ki * integral + gains.kd * (error - self._last_error) / dt_s
+        output = max(low, min(high, free))
+        if output == free or (free > 0) != (error > 0):  # no winding up against the limit
+            self._integral = integral
+        self._last_error = error
+        self._output = output
+        return output
+
+    def reset(self) -> None:
+        """Begin anew, at an output of zero."""
+        self._output = self._steady_ticks_s = self._integral = self._last_error = 0.0
+
+    def _fed_back_ticks_s(self, dt_s: float) -> float:
+        """The last output as a speed; washed out, less its mean over the last second or so."""
+        last_ticks_s = self._output / FULL_PWM * FULL_SPEED_TICKS_S
+        if self._feedback is Feedback.PAPER:
+            return last_ticks_s
+        quick_ticks_s = last_ticks_s - self._steady_ticks_s
+        self._steady_ticks_s += quick_ticks_s * dt_s / (FEEDBACK_WASHOUT_S + dt_s)
+        return quick_ticks_s
+
+
 class WheelController:
     """Set-point, filter, PID and motor output of one wheel.
 
@@ -117,8 +161,8 @@ class WheelController:
     | against the sign | stands: none for 0.1 s        | the sign changes, then it is driven                   |
     """
 
-    def __init__(self, gains: Gains) -> None:
-        self.gains = gains
+    def __init__(self, gains: Gains, feedback: Feedback = Feedback.WASHED_OUT) -> None:
+        self.pid = Pid(gains, feedback)
         self.set_point = MinimumJerk()
         self.speed_ticks_s = 0.0  # filtered, signed
         self.pwm = 0
@@ -126,7 +170,6 @@ class WheelController:
         self.watch = WheelWatch()
         self.recent = RecentSpeed()
         self._still_s = 0.0  # since the last edge
-        self._output = self._integral = self._last_error = 0.0
 
     def aim(self, ticks_s: float) -> None:
         """Request a speed. Zero is a stop at once, not a ramp."""
@@ -165,7 +208,7 @@ class WheelController:
     def _rest(self, *, is_reversal: bool) -> None:
         """Brake; and once the wheel stands, its edges may get the other sign."""
         self.pwm = 0
-        self._output = self._integral = self._last_error = 0.0
+        self.pid.reset()
         if self.stands:
             self.speed_ticks_s = 0.0  # the filter need not find out
         if is_reversal:
@@ -174,16 +217,8 @@ class WheelController:
             self.direction = -self.direction
 
     def _regulate(self, wanted: float, dt_s: float) -> float:
-        gains = self.gains
-        error = wanted - self.speed_ticks_s - gains.feedback * self._output / FULL_PWM * FULL_SPEED_TICKS_S
-        integral = self._integral + error * dt_s
-        free = gains.kp * error + gains.ki * integral + gains.kd * (error - self._last_error) / dt_s
         low, high = (0.0, float(FULL_PWM)) if self.direction > 0 else (-float(FULL_PWM), 0.0)
-        output = max(low, min(high, free))
-        if output == free or (free > 0) != (error > 0):  # no winding up against the limit
-            self._integral = integral
-        self._last_error = error
-        self._output = output
+        output = self.pid.step(wanted, self.speed_ticks_s, dt_s, low=low, high=high)
         return 0.0 if self.recent.is_above(TOO_FAST_FACTOR * self.requested_ticks_s) else output
 
 

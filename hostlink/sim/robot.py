@@ -143,7 +143,7 @@ class SimulatedRobot:
 
     def _tune(self, wheel: int, payload: bytes) -> None:
         gains: dict[str, Any] = self._types["Vector3"].decode(payload)
-        self.controllers[wheel].gains = Gains(gains["x"], gains["y"], gains["z"])
+        self.controllers[wheel].pid.gains = Gains(gains["x"], gains["y"], gains["z"])
 
     def _advertise(self, topic: str, type_name: str) -> int:
         type_ = self._types[type_name]

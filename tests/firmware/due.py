@@ -60,7 +60,7 @@ _SIGNATURES = {
     "pid_new": (_P, _F, _F, _F, _F),
     "pid_delete": (None, _P),
     "pid_step": (_F, _P, _F, _F, _F),
-    "wheel_new": (_P,),
+    "wheel_new": (_P, ctypes.c_int),
     "wheel_delete": (None, _P),
     "wheel_aim": (None, _P, _F),
     "wheel_step": (ctypes.c_int32, _P, ctypes.c_uint32, _F),

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from hostlink.sim import controller
+from hostlink.sim.controller import Feedback
+from hostlink.sim.drive_train import DriveTrain
 from tests.firmware.due import library, made
 
 DRIVE = DifferentialDrive()
@@ -80,7 +82,7 @@ def test_the_feedback_term_subtracts_a_part_of_the_last_output() -> None:
 
 
 def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
-    with made("wheel") as wheel:
+    with made("wheel", Feedback.WASHED_OUT.value) as wheel:
         observed = []
         for _ in range(3):
             library().wheel_step(wheel, 10, 0.1)
@@ -88,13 +90,14 @@ def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
     assert observed == pytest.approx([10.0, 19.0, 27.1])
 
 
-@given(st.lists(st.tuples(st.sampled_from([0.0, 50.0, 200.0, -50.0, -250.0]), st.integers(1, 60)), max_size=5))
-def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]]) -> None:
+@given(
+    st.lists(st.tuples(st.sampled_from([0.0, 50.0, 200.0, -50.0, -250.0]), st.integers(1, 60)), max_size=5),
+    st.sampled_from(Feedback),
+)
+def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]], feedback: Feedback) -> None:
     """The same set-points and the same edges: the same PWM, but for what a float loses."""
-    from hostlink.sim.drive_train import DriveTrain  # noqa: PLC0415 - the plant, beside its use
-
-    twin, plant = controller.WheelController(controller.LEFT_GAINS), DriveTrain()
-    with made("wheel") as wheel:
+    twin, plant = controller.WheelController(controller.LEFT_GAINS, feedback), DriveTrain()
+    with made("wheel", feedback.value) as wheel:
         for target, turns in story:
             library().wheel_aim(wheel, target)
             twin.aim(target)
@@ -103,6 +106,29 @@ def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]]) 
                 rolled = library().wheel_step(wheel, edges, LOOP_S)
                 assert rolled == twin.step(edges, LOOP_S)
                 assert library().wheel_pwm(wheel) == pytest.approx(twin.pwm, abs=40)
+
+
+def steady_ticks_s(feedback: Feedback, requested_ticks_s: float) -> float:
+    """The mean speed of a wheel over two seconds, five after its set-point is there."""
+    plant, speeds = DriveTrain(), []
+    with made("wheel", feedback.value) as wheel:
+        library().wheel_aim(wheel, requested_ticks_s)
+        for _ in range(round((abs(requested_ticks_s) * controller.S_PER_TICK_S + 7.0) / LOOP_S)):
+            edges = plant.step(library().wheel_pwm(wheel), LOOP_S)
+            library().wheel_step(wheel, edges, LOOP_S)
+            speeds.append(plant.speed_ticks_s)
+    late = speeds[-round(2.0 / LOOP_S) :]
+    return sum(late) / len(late)
+
+
+@pytest.mark.parametrize("requested_ticks_s", [60.0, 100.0, 200.0, 270.0, -200.0])
+def test_a_steady_speed_is_the_requested_one(requested_ticks_s: float) -> None:
+    assert steady_ticks_s(Feedback.WASHED_OUT, requested_ticks_s) == pytest.approx(requested_ticks_s, rel=0.005)
+
+
+@pytest.mark.parametrize("requested_ticks_s", [100.0, 200.0, -200.0])
+def test_the_paper_s_feedback_keeps_every_speed_5_percent_low(requested_ticks_s: float) -> None:
+    assert steady_ticks_s(Feedback.PAPER, requested_ticks_s) == pytest.approx(requested_ticks_s / 1.05, rel=0.005)
 
 
 @given(st.floats(-2.0, 2.0, width=32), st.floats(-10.0, 10.0, width=32))

@@ -1,6 +1,7 @@
 """The Due's program in worlds that nobody has tuned it for: odometry true, never too fast, standing after a zero."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -127,3 +128,17 @@ def test_a_wheel_that_somebody_turned_is_driven_as_before_when_it_is_let_go(
             check_odometry(made.trace, 1)
             assert too_fast_s(made) <= OVER_S
             assert against_ticks_s(made) <= 15.0
+
+
+@WORLDS
+@given(pair=motors(), linear=st.floats(0.08, 0.28), sense=st.sampled_from([1, -1]))
+def test_whatever_motors_it_has_a_steady_speed_is_the_requested_one(
+    pair: tuple[MotorWorld, MotorWorld], linear: float, sense: int
+) -> None:
+    """To 1 %; to 5 % where the motor cannot turn so slowly, and is driven and braked in turn."""
+    with world(*pair) as made:
+        made.drive(sense * linear, 0.0, 14.0)
+        for speed, _, commanded, drive in wheels(made):
+            late = slice(-round(5.0 / ROW_S), None)
+            tolerance = 0.05 if np.any(drive[late] == 0) else 0.01
+            assert float(np.mean(speed[late])) == pytest.approx(float(commanded[-1]), rel=tolerance)

@@ -137,7 +137,7 @@ def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
                 # a turn for what was on the line already, and the 5 ms between two looks of `expect`
                 assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
                 await asyncio.sleep(1.0)
-                assert robot.controllers[0].gains.kp == pytest.approx(20.499)  # the newest came, after the stop
+                assert robot.controllers[0].pid.gains.kp == pytest.approx(20.499)  # the newest came, after the stop
 
     run_virtual(run())
 

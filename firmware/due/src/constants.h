@@ -52,6 +52,14 @@ inline Gains make_gains(float kp, float ki, float kd, float feedback) {
 }
 
 const float kFeedback = 0.05f;
+const float kFeedbackWashoutS = 1.0f;  // how fast Feedback::kWashedOut fades
+
+// What of the last output the PID subtracts from its error (docs/robot.md#equations).
+enum class Feedback : uint8_t {
+  kWashedOut,  // its changes: a steady output costs no speed
+  kPaper,      // all of it: the integral then keeps every speed 5 % below the request
+};
+
 inline Gains left_gains() { return make_gains(23.0f, 36.0f, 0.1f, kFeedback); }  // table 1 of the paper
 inline Gains right_gains() { return make_gains(24.0f, 35.0f, 0.1f, kFeedback); }
 

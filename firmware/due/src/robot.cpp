@@ -26,8 +26,8 @@ Gains read_gains(const uint8_t* payload) {
 
 }  // namespace
 
-Robot::Robot(Hal& hal, const char* name, Retry retry)
-    : hal_(hal), ns_(name), node_(hal, retry), left_(left_gains()), right_(right_gains()) {}
+Robot::Robot(Hal& hal, const char* name, Retry retry, Feedback feedback)
+    : hal_(hal), ns_(name), node_(hal, retry), left_(left_gains(), feedback), right_(right_gains(), feedback) {}
 
 void Robot::setup() {
   odometry_id_ = node_.advertise(ns_, "odometry", kPose2DType, kPose2DMd5);

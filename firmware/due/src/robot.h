@@ -13,7 +13,8 @@ namespace hostlink {
 
 class Robot {
  public:
-  explicit Robot(Hal& hal, const char* name = "/robot_0/", Retry retry = Retry::kKeepState);
+  explicit Robot(Hal& hal, const char* name = "/robot_0/", Retry retry = Retry::kKeepState,
+                 Feedback feedback = Feedback::kWashedOut);
 
   void setup();
   // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. 0, or with the

@@ -43,8 +43,7 @@ float MinimumJerk::step(float dt_s) {
 }
 
 float Pid::step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float low, float high) {
-  const float last_ticks_s = output_ / static_cast<float>(kPwmMax) * kTopSpeedTicksS;
-  const float error = wanted_ticks_s - measured_ticks_s - gains_.feedback * last_ticks_s;
+  const float error = wanted_ticks_s - measured_ticks_s - gains_.feedback * fed_back_ticks_s(dt_s);
   const float integral = integral_ + error * dt_s;
   const float derivative = (error - previous_error_) / dt_s;
   const float free = gains_.kp * error + gains_.ki * integral + gains_.kd * derivative;
@@ -55,7 +54,16 @@ float Pid::step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float 
   return output_;
 }
 
-void Pid::reset() { output_ = integral_ = previous_error_ = 0.0f; }
+// The last output as a speed; washed out, less its mean over the last second or so.
+float Pid::fed_back_ticks_s(float dt_s) {
+  const float last_ticks_s = output_ / static_cast<float>(kPwmMax) * kTopSpeedTicksS;
+  if (feedback_ == Feedback::kPaper) return last_ticks_s;
+  const float quick_ticks_s = last_ticks_s - steady_ticks_s_;
+  steady_ticks_s_ += quick_ticks_s * dt_s / (kFeedbackWashoutS + dt_s);
+  return quick_ticks_s;
+}
+
+void Pid::reset() { output_ = steady_ticks_s_ = integral_ = previous_error_ = 0.0f; }
 
 int16_t motor_output(float wanted) {
   const float size = magnitude(wanted);

@@ -26,10 +26,10 @@ class MinimumJerk {
   float length_s_ = 0.0f;
 };
 
-// e = wanted - measured - feedback * last output; no winding up against the limit.
+// e = wanted - measured - feedback * last output, or its changes alone; no winding up against the limit.
 class Pid {
  public:
-  explicit Pid(const Gains& gains) : gains_(gains) {}
+  explicit Pid(const Gains& gains, Feedback feedback = Feedback::kWashedOut) : gains_(gains), feedback_(feedback) {}
   // The output stays within low and high; the original's limits are the motor's.
   float step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float low = -static_cast<float>(kPwmMax),
              float high = static_cast<float>(kPwmMax));
@@ -38,8 +38,12 @@ class Pid {
   const Gains& gains() const { return gains_; }
 
  private:
+  float fed_back_ticks_s(float dt_s);
+
   Gains gains_;
+  Feedback feedback_;
   float output_ = 0.0f;
+  float steady_ticks_s_ = 0.0f;  // the output's slow part, which is not fed back
   float integral_ = 0.0f;
   float previous_error_ = 0.0f;
 };
@@ -78,7 +82,7 @@ enum class WheelFault : uint8_t {
 //   | against the sign  | stands: none for 0.1 s        | the sign changes, then it is driven                       |
 class Wheel {
  public:
-  explicit Wheel(const Gains& gains) : pid_(gains) {}
+  explicit Wheel(const Gains& gains, Feedback feedback = Feedback::kWashedOut) : pid_(gains, feedback) {}
 
   void aim(float ticks_s);  // zero is no ramp but a stop
   void stop_at_once() { set_point_.stop_at_once(); }

@@ -102,7 +102,7 @@ def test_gains_by_message() -> None:
     assert vector is not None
     track.robot.device.from_host.send(encode(103, vector.encode({"x": 1.0, "y": 2.0, "z": 3.0})), track.now_s)
     track.drive(0.0, 0.0, LOOP_S)
-    gains = track.robot.controllers[1].gains
+    gains = track.robot.controllers[1].pid.gains
     assert (gains.kp, gains.ki, gains.kd) == (1.0, 2.0, 3.0)
 
 
