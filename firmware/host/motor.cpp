@@ -68,11 +68,9 @@ void Motor::count(float rolled_ticks) {
   if (sense != 0 && sense != sense_) since_turn_ticks_ = 0.0f;
   if (sense != 0) sense_ = sense;
   since_turn_ticks_ += size;
-  part_ticks_ += size;
-  while (part_ticks_ >= 1.0f) {
-    part_ticks_ -= 1.0f;
-    ++edges_;
-  }
+  part_ticks_ += rolled_ticks;
+  for (; part_ticks_ >= kTicksPerEdge; part_ticks_ -= kTicksPerEdge) ++edges_;
+  for (; part_ticks_ < 0.0f; part_ticks_ += kTicksPerEdge) ++edges_;
 }
 
 }  // namespace hostlink

@@ -30,7 +30,7 @@ class Motor {
 
   // Returns how far the wheel rolled, in ticks with their sign: forwards is positive on both sides.
   float step(const MotorLevels& levels, float dt_s);
-  uint32_t edges() const { return edges_; }  // wraps
+  uint32_t edges() const { return edges_; }  // rising and falling: two a tick; wraps
   float speed_ticks_s() const { return speed_ticks_s_; }
 
  private:
@@ -43,7 +43,7 @@ class Motor {
   MotorWorld world_;
   bool is_gripped_ = false;
   float speed_ticks_s_ = 0.0f;
-  float part_ticks_ = 0.0f;  // rolled since the last edge
+  float part_ticks_ = 0.0f;  // behind the last edge, seen forwards: the edges lie half a tick apart
   uint32_t edges_ = 0;
   int8_t sense_ = 0;            // of the last roll
   float since_turn_ticks_ = 0;  // rolled since its sense changed

@@ -65,7 +65,7 @@ class QemuHal : public hostlink::Hal {
 
   void drive(int16_t left_pwm, int16_t right_pwm) override { plant_.drive(left_pwm, right_pwm); }
 
-  void ticks(uint32_t& left, uint32_t& right) override {
+  void edges(uint32_t& left, uint32_t& right) override {
     left = plant_.left().edges();
     right = plant_.right().edges();
   }

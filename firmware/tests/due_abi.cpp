@@ -23,8 +23,8 @@ struct TestHal : public Hal {
   size_t room = SIZE_MAX;  // what write() accepts in all until it is set again
   int16_t left_pwm = 0;
   int16_t right_pwm = 0;
-  uint32_t left_ticks = 0;
-  uint32_t right_ticks = 0;
+  uint32_t left_edges = 0;
+  uint32_t right_edges = 0;
 
   uint32_t millis() override { return static_cast<uint32_t>(now_us / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us); }
@@ -44,9 +44,9 @@ struct TestHal : public Hal {
     left_pwm = left;
     right_pwm = right;
   }
-  void ticks(uint32_t& left, uint32_t& right) override {
-    left = left_ticks;
-    right = right_ticks;
+  void edges(uint32_t& left, uint32_t& right) override {
+    left = left_edges;
+    right = right_edges;
   }
 };
 
@@ -124,10 +124,10 @@ void robot_delete(TestRobot* robot) { delete robot; }
 void robot_feed(TestRobot* robot, const uint8_t* bytes, size_t size) {
   robot->hal.from_host.insert(robot->hal.from_host.end(), bytes, bytes + size);
 }
-void robot_loop(TestRobot* robot, uint64_t now_us, uint32_t left_ticks, uint32_t right_ticks) {
+void robot_loop(TestRobot* robot, uint64_t now_us, uint32_t left_edges, uint32_t right_edges) {
   robot->hal.now_us = now_us;
-  robot->hal.left_ticks = left_ticks;
-  robot->hal.right_ticks = right_ticks;
+  robot->hal.left_edges = left_edges;
+  robot->hal.right_edges = right_edges;
   robot->robot.loop();
 }
 size_t robot_sent(TestRobot* robot, uint8_t* out, size_t capacity) {
@@ -153,7 +153,7 @@ float pid_step(Pid* pid, float wanted, float measured, float dt_s) { return pid-
 Wheel* wheel_new(int feedback) { return new Wheel(left_gains(), static_cast<Feedback>(feedback)); }
 void wheel_delete(Wheel* wheel) { delete wheel; }
 void wheel_aim(Wheel* wheel, float ticks_s) { wheel->aim(ticks_s); }
-int32_t wheel_step(Wheel* wheel, uint32_t edges, float dt_s) { return wheel->step(edges, dt_s); }
+float wheel_step(Wheel* wheel, uint32_t edges, float dt_s) { return wheel->step(edges, dt_s); }
 int wheel_pwm(Wheel* wheel) { return wheel->pwm(); }
 float wheel_speed(Wheel* wheel) { return wheel->speed_ticks_s(); }
 

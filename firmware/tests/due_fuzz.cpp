@@ -25,7 +25,7 @@ struct FuzzHal : public hostlink::Hal {
     if (left_pwm > 4095 || left_pwm < -4095 || right_pwm > 4095 || right_pwm < -4095) abort();
     pwm = left_pwm;
   }
-  void ticks(uint32_t& left_ticks, uint32_t& right_ticks) override { left_ticks = right_ticks = now_us / 10000; }
+  void edges(uint32_t& left_edges, uint32_t& right_edges) override { left_edges = right_edges = now_us / 10000; }
 };
 
 void feed(FuzzHal& hal, hostlink::Robot& robot, const uint8_t* bytes, size_t size) {

@@ -57,9 +57,9 @@ void test_minimum_jerk() {
 
 void test_filter() {
   Wheel wheel(left_gains());
-  wheel.step(10, 0.1f);
+  wheel.step(20, 0.1f);
   CHECK(is_near(static_cast<double>(wheel.speed_ticks_s()), 10.0, 1e-3));
-  wheel.step(10, 0.1f);
+  wheel.step(20, 0.1f);
   CHECK(is_near(static_cast<double>(wheel.speed_ticks_s()), 19.0, 1e-3));
 }
 
@@ -97,7 +97,7 @@ struct BenchHal : public Hal {
     return size;
   }
   void drive(int16_t left, int16_t right) override { plant.drive(left, right); }
-  void ticks(uint32_t& left, uint32_t& right) override {
+  void edges(uint32_t& left, uint32_t& right) override {
     left = plant.left().edges();
     right = plant.right().edges();
   }

@@ -46,6 +46,8 @@ struct World {
     for (int side = 0; side < 2; ++side) {
       while (edges[side] != motor(side).edges()) {
         ++edges[side];
+        uint16_t& level = due_pins::pins().value[kEncoderPin[side]];
+        level = level == 0 ? 1 : 0;
         void (*on_edge)() = due_pins::pins().on_edge[kEncoderPin[side]];
         if (on_edge != nullptr && !is_deaf[side]) on_edge();
       }

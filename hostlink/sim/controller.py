@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from hostlink.sim.drive_train import FULL_PWM, FULL_SPEED_TICKS_S
+from hostlink.sim.drive_train import EDGES_PER_TICK, FULL_PWM, FULL_SPEED_TICKS_S
 
 DEAD_BAND_PWM = 10
 LEAST_PWM = 700
@@ -14,7 +14,7 @@ LOOP_S = 1 / 30
 FEEDBACK_WASHOUT_S = 1.0  # how fast Feedback.WASHED_OUT fades
 HALF_TURN_S = LOOP_S / 2
 NOTHING_TICKS_S = 0.001  # a set-point of less is zero: rounding must not decide a sign
-STANDING_S = 0.1  # without an edge: a wheel has come to rest, or all but
+STANDING_S = 0.1  # braked and without an edge: a wheel has come to rest, or all but
 REST_S = 5.0  # from a zero to rest; a wheel that is slower runs away
 HIGH_PWM = 2048  # turns any wheel that is free
 STALLED_S = 0.5  # with a high PWM and no edge
@@ -85,11 +85,11 @@ class RecentSpeed:
     """Ticks and seconds of the last fifth of a second: the filter of the PID is late by a third of one."""
 
     def __init__(self) -> None:
-        self.ticks = 0
+        self.ticks = 0.0
         self.seconds = 0.0
-        self._turns: deque[tuple[int, float]] = deque()
+        self._turns: deque[tuple[float, float]] = deque()
 
-    def add(self, ticks: int, dt_s: float) -> None:
+    def add(self, ticks: float, dt_s: float) -> None:
         """A turn of the loop."""
         self._turns.append((ticks, dt_s))
         self.ticks += ticks
@@ -100,7 +100,7 @@ class RecentSpeed:
             self.seconds -= old_s
 
     def is_above(self, ticks_s: float) -> bool:
-        """Whether the mean speed, which has no sign, is more; the count of ticks may be off by nearly half a one."""
+        """Whether the mean speed, which has no sign, is more; the count of edges may be off by nearly one."""
         return self.ticks > ticks_s * self.seconds + 0.49
 
 
@@ -158,7 +158,8 @@ class WheelController:
     | along the sign   | faster than requested         | brakes, at the latest after 0.2 s                     |
     | along the sign   | any                           | driven that way, or brakes: never a torque against it |
     | against the sign | had an edge in the last 0.1 s | brakes; the set-point waits at zero                   |
-    | against the sign | stands: none for 0.1 s        | the sign changes, then it is driven                   |
+    | against the sign | stands: braked for 0.1 s, and | the sign changes, then it is driven                   |
+    |                  | no edge meanwhile             |                                                       |
     """
 
     def __init__(self, gains: Gains, feedback: Feedback = Feedback.WASHED_OUT) -> None:
@@ -169,7 +170,7 @@ class WheelController:
         self.direction = 1  # the sign that the encoder's ticks are given
         self.watch = WheelWatch()
         self.recent = RecentSpeed()
-        self._still_s = 0.0  # since the last edge
+        self._still_s = 0.0  # since the last edge, and since it was driven: a wheel may roll before it has an edge
 
     def aim(self, ticks_s: float) -> None:
         """Request a speed. Zero is a stop at once, not a ramp."""
@@ -188,12 +189,13 @@ class WheelController:
         """The fastest that the set-point allows."""
         return max(abs(self.set_point.value), abs(self.set_point.target))
 
-    def step(self, ticks: int, dt_s: float) -> int:
+    def step(self, edges: int, dt_s: float) -> float:
         """One turn of the loop; returns the signed ticks that the wheel rolled since the last one."""
+        ticks = edges / EDGES_PER_TICK
         signed = ticks * self.direction
         self.speed_ticks_s += FILTER * (signed / dt_s - self.speed_ticks_s)
         self.recent.add(ticks, dt_s)
-        self._still_s = 0.0 if ticks else min(self._still_s + dt_s, 1.0)
+        self._still_s = 0.0 if edges or self.pwm else min(self._still_s + dt_s, 1.0)
         wanted = self.set_point.step(dt_s)
         is_reversal = wanted * self.direction < -NOTHING_TICKS_S
         is_resting = wanted * self.direction < NOTHING_TICKS_S
@@ -202,7 +204,7 @@ class WheelController:
         else:
             self.pwm = motor_output(self._regulate(wanted, dt_s))
         is_waiting = is_resting and self.set_point.target != 0
-        self.watch.step(self, has_edges=ticks > 0, is_waiting=is_waiting, dt_s=dt_s)
+        self.watch.step(self, has_edges=edges > 0, is_waiting=is_waiting, dt_s=dt_s)
         return signed
 
     def _rest(self, *, is_reversal: bool) -> None:

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 FULL_PWM = 4095
+EDGES_PER_TICK = 2  # a rising and a falling one
 FULL_SPEED_TICKS_S = 280.0  # docs/robot.md#numbers: the top speed
 CASTER_TICKS = 40.0  # 5 cm: the caster has swung round
 
@@ -26,7 +27,7 @@ class MotorWorld:
 
 
 class DriveTrain:
-    """One wheel. It turns at `speed_ticks_s`, signed; its encoder counts edges without a sign."""
+    """One wheel. It turns at `speed_ticks_s`, signed; its encoder counts edges, two a tick, without a sign."""
 
     def __init__(self, world: MotorWorld | None = None) -> None:
         self.world = MotorWorld() if world is None else world
@@ -35,7 +36,6 @@ class DriveTrain:
         self._is_blocked = False
         self._is_broken = False
         self._is_stuck = False
-        self._counted = 0.0
         self._sense = 0  # of the last roll
         self._since_turn_ticks = 0.0  # rolled since its sense changed
 
@@ -99,8 +99,7 @@ class DriveTrain:
         sense = (rolled_ticks > 0) - (rolled_ticks < 0)
         if sense and sense != self._sense:
             self._sense, self._since_turn_ticks = sense, 0.0
-        before = math.floor(self._counted)
+        before = math.floor(EDGES_PER_TICK * self.rolled_ticks)
         self._since_turn_ticks += abs(rolled_ticks)
-        self._counted += abs(rolled_ticks)
         self.rolled_ticks += rolled_ticks
-        return math.floor(self._counted) - before
+        return abs(math.floor(EDGES_PER_TICK * self.rolled_ticks) - before)

@@ -54,8 +54,8 @@ class SimulatedRobot:
         if is_stale or not self.device.is_configured:
             self._command(0.0, 0.0)
             self._commanded_at_s = None
-        ticks = [wheel.step(control.pwm, LOOP_S) for wheel, control in zip(self.wheels, self.controllers, strict=True)]
-        rolled = [control.step(count, LOOP_S) for control, count in zip(self.controllers, ticks, strict=True)]
+        edges = [wheel.step(control.pwm, LOOP_S) for wheel, control in zip(self.wheels, self.controllers, strict=True)]
+        rolled = [control.step(count, LOOP_S) for control, count in zip(self.controllers, edges, strict=True)]
         self._watch()
         left_m, right_m = (count * self.drive.metres_per_tick for count in rolled)
         self.pose = self.drive.integrate(self.pose, left_m, right_m)

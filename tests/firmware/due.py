@@ -63,7 +63,7 @@ _SIGNATURES = {
     "wheel_new": (_P, ctypes.c_int),
     "wheel_delete": (None, _P),
     "wheel_aim": (None, _P, _F),
-    "wheel_step": (ctypes.c_int32, _P, ctypes.c_uint32, _F),
+    "wheel_step": (_F, _P, ctypes.c_uint32, _F),
     "wheel_pwm": (ctypes.c_int, _P),
     "wheel_speed": (_F, _P),
     "pwm_of": (ctypes.c_int, _F),
@@ -183,8 +183,8 @@ class Robot:
     def feed(self, data: bytes) -> None:
         library().robot_feed(self._handle, data, len(data))
 
-    def loop(self, now_s: float, left_ticks: int, right_ticks: int) -> None:
-        library().robot_loop(self._handle, round(now_s * 1e6), left_ticks % 2**32, right_ticks % 2**32)
+    def loop(self, now_s: float, left_edges: int, right_edges: int) -> None:
+        library().robot_loop(self._handle, round(now_s * 1e6), left_edges % 2**32, right_edges % 2**32)
 
     def sent(self) -> list[Frame]:
         data = _read_out(library().robot_sent, self._handle)

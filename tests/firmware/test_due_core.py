@@ -85,7 +85,7 @@ def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
     with made("wheel", Feedback.WASHED_OUT.value) as wheel:
         observed = []
         for _ in range(3):
-            library().wheel_step(wheel, 10, 0.1)
+            library().wheel_step(wheel, 20, 0.1)  # ten ticks
             observed.append(library().wheel_speed(wheel))
     assert observed == pytest.approx([10.0, 19.0, 27.1])
 

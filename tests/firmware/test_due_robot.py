@@ -206,7 +206,7 @@ def test_speed_is_measured_over_the_time_that_passed_however_the_loop_comes_roun
         firmware.feed(TOPICS_REQUEST)
         while now_s < 9.0:
             now_s += pass_s
-            firmware.loop(now_s, int(now_s * 100), int(now_s * 100))
+            firmware.loop(now_s, int(now_s * 200), int(now_s * 200))  # two edges a tick
             observed += [struct.unpack("<6d", frame.payload)[0] for frame in firmware.sent() if frame.topic_id == 126]
         late = observed[len(observed) // 2 :]
         assert sum(late) / len(late) == pytest.approx(100.0, rel=0.03)
@@ -235,7 +235,7 @@ def test_an_answer_that_comes_too_late_is_not_used_for_another_parameter() -> No
         firmware.feed(encode(Id.PARAMETER, encode_parameter(Parameter(floats=(0.045,)))))  # the wheel's radius
         for step in range(100):
             now_s += 0.002
-            firmware.loop(now_s, 0, step)
+            firmware.loop(now_s, 0, 2 * step)
         turned_rad = 99 * 2 * math.pi * 0.045 / 230.4 / 0.210
         assert firmware.pose[2] == pytest.approx(turned_rad, rel=0.2)
 

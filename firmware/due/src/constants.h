@@ -8,6 +8,7 @@ namespace hostlink {
 const float kWheelRadiusM = 0.045f;
 const float kWheelSeparationM = 0.210f;  // wheel to wheel
 const float kTicksPerTurn = 230.4f;
+const float kTicksPerEdge = 0.5f;  // an encoder has a rising and a falling edge a tick
 const float kTopSpeedTicksS = 280.0f;
 
 const int16_t kPwmMax = 4095;    // 12 bit
@@ -23,7 +24,7 @@ const float kFilterWeight = 0.1f;      // of the newest speed
 const float kSecondsPerTick = 0.018f;  // of minimum jerk, for each tick/s of change
 const float kTooFastFactor = 1.05f;    // of the requested speed: from here a wheel brakes, whatever the PID computes
 const float kNothingTicksS = 0.001f;   // a set-point of less is zero: rounding must not decide a sign
-const float kStandingS = 0.1f;         // without an edge: a wheel has come to rest, or all but
+const float kStandingS = 0.1f;         // braked and without an edge: a wheel has come to rest, or all but
 const float kRestS = 5.0f;             // from a zero to rest; a wheel that is slower runs away
 
 const int16_t kHighPwm = 2048;       // turns any wheel that is free

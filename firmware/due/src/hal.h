@@ -13,7 +13,7 @@ class Hal {
   virtual int read() = 0;                                       // the next byte from the host, -1 when there is none
   virtual size_t write(const uint8_t* data, size_t size) = 0;   // accepts what fits now, never waits
   virtual void drive(int16_t left_pwm, int16_t right_pwm) = 0;  // signed, -4095..4095; 0 brakes as hard as it can
-  virtual void ticks(uint32_t& left, uint32_t& right) = 0;      // encoder edges since the start; wrap
+  virtual void edges(uint32_t& left, uint32_t& right) = 0;      // of the encoders, rising and falling; wrap
 
  protected:
   ~Hal() {}

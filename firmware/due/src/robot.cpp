@@ -37,7 +37,7 @@ void Robot::setup() {
   node_.subscribe(ns_, "pid_tune_l", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_left_gains, this);
   node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_right_gains, this);
   hal_.drive(0, 0);
-  hal_.ticks(left_edges_, right_edges_);
+  hal_.edges(left_edges_, right_edges_);
   turned_at_us_ = due_since_us_ = hal_.micros();
 }
 
@@ -71,14 +71,14 @@ void Robot::turn(float dt_s) {
   greet();
   uint32_t left_edges = 0;
   uint32_t right_edges = 0;
-  hal_.ticks(left_edges, right_edges);
-  const int32_t left_ticks = left_.step(left_edges - left_edges_, dt_s);
-  const int32_t right_ticks = right_.step(right_edges - right_edges_, dt_s);
+  hal_.edges(left_edges, right_edges);
+  const float left_ticks = left_.step(left_edges - left_edges_, dt_s);
+  const float right_ticks = right_.step(right_edges - right_edges_, dt_s);
   left_edges_ = left_edges;
   right_edges_ = right_edges;
   watch();
   if (!is_faulted_) hal_.drive(left_.pwm(), right_.pwm());
-  pose_ = drive_.integrate(pose_, static_cast<float>(left_ticks), static_cast<float>(right_ticks));
+  pose_ = drive_.integrate(pose_, left_ticks, right_ticks);
   if (++turns_ == kPublishEvery) {
     turns_ = 0;
     publish();

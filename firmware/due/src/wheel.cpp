@@ -73,8 +73,8 @@ int16_t motor_output(float wanted) {
   return wanted < 0.0f ? static_cast<int16_t>(-pwm) : pwm;
 }
 
-void RecentSpeed::add(uint32_t edges, float dt_s) {
-  ticks_[at_] = static_cast<float>(edges);
+void RecentSpeed::add(float ticks, float dt_s) {
+  ticks_[at_] = ticks;
   seconds_[at_] = dt_s;
   at_ = static_cast<uint8_t>((at_ + 1) % kTurns);
 }
@@ -99,11 +99,12 @@ void Wheel::aim(float ticks_s) {
   }
 }
 
-int32_t Wheel::step(uint32_t edges, float dt_s) {
-  const int32_t rolled = direction_ * static_cast<int32_t>(edges);
-  speed_ticks_s_ += kFilterWeight * (static_cast<float>(rolled) / dt_s - speed_ticks_s_);
-  recent_.add(edges, dt_s);
-  still_s_ = edges == 0 ? clamp(still_s_ + dt_s, 0.0f, 1.0f) : 0.0f;
+float Wheel::step(uint32_t edges, float dt_s) {
+  const float ticks = static_cast<float>(edges) * kTicksPerEdge;
+  const float rolled = static_cast<float>(direction_) * ticks;
+  speed_ticks_s_ += kFilterWeight * (rolled / dt_s - speed_ticks_s_);
+  recent_.add(ticks, dt_s);
+  still_s_ = edges == 0 && pwm_ == 0 ? clamp(still_s_ + dt_s, 0.0f, 1.0f) : 0.0f;
   pwm_ = motor_output(regulate(dt_s));
   has_stood_ = pwm_ == 0 && (has_stood_ || stands());
   watch(edges != 0, dt_s);
@@ -118,7 +119,7 @@ float Wheel::asked_ticks_s() const {
   return value > target ? value : target;
 }
 
-// Nearly half a tick more: so much the count of a window may be off.
+// Nearly an edge more: so much the count of a window may be off.
 bool Wheel::is_too_fast() const {
   return recent_.ticks() > kTooFastFactor * asked_ticks_s() * recent_.seconds() + 0.49f;
 }

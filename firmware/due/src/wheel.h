@@ -54,7 +54,7 @@ int16_t motor_output(float wanted);
 // The mean speed over the last fifth of a second: the filter of the PID is late by a third of one.
 class RecentSpeed {
  public:
-  void add(uint32_t edges, float dt_s);
+  void add(float ticks, float dt_s);
   float ticks() const;
   float seconds() const;
 
@@ -79,7 +79,8 @@ enum class WheelFault : uint8_t {
 //   | along the sign    | faster than requested         | brakes, at the latest after 0.2 s                         |
 //   | along the sign    | any                           | driven that way, or brakes: never a torque against it     |
 //   | against the sign  | had an edge in the last 0.1 s | brakes; the set-point waits at zero                       |
-//   | against the sign  | stands: none for 0.1 s        | the sign changes, then it is driven                       |
+//   | against the sign  | stands: braked for 0.1 s, and | the sign changes, then it is driven                       |
+//   |                   | no edge meanwhile             |                                                           |
 class Wheel {
  public:
   explicit Wheel(const Gains& gains, Feedback feedback = Feedback::kWashedOut) : pid_(gains, feedback) {}
@@ -87,7 +88,9 @@ class Wheel {
   void aim(float ticks_s);  // zero is no ramp but a stop
   void stop_at_once() { set_point_.stop_at_once(); }
   // One turn of the loop with the edges that the encoder counted in it; returns how far the wheel rolled, in ticks.
-  int32_t step(uint32_t edges, float dt_s);
+  // Rising and falling ones count: the edge that a wheel comes back over is then the one that it went over, and a
+  // reversal costs nothing. The rising ones alone lie elsewhere on the way back, up to a tick from where they were.
+  float step(uint32_t edges, float dt_s);
 
   int16_t pwm() const { return pwm_; }
   float speed_ticks_s() const { return speed_ticks_s_; }
@@ -111,7 +114,7 @@ class Wheel {
   float speed_ticks_s_ = 0.0f;
   int16_t pwm_ = 0;
   int8_t direction_ = 1;       // the sign that the edges are given: one channel has none of its own
-  float still_s_ = 0.0f;       // since the last edge
+  float still_s_ = 0.0f;       // since the last edge, and since it was driven: a wheel may roll before it has an edge
   bool has_stood_ = true;      // since it was last driven: what rolls then is rolled by somebody else
   float waited_s_ = 0.0f;      // for a standstill, to reverse
   float blind_s_ = 0.0f;       // driven without an edge

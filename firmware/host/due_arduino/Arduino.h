@@ -8,10 +8,11 @@
 #define HIGH 1
 #define INPUT_PULLUP 2
 #define OUTPUT 1
-#define RISING 3
+#define CHANGE 2
 
 void pinMode(uint32_t pin, uint32_t mode);
 void digitalWrite(uint32_t pin, uint32_t level);
+int digitalRead(uint32_t pin);
 void analogWrite(uint32_t pin, uint32_t duty);
 void analogWriteResolution(int bits);
 uint32_t digitalPinToInterrupt(uint32_t pin);

@@ -28,6 +28,7 @@ SerialPort Serial1;
 
 void pinMode(uint32_t, uint32_t) {}
 void digitalWrite(uint32_t pin, uint32_t level) { due_pins::note(pin, level); }
+int digitalRead(uint32_t pin) { return the_pins.value[pin]; }
 void analogWrite(uint32_t pin, uint32_t duty) { due_pins::note(pin, duty); }
 void analogWriteResolution(int bits) { the_pins.resolution_bits = bits; }
 uint32_t digitalPinToInterrupt(uint32_t pin) { return pin; }

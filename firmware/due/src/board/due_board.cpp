@@ -22,28 +22,30 @@ const MotorPins kLeft = {2, 9, 3, 22, kIsReversedLeft};
 const MotorPins kRight = {5, 8, 6, 23, kIsReversedRight};
 const uint32_t kBaud = 38400;
 const uint8_t kPwmBits = 12;
-const uint32_t kLeastPulseUs = 1000;  // at 280 ticks/s an edge comes each 3.6 ms; what is faster is a bouncing sensor
-const uint32_t kQuietMs = 2000;       // after power-up: the ESP8266 prints its boot message at another baud rate
-const uint32_t kWatchdogMs = 500;     // the loop has not turned for this time: the board starts again, motors off
+const uint32_t kLeastPulseUs = 500;  // at 280 ticks/s an edge comes each 1.8 ms; what is faster is a bouncing sensor
+const uint32_t kQuietMs = 2000;      // after power-up: the ESP8266 prints its boot message at another baud rate
+const uint32_t kWatchdogMs = 500;    // the loop has not turned for this time: the board starts again, motors off
 
-volatile uint32_t left_ticks = 0;  // written by interrupts
-volatile uint32_t right_ticks = 0;
-volatile uint32_t left_edge_us = 0;
-volatile uint32_t right_edge_us = 0;
+struct Encoder {  // written by its interrupt
+  volatile uint32_t edges;
+  volatile uint32_t edge_us;
+  volatile int level;  // after the last edge: a bounce that ends where it began is none
+};
 
-void count_left() {
+Encoder left_encoder = {0, 0, LOW};
+Encoder right_encoder = {0, 0, LOW};
+
+void count(Encoder& encoder, uint8_t pin) {
   const uint32_t now_us = ::micros();
-  if (now_us - left_edge_us < kLeastPulseUs) return;
-  left_edge_us = now_us;
-  left_ticks = left_ticks + 1;
+  const int level = digitalRead(pin);
+  if (level == encoder.level || now_us - encoder.edge_us < kLeastPulseUs) return;
+  encoder.edge_us = now_us;
+  encoder.level = level;
+  encoder.edges = encoder.edges + 1;
 }
 
-void count_right() {
-  const uint32_t now_us = ::micros();
-  if (now_us - right_edge_us < kLeastPulseUs) return;
-  right_edge_us = now_us;
-  right_ticks = right_ticks + 1;
-}
+void count_left() { count(left_encoder, kLeft.encoder); }
+void count_right() { count(right_encoder, kRight.encoder); }
 
 void write_duty(const MotorPins& pins, int16_t duty) {
 #if defined(ARDUINO_ARCH_SAM)
@@ -67,12 +69,13 @@ void drive_motor(const MotorPins& pins, int16_t pwm) {
   }
 }
 
-void begin_motor(const MotorPins& pins) {
+void begin_motor(const MotorPins& pins, Encoder& encoder) {
   pinMode(pins.direction, OUTPUT);
   pinMode(pins.brake, OUTPUT);
   pinMode(pins.pwm, OUTPUT);
   drive_motor(pins, 0);
   pinMode(pins.encoder, INPUT_PULLUP);
+  encoder.level = digitalRead(pins.encoder);
 }
 
 }  // namespace
@@ -81,10 +84,10 @@ void DueBoard::begin() {
 #if defined(ARDUINO_ARCH_SAM)
   analogWriteResolution(kPwmBits);
 #endif
-  begin_motor(kLeft);
-  begin_motor(kRight);
-  attachInterrupt(digitalPinToInterrupt(kLeft.encoder), count_left, RISING);
-  attachInterrupt(digitalPinToInterrupt(kRight.encoder), count_right, RISING);
+  begin_motor(kLeft, left_encoder);
+  begin_motor(kRight, right_encoder);
+  attachInterrupt(digitalPinToInterrupt(kLeft.encoder), count_left, CHANGE);
+  attachInterrupt(digitalPinToInterrupt(kRight.encoder), count_right, CHANGE);
   Serial1.begin(kBaud);
   started_at_ms_ = ::millis();
 }
@@ -118,10 +121,10 @@ void DueBoard::drive(int16_t left_pwm, int16_t right_pwm) {
   drive_motor(kRight, right_pwm);
 }
 
-void DueBoard::ticks(uint32_t& left, uint32_t& right) {
+void DueBoard::edges(uint32_t& left, uint32_t& right) {
   noInterrupts();  // both of one moment
-  left = left_ticks;
-  right = right_ticks;
+  left = left_encoder.edges;
+  right = right_encoder.edges;
   interrupts();
 }
 

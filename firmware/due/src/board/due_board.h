@@ -16,7 +16,7 @@ class DueBoard : public Hal {
   int read() override;
   size_t write(const uint8_t* data, size_t size) override;
   void drive(int16_t left_pwm, int16_t right_pwm) override;
-  void ticks(uint32_t& left, uint32_t& right) override;
+  void edges(uint32_t& left, uint32_t& right) override;
 
  private:
   bool is_quiet_ = false;
