@@ -95,15 +95,24 @@ MotorWorld read_motor(const float* values) {
 
 }  // namespace
 
+void watchdogSetup();  // of the sketch; the Due's core calls it before setup(), and without it turns the watchdog off
+
 extern "C" {
 
-World* world_new() {
+void world_hang(World*, uint32_t ms);
+
+World* world_new(uint32_t setup_ms) {
   due_pins::power_up();
+  watchdogSetup();
   World* made = new World();
   made->board.begin();
   made->robot.setup();
+  world_hang(made, setup_ms);  // what else a user does in setup()
   return made;
 }
+// The program does something else for so long: a delay() in its loop.
+void world_hang(World*, uint32_t ms) { due_pins::pins().now_us += ms * uint64_t{1000}; }
+uint32_t world_restarts(World*) { return due_pins::pins().restarts; }
 void world_delete(World* world) { delete world; }
 void world_motor(World* world, int side, const float* values) { world->motor(side).be(read_motor(values)); }
 void world_grip(World* world, int side, float ticks_s) { world->motor(side).grip(ticks_s); }

@@ -54,6 +54,22 @@ def test_no_write_on_the_way_drives_a_motor_harder_than_before_or_after(story: l
                     assert all(pins[BRAKE[side]] or pins[PWM[side]] < FULL for side in SIDES)
 
 
+@pytest.mark.parametrize("setup_s", [0.0, 1.0, 10.0])
+def test_a_setup_that_takes_its_time_does_not_meet_the_watchdog(setup_s: float) -> None:
+    with world(setup_s=setup_s) as made:
+        made.drive(0.2, 0.0, 1.0)
+        assert made.restarts == 0
+
+
+@pytest.mark.parametrize(("hang_s", "restarts"), [(0.4, 0), (0.6, 1)])
+def test_a_loop_that_does_not_turn_for_half_a_second_meets_the_watchdog(hang_s: float, restarts: int) -> None:
+    with world() as made:
+        made.drive(0.2, 0.0, 1.0)
+        made.hang(hang_s)
+        made.drive(0.2, 0.0, 1.0)
+        assert made.restarts == restarts
+
+
 def test_a_board_that_brakes_with_the_enable_off_would_coast() -> None:
     """What the model makes of the mistake."""
     motor = MotorWorld(friction_ticks_s=0.0)

@@ -56,7 +56,9 @@ def library() -> ctypes.CDLL:
     once_a_run("due_world", _compile)
     loaded = ctypes.CDLL(str(WORLD_LIBRARY))
     signatures = {
-        "world_new": (_P,),
+        "world_new": (_P, ctypes.c_uint32),
+        "world_hang": (None, _P, ctypes.c_uint32),
+        "world_restarts": (ctypes.c_uint32, _P),
         "world_delete": (None, _P),
         "world_motor": (None, _P, ctypes.c_int, ctypes.POINTER(ctypes.c_float)),
         "world_grip": (None, _P, ctypes.c_int, ctypes.c_float),
@@ -147,6 +149,15 @@ class World:
             self.run(min(COMMAND_S, left_s))
             left_s -= COMMAND_S
 
+    def hang(self, seconds: float) -> None:
+        """The program does something else for so long: a delay() in its loop."""
+        library().world_hang(self.handle, round(seconds * 1000))
+
+    @property
+    def restarts(self) -> int:
+        """How often the board's watchdog would have started it again."""
+        return int(library().world_restarts(self.handle))
+
     def grip(self, side: int, ticks_s: float) -> None:
         library().world_grip(self.handle, side, ticks_s)
 
@@ -195,9 +206,9 @@ def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
 
 
 @contextmanager
-def world(left: MotorWorld | None = None, right: MotorWorld | None = None) -> Iterator[World]:
-    """A robot that has just got its topics, for the length of the block."""
-    handle = library().world_new()
+def world(left: MotorWorld | None = None, right: MotorWorld | None = None, *, setup_s: float = 0.0) -> Iterator[World]:
+    """A robot that has just got its topics, for the length of the block; its setup() lasts `setup_s`."""
+    handle = library().world_new(round(setup_s * 1000))
     try:
         for side, motor in ((LEFT, left or MotorWorld()), (RIGHT, right or MotorWorld())):
             library().world_motor(handle, side, _values(motor))

@@ -19,6 +19,7 @@ uint32_t digitalPinToInterrupt(uint32_t pin);
 void attachInterrupt(uint32_t pin, void (*callback)(), uint32_t mode);
 void noInterrupts();
 void interrupts();
+void delay(uint32_t ms);
 uint32_t millis();
 uint32_t micros();
 void watchdogEnable(uint32_t ms);

@@ -37,8 +37,15 @@ void noInterrupts() {}
 void interrupts() {}
 uint32_t millis() { return static_cast<uint32_t>(the_pins.now_us / 1000); }
 uint32_t micros() { return static_cast<uint32_t>(the_pins.now_us); }
-void watchdogEnable(uint32_t ms) { the_pins.watchdog_ms = ms; }
-void watchdogReset() { ++the_pins.watchdog_resets; }
+void watchdogEnable(uint32_t ms) {
+  watchdogReset();
+  the_pins.watchdog_ms = ms;
+}
+void watchdogReset() {
+  const bool is_late = the_pins.now_us - the_pins.watchdog_fed_at_us > the_pins.watchdog_ms * uint64_t{1000};
+  if (is_late) ++the_pins.restarts;
+  the_pins.watchdog_fed_at_us = the_pins.now_us;
+}
 
 void SerialPort::begin(uint32_t) {}
 int SerialPort::available() { return static_cast<int>(the_pins.from_host.size()); }

@@ -11,6 +11,7 @@ namespace due_pins {
 
 const size_t kPins = 54;
 const size_t kLogMax = 4096;
+const uint32_t kWatchdogAtResetMs = 16000;  // SAM3X: WDT_MR is 0x3FFF2FFF after a reset
 
 struct Write {
   uint8_t pin;
@@ -25,8 +26,9 @@ struct Pins {
   std::vector<Write> writes;  // the first kLogMax since it was cleared
   std::deque<uint8_t> from_host;
   std::string to_host;
-  uint32_t watchdog_ms = 0;
-  uint32_t watchdog_resets = 0;
+  uint32_t watchdog_ms = kWatchdogAtResetMs;
+  uint64_t watchdog_fed_at_us = 0;
+  uint32_t restarts = 0;  // that the watchdog would have made
 };
 
 Pins& pins();

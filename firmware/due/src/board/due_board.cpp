@@ -94,6 +94,8 @@ void DueBoard::begin() {
 
 void DueBoard::run() {
 #if defined(ARDUINO_ARCH_SAM)
+  if (!is_watched_) watchdogEnable(kWatchdogMs);
+  is_watched_ = true;
   watchdogReset();
 #endif
   if (!is_quiet_ && ::millis() - started_at_ms_ < kQuietMs) {
@@ -131,6 +133,7 @@ void DueBoard::edges(uint32_t& left, uint32_t& right) {
 }  // namespace hostlink
 
 #if defined(ARDUINO_ARCH_SAM)
-// The core turns the watchdog off at the start unless the sketch has this function; its register can be written once.
-void watchdogSetup() { watchdogEnable(hostlink::kWatchdogMs); }
+// The core turns the watchdog off at the start unless the sketch has this function, and its register can be written
+// once. So it stays as a reset leaves it, at 16 s, until loop() turns: setup() may take its time.
+void watchdogSetup() {}
 #endif

@@ -20,6 +20,7 @@ class DueBoard : public Hal {
 
  private:
   bool is_quiet_ = false;
+  bool is_watched_ = false;
   uint32_t started_at_ms_ = 0;
 };
 
