@@ -158,10 +158,20 @@ int wheel_pwm(Wheel* wheel) { return wheel->pwm(); }
 float wheel_speed(Wheel* wheel) { return wheel->speed_ticks_s(); }
 
 int pwm_of(float wanted) { return motor_output(wanted); }
-void wheel_speeds(float linear, float angular, float* out) { Drive().wheel_speeds(linear, angular, out[0], out[1]); }
-void integrate(double* pose, float left_ticks, float right_ticks) {
+Drive* drive_new(float left_m, float right_m, float left_ticks, float right_ticks, float separation_m) {
+  Drive* made = new Drive();
+  made->set_wheel_radii(left_m, right_m);
+  made->set_ticks_per_turn(left_ticks, right_ticks);
+  made->set_separation(separation_m);
+  return made;
+}
+void drive_delete(Drive* drive) { delete drive; }
+void drive_wheel_speeds(Drive* drive, float linear, float angular, float* out) {
+  drive->wheel_speeds(linear, angular, out[0], out[1]);
+}
+void drive_integrate(Drive* drive, double* pose, float left_ticks, float right_ticks) {
   const Pose from = {pose[0], pose[1], pose[2]};
-  const Pose to = Drive().integrate(from, left_ticks, right_ticks);
+  const Pose to = drive->integrate(from, left_ticks, right_ticks);
   pose[0] = to.x_m;
   pose[1] = to.y_m;
   pose[2] = to.theta_rad;

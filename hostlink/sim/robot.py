@@ -1,5 +1,6 @@
 """SimulatedRobot: the paper's robot on a SimulatedDevice: topics, 30 Hz loop, watchdog, odometry. Pure."""
 
+from functools import partial
 from typing import Any
 
 from hostlink.messages.catalog import Catalog
@@ -9,10 +10,12 @@ from hostlink.robot.kinematics import DifferentialDrive, Pose
 from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Gains, WheelController, WheelFault
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.drive_train import FULL_SPEED_TICKS_S, DriveTrain
+from hostlink.sim.geometry import PARAMETERS, Geometry
 
 PUBLISH_EVERY = 3
 WATCHDOG_S = 0.5
 _INFO = 1
+_WARN = 2
 _ERROR = 3
 
 
@@ -23,7 +26,7 @@ class SimulatedRobot:
         self.name = name
         self.device = SimulatedDevice() if device is None else device
         self.pose = Pose()  # as the robot believes
-        self.drive = DifferentialDrive()
+        self.geometry = Geometry()  # as the robot believes
         self.wheels = (DriveTrain(), DriveTrain())
         self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
         self._turns = 0
@@ -31,7 +34,8 @@ class SimulatedRobot:
         self._is_faulted = False  # a wheel stalled or ran away
         self._has_zero = False  # a zero velocity came since
         self._now_s = 0.0
-        self._greeting = 0
+        self._is_greeted = False
+        self._is_geometry_new = False  # since it was logged
         self._types = {key: _message_type(catalog, key) for key in ("Twist", "Pose2D", "Vector3")}
         self._odometry = self._advertise("odometry", "Pose2D")
         self._plot = self._advertise("plot_data", "Twist")
@@ -40,8 +44,9 @@ class SimulatedRobot:
     @property
     def speed_m_s(self) -> float:
         """How fast the robot truly moves forward."""
-        left, right = (wheel.speed_ticks_s * self.drive.metres_per_tick for wheel in self.wheels)
-        return self.drive.body_velocity(left, right)[0]
+        truth = DifferentialDrive()
+        left, right = (wheel.speed_ticks_s * truth.metres_per_tick for wheel in self.wheels)
+        return truth.body_velocity(left, right)[0]
 
     def turn(self, now_s: float) -> float | None:
         """One turn of the loop; None when it is done, else call again after so many seconds (the retry clause)."""
@@ -57,8 +62,7 @@ class SimulatedRobot:
         edges = [wheel.step(control.pwm, LOOP_S) for wheel, control in zip(self.wheels, self.controllers, strict=True)]
         rolled = [control.step(count, LOOP_S) for control, count in zip(self.controllers, edges, strict=True)]
         self._watch()
-        left_m, right_m = (count * self.drive.metres_per_tick for count in rolled)
-        self.pose = self.drive.integrate(self.pose, left_m, right_m)
+        self.pose = self.geometry.integrate(self.pose, *rolled)
         self._turns += 1
         if self._turns % PUBLISH_EVERY == 0:
             self._publish()
@@ -70,8 +74,7 @@ class SimulatedRobot:
         self.pose = Pose()
         self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
         self._commanded_at_s = None
-        self._is_faulted = self._has_zero = False
-        self._greeting = 0
+        self._is_faulted = self._has_zero = self._is_greeted = False
 
     def _watch(self) -> None:
         """A wheel that does not follow its command stops both; they go on after a zero, when both stand."""
@@ -105,27 +108,32 @@ class SimulatedRobot:
     def _greet(self) -> None:
         """Once configured, log it, and request the parameters; without an answer the constants apply."""
         if not self.device.is_configured:
-            self._greeting = 0
-        elif self._greeting == 0:
-            self._greeting = 1
+            self._is_greeted = False
+        elif not self._is_greeted:
+            self._is_greeted = True
             self.device.log(_INFO, f"{self.name} is ready", self._now_s)
-            self.device.request_parameter(f"/{self.name}/wheel_separation", self._set_separation, self._now_s)
+            self._request(tuple(PARAMETERS))
 
-    def _set_separation(self, parameter: Parameter) -> None:
-        if parameter.floats and parameter.floats[0] > 0:
-            self.drive = DifferentialDrive(wheel_separation_m=parameter.floats[0])
-        if self._greeting == 1:
-            self._greeting = 2
-            self.device.request_parameter(f"/{self.name}/wheel_radius", self._set_radius, self._now_s)
+    def _request(self, names: tuple[str, ...]) -> None:
+        """Request parameters, one after the other; an answer does not name its parameter."""
+        if names:
+            answered = partial(self._receive_parameter, names)
+            self.device.request_parameter(f"/{self.name}/{names[0]}", answered, self._now_s)
+        elif self._is_geometry_new:
+            self._is_geometry_new = False
+            self.device.log(_INFO, str(self.geometry), self._now_s)
 
-    def _set_radius(self, parameter: Parameter) -> None:
-        if parameter.floats and parameter.floats[0] > 0:
-            separation_m = self.drive.wheel_separation_m
-            self.drive = DifferentialDrive(wheel_separation_m=separation_m, wheel_radius_m=parameter.floats[0])
+    def _receive_parameter(self, names: tuple[str, ...], parameter: Parameter) -> None:
+        name, values = names[0], parameter.floats or parameter.ints
+        if PARAMETERS[name].accepts(values):
+            self.geometry = self.geometry.changed(name, values)
+            self._is_geometry_new = True
+        elif values:
+            self.device.log(_WARN, f"{name} refused: {PARAMETERS[name]}", self._now_s)
+        self._request(names[1:])
 
     def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        speeds = self.drive.wheel_speeds(linear_m_s, angular_rad_s)
-        wanted = [speed / self.drive.metres_per_tick for speed in speeds]
+        wanted = self.geometry.wheel_speeds(linear_m_s, angular_rad_s)
         factor = min(1.0, FULL_SPEED_TICKS_S / max(1.0, *map(abs, wanted)))  # both, so that the curvature stays
         for control, ticks_s in zip(self.controllers, wanted, strict=True):
             control.aim(ticks_s * factor)

@@ -67,8 +67,10 @@ _SIGNATURES = {
     "wheel_pwm": (ctypes.c_int, _P),
     "wheel_speed": (_F, _P),
     "pwm_of": (ctypes.c_int, _F),
-    "wheel_speeds": (None, _F, _F, ctypes.POINTER(_F)),
-    "integrate": (None, ctypes.POINTER(ctypes.c_double), _F, _F),
+    "drive_new": (_P, _F, _F, _F, _F, _F),
+    "drive_delete": (None, _P),
+    "drive_wheel_speeds": (None, _P, _F, _F, ctypes.POINTER(_F)),
+    "drive_integrate": (None, _P, ctypes.POINTER(ctypes.c_double), _F, _F),
     "from_float64": (_F, _U8P),
     "to_float64": (None, _U8P, _F),
 }

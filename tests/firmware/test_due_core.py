@@ -3,6 +3,8 @@
 import ctypes
 import math
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 from hypothesis import given
@@ -12,6 +14,7 @@ from hostlink.robot.kinematics import DifferentialDrive, Pose
 from hostlink.sim import controller
 from hostlink.sim.controller import Feedback
 from hostlink.sim.drive_train import DriveTrain
+from hostlink.sim.geometry import Geometry
 from tests.firmware.due import library, made
 
 DRIVE = DifferentialDrive()
@@ -131,23 +134,49 @@ def test_the_paper_s_feedback_keeps_every_speed_5_percent_low(requested_ticks_s:
     assert steady_ticks_s(Feedback.PAPER, requested_ticks_s) == pytest.approx(requested_ticks_s / 1.05, rel=0.005)
 
 
-@given(st.floats(-2.0, 2.0, width=32), st.floats(-10.0, 10.0, width=32))
-def test_inverse_kinematics(linear: float, angular: float) -> None:
+PAPER = Geometry()
+geometries = st.just(PAPER) | st.builds(
+    Geometry,
+    wheel_radius_m=st.tuples(st.floats(0.03125, 0.25, width=32), st.floats(0.03125, 0.25, width=32)),
+    ticks_per_turn=st.tuples(st.floats(50.0, 2000.0, width=32), st.floats(50.0, 2000.0, width=32)),
+    wheel_separation_m=st.floats(0.125, 1.0, width=32),
+)
+
+
+@contextmanager
+def drive(geometry: Geometry) -> Iterator[int]:
+    """The firmware's kinematics with these wheels, by its handle."""
+    with made("drive", *geometry.wheel_radius_m, *geometry.ticks_per_turn, geometry.wheel_separation_m) as handle:
+        yield handle
+
+
+@given(geometries, st.floats(-2.0, 2.0, width=32), st.floats(-10.0, 10.0, width=32))
+def test_inverse_kinematics(geometry: Geometry, linear: float, angular: float) -> None:
     out = (ctypes.c_float * 2)()
-    library().wheel_speeds(linear, angular, out)
-    left, right = (speed / DRIVE.metres_per_tick for speed in DRIVE.wheel_speeds(linear, angular))
+    with drive(geometry) as handle:
+        library().drive_wheel_speeds(handle, linear, angular, out)
+    left, right = geometry.wheel_speeds(linear, angular)
     factor = min(1.0, 280.0 / max(abs(left), abs(right), 1e-9))
     assert list(out) == pytest.approx([left * factor, right * factor], rel=1e-4, abs=1e-3)
     assert max(map(abs, out)) <= 280.01  # in reverse too
 
 
+def test_the_paper_s_geometry_is_hostlink_s() -> None:
+    assert PAPER.metres_per_tick == pytest.approx([DRIVE.metres_per_tick] * 2)
+    assert PAPER.wheel_separation_m == DRIVE.wheel_separation_m
+
+
 @given(
-    st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)), st.integers(-200, 200), st.integers(-200, 200)
+    geometries,
+    st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3.1, 3.1)),
+    st.integers(-100, 100),
+    st.integers(-100, 100),
 )
-def test_odometry_is_hostlink_s(pose: tuple[float, float, float], left: int, right: int) -> None:
+def test_odometry_is_hostlink_s(geometry: Geometry, pose: tuple[float, float, float], left: int, right: int) -> None:
     values = (ctypes.c_double * 3)(*pose)
-    library().integrate(values, left, right)
-    twin = DRIVE.integrate(Pose(*pose), left * DRIVE.metres_per_tick, right * DRIVE.metres_per_tick)
+    with drive(geometry) as handle:
+        library().drive_integrate(handle, values, left, right)
+    twin = geometry.integrate(Pose(*pose), left, right)
     assert values[0] == pytest.approx(twin.x_m, abs=1e-5)
     assert values[1] == pytest.approx(twin.y_m, abs=1e-5)
     assert math.cos(values[2] - twin.theta_rad) == pytest.approx(1.0, abs=1e-9)
@@ -155,20 +184,21 @@ def test_odometry_is_hostlink_s(pose: tuple[float, float, float], left: int, rig
 
 
 def test_odometry_of_a_line_a_spin_and_a_circle() -> None:
-    values = (ctypes.c_double * 3)()
-    for _ in range(100):
-        library().integrate(values, 10.0, 10.0)
-    assert list(values) == pytest.approx([1000 * DRIVE.metres_per_tick, 0.0, 0.0], rel=1e-5)
-    values = (ctypes.c_double * 3)()
     turn_ticks = math.pi * DRIVE.wheel_separation_m / DRIVE.metres_per_tick
-    for _ in range(100):
-        library().integrate(values, -turn_ticks / 100, turn_ticks / 100)
-    assert values[0] == pytest.approx(0.0, abs=1e-6)
-    assert math.cos(values[2]) == pytest.approx(1.0, abs=1e-6)
-    values = (ctypes.c_double * 3)()
-    for _ in range(100):  # a circle with a radius of the separation: wheels as 1 to 3
-        library().integrate(values, turn_ticks / 100, 3 * turn_ticks / 100)
-    assert [values[0], values[1]] == pytest.approx([0.0, 0.0], abs=1e-4)
+    with drive(PAPER) as handle:
+        values = (ctypes.c_double * 3)()
+        for _ in range(100):
+            library().drive_integrate(handle, values, 10.0, 10.0)
+        assert list(values) == pytest.approx([1000 * DRIVE.metres_per_tick, 0.0, 0.0], rel=1e-5)
+        values = (ctypes.c_double * 3)()
+        for _ in range(100):
+            library().drive_integrate(handle, values, -turn_ticks / 100, turn_ticks / 100)
+        assert values[0] == pytest.approx(0.0, abs=1e-6)
+        assert math.cos(values[2]) == pytest.approx(1.0, abs=1e-6)
+        values = (ctypes.c_double * 3)()
+        for _ in range(100):  # a circle with a radius of the separation: wheels as 1 to 3
+            library().drive_integrate(handle, values, turn_ticks / 100, 3 * turn_ticks / 100)
+        assert [values[0], values[1]] == pytest.approx([0.0, 0.0], abs=1e-4)
 
 
 @given(st.floats(allow_nan=False))

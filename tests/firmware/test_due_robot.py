@@ -7,7 +7,9 @@ import pytest
 
 from hostlink.protocol.control import Parameter, decode_log, decode_parameter_request, encode_parameter
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
+from hostlink.robot.kinematics import Pose
 from hostlink.sim.drive_train import DriveTrain
+from hostlink.sim.geometry import PARAMETERS, Geometry
 from tests.firmware.due import Retry, Robot, robot
 
 METRES_PER_TICK = 2 * math.pi * 0.045 / 230.4
@@ -72,7 +74,14 @@ def test_its_topics_and_its_parameters() -> None:
         requests = [decode_parameter_request(frame.payload) for frame in track.frames if frame.topic_id == Id.PARAMETER]
         assert requests == [
             f"/robot_0/{name}"
-            for name in ("wheel_radius", "wheel_separation", "gains_left", "gains_right", "top_speed")
+            for name in (
+                "wheel_radius",
+                "wheel_separation",
+                "ticks_per_turn",
+                "gains_left",
+                "gains_right",
+                "top_speed",
+            )
         ]
         assert any(b"robot is ready" in frame.payload for frame in track.frames if frame.topic_id == Id.LOG)
 
@@ -180,6 +189,72 @@ def test_parameters_of_the_host_replace_the_constants_and_nonsense_does_not() ->
         track.run(3.0, velocity(0.2, 0.0))
         rolled_ticks = track.motors[0].rolled_ticks - before_ticks
         assert firmware.pose[0] - before_m == pytest.approx(2 * rolled_ticks * METRES_PER_TICK, rel=0.1)
+
+
+def configured(track: Track, parameters: dict[str, Parameter]) -> list[str]:
+    """Let it negotiate again with these parameters; returns what it logged."""
+    track.parameters = {f"/robot_0/{name}": value for name, value in parameters.items()}
+    track.firmware.feed(STOP_REQUEST)
+    track.run(0.1)
+    track.frames.clear()
+    track.firmware.feed(TOPICS_REQUEST)
+    track.run(1.0)
+    return [text for text in logged(track.frames) if text != "robot is ready"]
+
+
+CALIBRATED = {
+    "wheel_radius": Parameter(floats=(0.0449, 0.0453)),
+    "ticks_per_turn": Parameter(floats=(230.4, 231.5)),
+    "wheel_separation": Parameter(floats=(0.2143,)),
+}
+CALIBRATED_TEXT = "wheels: radius 44.900 and 45.300 mm, ticks a turn 230.400 and 231.500, 214.30 mm apart"
+
+
+def test_each_wheel_has_a_radius_and_ticks_of_its_own() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        assert configured(track, CALIBRATED) == [CALIBRATED_TEXT]
+        before = Pose(*firmware.pose)
+        start = [motor.rolled_ticks for motor in track.motors]
+        track.run(6.0, velocity(0.2, 0.3))
+        track.run(1.0)
+        rolled = [motor.rolled_ticks - begun for motor, begun in zip(track.motors, start, strict=True)]
+        truth = Geometry(wheel_radius_m=(0.0449, 0.0453), ticks_per_turn=(230.4, 231.5), wheel_separation_m=0.2143)
+        left_m, right_m = (count * metres for count, metres in zip(rolled, truth.metres_per_tick, strict=True))
+        assert firmware.pose[2] - before.theta_rad == pytest.approx((right_m - left_m) / 0.2143, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "text"),
+    [
+        ("wheel_radius", (math.nan,), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
+        ("wheel_radius", (0.045, math.inf), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
+        ("wheel_radius", (0.045, -0.045), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
+        ("wheel_radius", (45.0,), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
+        ("wheel_radius", (0.045, 0.045, 0.045), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
+        ("ticks_per_turn", (0.0,), "ticks_per_turn refused: 1 or 2 numbers from 1.000 to 100000.0"),
+        ("wheel_separation", (0.2, 0.2), "wheel_separation refused: 1 numbers from 0.020 to 5.0"),
+        ("wheel_separation", (0.0,), "wheel_separation refused: 1 numbers from 0.020 to 5.0"),
+    ],
+)
+def test_numbers_that_no_wheel_has_are_refused_and_the_simulator_refuses_them_alike(
+    name: str, values: tuple[float, ...], text: str
+) -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        assert configured(track, {name: Parameter(floats=values)}) == [text]
+        track.run(2.0, velocity(0.2, 0.0))
+        truth_m = sum(motor.rolled_ticks for motor in track.motors) / 2 * METRES_PER_TICK
+        assert firmware.pose[0] == pytest.approx(truth_m, abs=0.01)
+    assert not PARAMETERS[name].accepts(values)
+    assert f"{name} refused: {PARAMETERS[name]}" == text
+
+
+def test_whole_numbers_of_the_host_are_numbers() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        texts = configured(track, {"ticks_per_turn": Parameter(ints=(230, 460))})
+        assert texts == ["wheels: radius 45.000 and 45.000 mm, ticks a turn 230.000 and 460.000, 210.00 mm apart"]
 
 
 def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:

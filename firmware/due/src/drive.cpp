@@ -16,14 +16,26 @@ double wrap_angle(double angle_rad) {
 
 float magnitude(float value) { return value < 0.0f ? -value : value; }
 
+float metres_per_tick(const WheelSize& wheel) {
+  return 2.0f * static_cast<float>(kPi) * wheel.radius_m / wheel.ticks_per_turn;
+}
+
 }  // namespace
 
-float Drive::metres_per_tick() const { return 2.0f * static_cast<float>(kPi) * radius_m_ / kTicksPerTurn; }
+void Drive::set_wheel_radii(float left_m, float right_m) {
+  left_.radius_m = left_m;
+  right_.radius_m = right_m;
+}
+
+void Drive::set_ticks_per_turn(float left, float right) {
+  left_.ticks_per_turn = left;
+  right_.ticks_per_turn = right;
+}
 
 void Drive::wheel_speeds(float linear_m_s, float angular_rad_s, float& left_ticks_s, float& right_ticks_s) const {
   const float turning_m_s = angular_rad_s * separation_m_ / 2.0f;
-  const float left = (linear_m_s - turning_m_s) / metres_per_tick();
-  const float right = (linear_m_s + turning_m_s) / metres_per_tick();
+  const float left = (linear_m_s - turning_m_s) / metres_per_tick(left_);
+  const float right = (linear_m_s + turning_m_s) / metres_per_tick(right_);
   const float fastest = magnitude(left) > magnitude(right) ? magnitude(left) : magnitude(right);
   const float factor = fastest > top_speed_ticks_s_ ? top_speed_ticks_s_ / fastest : 1.0f;
   left_ticks_s = left * factor;
@@ -31,10 +43,10 @@ void Drive::wheel_speeds(float linear_m_s, float angular_rad_s, float& left_tick
 }
 
 Pose Drive::integrate(const Pose& pose, float left_ticks, float right_ticks) const {
-  const double metres = static_cast<double>(metres_per_tick());
-  const double distance_m = (static_cast<double>(left_ticks) + static_cast<double>(right_ticks)) / 2.0 * metres;
-  const double turned_rad = (static_cast<double>(right_ticks) - static_cast<double>(left_ticks)) * metres /
-                            static_cast<double>(separation_m_);
+  const double left_m = static_cast<double>(left_ticks) * static_cast<double>(metres_per_tick(left_));
+  const double right_m = static_cast<double>(right_ticks) * static_cast<double>(metres_per_tick(right_));
+  const double distance_m = (left_m + right_m) / 2.0;
+  const double turned_rad = (right_m - left_m) / static_cast<double>(separation_m_);
   // The chord of the arc; for a straight line it is the line.
   const double half_rad = turned_rad / 2.0;
   const double chord_m = fabs(half_rad) < kSmallAngleRad ? distance_m : distance_m * sin(half_rad) / half_rad;

@@ -12,12 +12,21 @@ struct Pose {
   double theta_rad;  // in (-pi, pi]
 };
 
+// What a wheel is like; no two are the same.
+struct WheelSize {
+  float radius_m;
+  float ticks_per_turn;  // of its encoder
+};
+
 class Drive {
  public:
-  void set_wheel_radius(float radius_m) { radius_m_ = radius_m; }
+  void set_wheel_radii(float left_m, float right_m);
+  void set_ticks_per_turn(float left, float right);
   void set_separation(float separation_m) { separation_m_ = separation_m; }
   void set_top_speed(float ticks_s) { top_speed_ticks_s_ = ticks_s; }
-  float metres_per_tick() const;
+  const WheelSize& left() const { return left_; }
+  const WheelSize& right() const { return right_; }
+  float separation_m() const { return separation_m_; }
 
   // Wheel speeds that give this body velocity; both slowed together so that the faster one keeps the limit.
   void wheel_speeds(float linear_m_s, float angular_rad_s, float& left_ticks_s, float& right_ticks_s) const;
@@ -25,7 +34,8 @@ class Drive {
   Pose integrate(const Pose& pose, float left_ticks, float right_ticks) const;
 
  private:
-  float radius_m_ = kWheelRadiusM;
+  WheelSize left_ = {kWheelRadiusM, kTicksPerTurn};
+  WheelSize right_ = {kWheelRadiusM, kTicksPerTurn};
   float separation_m_ = kWheelSeparationM;
   float top_speed_ticks_s_ = kTopSpeedTicksS;
 };

@@ -13,10 +13,29 @@ const uint8_t kError = 3;
 const float kMostGain = 1e6f;
 const uint32_t kTroubleIntervalMs = 10000;
 const float kLongestStepS = 0.2f;  // a loop that was away does not integrate the time that it missed
-const char* const kParameters[] = {"wheel_radius", "wheel_separation", "gains_left", "gains_right", "top_speed"};
+
+enum class Use : uint8_t { kRadius, kSeparation, kTicks, kLeftGains, kRightGains, kTopSpeed };
+
+// What the robot requests of the host: how many numbers, and their range.
+struct Parameter {
+  const char* name;
+  Use use;
+  uint8_t least;
+  uint8_t most;
+  float low;
+  float high;
+};
+
+const Parameter kParameters[] = {
+    {"wheel_radius", Use::kRadius, 1, 2, 0.005f, 0.5f},         // metres
+    {"wheel_separation", Use::kSeparation, 1, 1, 0.02f, 5.0f},  // metres, wheel to wheel
+    {"ticks_per_turn", Use::kTicks, 1, 2, 1.0f, 100000.0f},     // of the wheel
+    {"gains_left", Use::kLeftGains, 3, 3, 0.0f, kMostGain},     // Kp, Ki, Kd
+    {"gains_right", Use::kRightGains, 3, 3, 0.0f, kMostGain},
+    {"top_speed", Use::kTopSpeed, 1, 1, 1.0f, kTopSpeedTicksS},  // ticks/s
+};
 const uint8_t kParameterCount = sizeof kParameters / sizeof kParameters[0];
 
-bool is_sane(float value, float most) { return value > 0.0f && value <= most; }  // NaN is not
 bool is_gain(float value) { return value >= 0.0f && value <= kMostGain; }
 
 Gains read_gains(const uint8_t* payload) {
@@ -129,38 +148,76 @@ void Robot::greet() {
   if (is_configured && !was_configured_) {
     node_.log(kInfo, "robot is ready");
     asking_ = 1;
-    node_.ask_parameter(ns_, kParameters[0], &Robot::take_parameter, this);
+    node_.ask_parameter(ns_, kParameters[0].name, &Robot::take_parameter, this);
     asked_at_ms_ = hal_.millis();
   } else if (is_configured && asking_ != 0 && hal_.millis() - asked_at_ms_ > kParameterTimeoutMs) {
     // The constants apply. An answer does not name its parameter: one that comes now must not be used for the next.
-    node_.log(kWarn, Text().add("no answer to ").add(kParameters[asking_ - 1]).add(": no more questions").chars());
+    node_.log(kWarn, Text().add("no answer to ").add(kParameters[asking_ - 1].name).add(": no more questions").chars());
     asking_ = 0;
   }
   was_configured_ = is_configured;
 }
 
+// An answer without a number: the host has no such parameter, and what applies stays.
 void Robot::use_parameter(const float* values, size_t count) {
-  switch (asking_) {
-    case 1:
-      if (count == 1 && is_sane(values[0], 1.0f)) drive_.set_wheel_radius(values[0]);
-      break;
-    case 2:
-      if (count == 1 && is_sane(values[0], 5.0f)) drive_.set_separation(values[0]);
-      break;
-    case 3:
-    case 4:
-      if (count == 3) tune(asking_ == 3 ? left_ : right_, make_gains(values[0], values[1], values[2], kFeedback));
-      break;
-    case 5:
-      if (count == 1 && is_sane(values[0], kTopSpeedTicksS)) drive_.set_top_speed(values[0]);
-      break;
-    default:
-      return;
-  }
-  asking_ = asking_ < kParameterCount ? static_cast<uint8_t>(asking_ + 1) : static_cast<uint8_t>(0);
   if (asking_ == 0) return;
-  node_.ask_parameter(ns_, kParameters[asking_ - 1], &Robot::take_parameter, this);
+  if (count > 0 && !apply_values(values, count)) refuse_parameter();
+  asking_ = asking_ < kParameterCount ? static_cast<uint8_t>(asking_ + 1) : static_cast<uint8_t>(0);
+  if (asking_ == 0) {
+    log_geometry();
+    return;
+  }
+  node_.ask_parameter(ns_, kParameters[asking_ - 1].name, &Robot::take_parameter, this);
   asked_at_ms_ = hal_.millis();
+}
+
+// False: it makes no sense. One number for both wheels, or one for each, the left one first.
+bool Robot::apply_values(const float* values, size_t count) {
+  const Parameter& parameter = kParameters[asking_ - 1];
+  if (count < parameter.least || count > parameter.most) return false;
+  for (size_t i = 0; i < count; ++i) {
+    if (!(values[i] >= parameter.low && values[i] <= parameter.high)) return false;  // NaN is not
+  }
+  const float right = values[count - 1];
+  switch (parameter.use) {
+    case Use::kRadius:
+      drive_.set_wheel_radii(values[0], right);
+      break;
+    case Use::kTicks:
+      drive_.set_ticks_per_turn(values[0], right);
+      break;
+    case Use::kSeparation:
+      drive_.set_separation(values[0]);
+      break;
+    case Use::kTopSpeed:
+      drive_.set_top_speed(values[0]);
+      return true;
+    default:
+      tune(parameter.use == Use::kLeftGains ? left_ : right_, make_gains(values[0], values[1], values[2], kFeedback));
+      return true;
+  }
+  has_new_geometry_ = true;
+  return true;
+}
+
+void Robot::refuse_parameter() {
+  const Parameter& parameter = kParameters[asking_ - 1];
+  Text text;
+  text.add(parameter.name).add(" refused: ").add(static_cast<uint32_t>(parameter.least));
+  if (parameter.most > parameter.least) text.add(" or ").add(static_cast<uint32_t>(parameter.most));
+  text.add(" numbers from ").add(parameter.low, 3).add(" to ").add(parameter.high, 1);
+  node_.log(kWarn, text.chars());
+}
+
+void Robot::log_geometry() {
+  if (!has_new_geometry_) return;
+  has_new_geometry_ = false;
+  Text text;
+  text.add("wheels: radius ").add(drive_.left().radius_m * 1000.0f, 3).add(" and ");
+  text.add(drive_.right().radius_m * 1000.0f, 3).add(" mm, ticks a turn ").add(drive_.left().ticks_per_turn, 3);
+  text.add(" and ").add(drive_.right().ticks_per_turn, 3).add(", ");
+  text.add(drive_.separation_m() * 1000.0f, 2).add(" mm apart");
+  node_.log(kInfo, text.chars());
 }
 
 void Robot::publish() {

@@ -40,6 +40,9 @@ class Robot {
   void stop();
   void greet();
   void use_parameter(const float* values, size_t count);
+  bool apply_values(const float* values, size_t count);
+  void refuse_parameter();
+  void log_geometry();
   void publish();
   void tune(Wheel& wheel, const Gains& gains);
   void tell_trouble();
@@ -65,6 +68,7 @@ class Robot {
   bool was_configured_ = false;
   uint8_t asking_ = 0;  // the parameter that is requested, 0: none
   uint32_t asked_at_ms_ = 0;
+  bool has_new_geometry_ = false;  // of the wheels, since it was logged
   uint32_t told_trouble_ = 0;
   uint32_t told_trouble_at_ms_ = 0;
 };

@@ -7,16 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
-from hostlink.protocol.control import decode_log
+from hostlink.protocol.control import Parameter, decode_log, decode_parameter_request, encode_parameter
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.controller import LEFT_GAINS, MinimumJerk, WheelController, motor_output
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.drive_train import FULL_PWM, DriveTrain, MotorWorld
 from hostlink.sim.faults import FAULTS
+from hostlink.sim.geometry import Geometry
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 
 CATALOG = Catalog()
+METRES_PER_TICK = math.tau * 0.045 / 230.4
 
 
 class Track:
@@ -46,7 +48,7 @@ def test_it_reaches_the_commanded_speed_and_its_odometry_shows_it() -> None:
     track = Track()
     track.drive(0.2, 0.0, 10.0)
     assert track.robot.speed_m_s == pytest.approx(0.2, rel=0.1)
-    truth_m = sum(wheel.rolled_ticks for wheel in track.robot.wheels) / 2 * track.robot.drive.metres_per_tick
+    truth_m = sum(wheel.rolled_ticks for wheel in track.robot.wheels) / 2 * METRES_PER_TICK
     assert track.robot.pose.x_m == pytest.approx(truth_m, abs=0.005)
     assert abs(track.robot.pose.y_m) < 0.02
 
@@ -94,6 +96,46 @@ def test_reset_makes_the_present_place_the_origin() -> None:
     track.robot.device.from_host.send(encode(101, b""), track.now_s)
     track.drive(0.0, 0.0, LOOP_S)
     assert abs(track.robot.pose.x_m) < 0.02
+
+
+def configured(parameters: dict[str, Parameter]) -> tuple[Track, list[str]]:
+    """A robot whose host answers with these parameters; and what it logs."""
+    track = Track()
+    logs: list[str] = []
+    for _ in range(10):
+        for frame in track.frames:
+            if frame.topic_id == Id.PARAMETER:
+                name = (decode_parameter_request(frame.payload) or "").removeprefix("/robot_0/")
+                answer = encode_parameter(parameters.get(name, Parameter()))
+                track.robot.device.from_host.send(encode(Id.PARAMETER, answer), track.now_s)
+            if frame.topic_id == Id.LOG and (log := decode_log(frame.payload)) is not None:
+                logs.append(log.text)
+        track.frames.clear()
+        track.drive(0.0, 0.0, 0.1)
+    return track, [text for text in logs if text != "robot_0 is ready"]
+
+
+def test_each_wheel_has_a_radius_and_ticks_of_its_own() -> None:
+    track, logs = configured(
+        {
+            "wheel_radius": Parameter(floats=(0.0449, 0.0453)),
+            "ticks_per_turn": Parameter(floats=(230.4, 231.5)),
+            "wheel_separation": Parameter(floats=(0.2143,)),
+        }
+    )
+    assert logs == ["wheels: radius 44.900 and 45.300 mm, ticks a turn 230.400 and 231.500, 214.30 mm apart"]
+    wanted = Geometry(wheel_radius_m=(0.0449, 0.0453), ticks_per_turn=(230.4, 231.5))
+    assert track.robot.geometry.metres_per_tick == pytest.approx(wanted.metres_per_tick)
+    assert track.robot.geometry.wheel_separation_m == pytest.approx(0.2143)
+
+
+def test_numbers_that_no_wheel_has_are_refused() -> None:
+    track, logs = configured({"wheel_radius": Parameter(floats=(math.nan,)), "ticks_per_turn": Parameter(ints=(0,))})
+    assert logs == [
+        "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5",
+        "ticks_per_turn refused: 1 or 2 numbers from 1.000 to 100000.0",
+    ]
+    assert track.robot.geometry == Geometry()
 
 
 def test_gains_by_message() -> None:
@@ -200,7 +242,7 @@ def test_its_odometry_shows_what_its_wheels_do_in_any_world(
         track.drive(linear, 0.0, seconds)
         track.drive(0.0, 0.0, pause_s)
     track.drive(0.0, 0.0, 1.5)
-    truth_m = sum(wheel.rolled_ticks for wheel in track.robot.wheels) / 2 * track.robot.drive.metres_per_tick
+    truth_m = sum(wheel.rolled_ticks for wheel in track.robot.wheels) / 2 * METRES_PER_TICK
     assert track.robot.pose.x_m == pytest.approx(truth_m, abs=0.003 * (1 + len(story)))
     assert abs(track.robot.speed_m_s) < 0.006
     assert errors(track) == []

@@ -1,0 +1,84 @@
+"""Geometry: what the robot knows of its wheels, and the parameters that change it. Pure; the twin of the firmware's."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from hostlink.robot.kinematics import DifferentialDrive, Pose
+
+WHEEL_RADIUS_M = 0.045  # docs/robot.md#numbers
+TICKS_PER_TURN = 230.4
+
+
+class Range(NamedTuple):
+    """How many numbers a parameter has, and what each may be."""
+
+    least: int
+    most: int
+    low: float
+    high: float
+
+    def accepts(self, values: Sequence[float]) -> bool:
+        """Whether they make sense; NaN does not."""
+        return self.least <= len(values) <= self.most and all(self.low <= value <= self.high for value in values)
+
+    def __str__(self) -> str:
+        count = f"{self.least}" if self.least == self.most else f"{self.least} or {self.most}"
+        return f"{count} numbers from {self.low:.3f} to {self.high:.1f}"
+
+
+PARAMETERS = {  # in the order in which they are requested
+    "wheel_radius": Range(1, 2, 0.005, 0.5),  # metres: of both wheels, or left and right
+    "wheel_separation": Range(1, 1, 0.02, 5.0),  # metres, wheel to wheel
+    "ticks_per_turn": Range(1, 2, 1.0, 100_000.0),  # of the wheel: both, or left and right
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Geometry:
+    """Left and right; the defaults are the paper's robot."""
+
+    wheel_radius_m: tuple[float, float] = (WHEEL_RADIUS_M, WHEEL_RADIUS_M)
+    ticks_per_turn: tuple[float, float] = (TICKS_PER_TURN, TICKS_PER_TURN)
+    wheel_separation_m: float = 0.210
+
+    @property
+    def metres_per_tick(self) -> tuple[float, float]:
+        """How far each wheel rolls in one encoder tick."""
+        left, right = (
+            math.tau * radius_m / ticks
+            for radius_m, ticks in zip(self.wheel_radius_m, self.ticks_per_turn, strict=True)
+        )
+        return left, right
+
+    def changed(self, name: str, values: Sequence[float]) -> "Geometry":
+        """The same with a parameter that makes sense."""
+        pair = (values[0], values[-1])
+        match name:
+            case "wheel_radius":
+                return replace(self, wheel_radius_m=pair)
+            case "ticks_per_turn":
+                return replace(self, ticks_per_turn=pair)
+            case _:
+                return replace(self, wheel_separation_m=values[0])
+
+    def wheel_speeds(self, linear_m_s: float, angular_rad_s: float) -> tuple[float, float]:
+        """(left, right) in ticks/s that give the body this velocity."""
+        speeds_m_s = self._drive.wheel_speeds(linear_m_s, angular_rad_s)
+        left, right = (speed / metres for speed, metres in zip(speeds_m_s, self.metres_per_tick, strict=True))
+        return left, right
+
+    def integrate(self, pose: Pose, left_ticks: float, right_ticks: float) -> Pose:
+        """The pose after the wheels rolled this far."""
+        left_m, right_m = self.metres_per_tick
+        return self._drive.integrate(pose, left_ticks * left_m, right_ticks * right_m)
+
+    def __str__(self) -> str:
+        radii = " and ".join(f"{radius_m * 1000:.3f}" for radius_m in self.wheel_radius_m)
+        ticks = " and ".join(f"{count:.3f}" for count in self.ticks_per_turn)
+        return f"wheels: radius {radii} mm, ticks a turn {ticks}, {self.wheel_separation_m * 1000:.2f} mm apart"
+
+    @property
+    def _drive(self) -> DifferentialDrive:
+        return DifferentialDrive(wheel_separation_m=self.wheel_separation_m)
