@@ -54,6 +54,8 @@ class PosixHal : public hostlink::Hal {
     right = plant_.right().edges();
   }
 
+  float battery_v() override { return 12.0f; }
+
   // What the hardware does by itself between two turns of the loop.
   void run() {
     if (socket_ < 0) connect_again();

@@ -70,6 +70,8 @@ class QemuHal : public hostlink::Hal {
     right = plant_.right().edges();
   }
 
+  float battery_v() override { return 12.0f; }
+
   // What the hardware does by itself between two turns of the loop.
   void run() {
     __asm__ volatile("cpsid i" ::: "memory");

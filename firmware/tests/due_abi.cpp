@@ -25,6 +25,7 @@ struct TestHal : public Hal {
   int16_t right_pwm = 0;
   uint32_t left_edges = 0;
   uint32_t right_edges = 0;
+  float volts = kNotMeasured;
 
   uint32_t millis() override { return static_cast<uint32_t>(now_us / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us); }
@@ -48,6 +49,7 @@ struct TestHal : public Hal {
     left = left_edges;
     right = right_edges;
   }
+  float battery_v() override { return volts; }
 };
 
 struct TestNode {
@@ -130,6 +132,8 @@ void robot_loop(TestRobot* robot, uint64_t now_us, uint32_t left_edges, uint32_t
   robot->hal.right_edges = right_edges;
   robot->robot.loop();
 }
+void robot_battery(TestRobot* robot, float volts) { robot->hal.volts = volts; }
+float battery_input_v(uint32_t counts, float divider) { return battery_volts(counts, 4095, 3.3f, divider); }
 size_t robot_sent(TestRobot* robot, uint8_t* out, size_t capacity) {
   return take_all(robot->hal.to_host, out, capacity);
 }
@@ -140,6 +144,11 @@ void robot_pose(TestRobot* robot, double* out) {
   out[1] = robot->robot.pose().y_m;
   out[2] = robot->robot.pose().theta_rad;
 }
+
+Errors* errors_new() { return new Errors(); }
+void errors_delete(Errors* errors) { delete errors; }
+void errors_raise(Errors* errors, int number, uint32_t now_ms) { errors->raise(static_cast<Error>(number), now_ms); }
+size_t errors_list(Errors* errors, uint8_t* out, uint32_t now_ms) { return errors->list(out, now_ms); }
 
 MinimumJerk* jerk_new() { return new MinimumJerk(); }
 void jerk_delete(MinimumJerk* jerk) { delete jerk; }

@@ -1,5 +1,6 @@
 // The Due's whole program, its board included, in a world that a test draws: the pins go to a shield and two motors,
 // the encoders come back as interrupts. For Python's ctypes.
+#include <Arduino.h>
 #include <stdint.h>
 #include <string.h>
 
@@ -101,8 +102,9 @@ extern "C" {
 
 void world_hang(World*, uint32_t ms);
 
-World* world_new(uint32_t setup_ms) {
+World* world_new(uint32_t setup_ms, uint32_t reset_type) {
   due_pins::power_up();
+  RSTC->RSTC_SR = reset_type << RSTC_SR_RSTTYP_Pos;
   watchdogSetup();
   World* made = new World();
   made->board.begin();

@@ -49,10 +49,16 @@ _SIGNATURES = {
     "robot_delete": (None, _P),
     "robot_feed": (None, _P, _U8P, _SIZE),
     "robot_loop": (None, _P, ctypes.c_uint64, ctypes.c_uint32, ctypes.c_uint32),
+    "robot_battery": (None, _P, _F),
+    "battery_input_v": (_F, ctypes.c_uint32, _F),
     "robot_sent": (_SIZE, _P, _U8P, _SIZE),
     "robot_left_pwm": (ctypes.c_int, _P),
     "robot_right_pwm": (ctypes.c_int, _P),
     "robot_pose": (None, _P, ctypes.POINTER(ctypes.c_double)),
+    "errors_new": (_P,),
+    "errors_delete": (None, _P),
+    "errors_raise": (None, _P, ctypes.c_int, ctypes.c_uint32),
+    "errors_list": (_SIZE, _P, ctypes.POINTER(ctypes.c_uint8), ctypes.c_uint32),
     "jerk_new": (_P,),
     "jerk_delete": (None, _P),
     "jerk_aim": (None, _P, _F),
@@ -187,6 +193,10 @@ class Robot:
 
     def loop(self, now_s: float, left_edges: int, right_edges: int) -> None:
         library().robot_loop(self._handle, round(now_s * 1e6), left_edges % 2**32, right_edges % 2**32)
+
+    def set_battery(self, volts: float) -> None:
+        """What the board measures; NaN: nothing."""
+        library().robot_battery(self._handle, volts)
 
     def sent(self) -> list[Frame]:
         data = _read_out(library().robot_sent, self._handle)

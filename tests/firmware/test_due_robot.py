@@ -69,7 +69,16 @@ def test_its_topics_and_its_parameters() -> None:
     with robot() as firmware:
         track = Track(firmware)
         names = [frame.payload for frame in track.frames if frame.topic_id in (0, 1)]
-        for name in ("odometry", "plot_data", "velocity_commands", "reset_odometry", "pid_tune_l", "pid_tune_r"):
+        for name in (
+            "odometry",
+            "plot_data",
+            "battery",
+            "errors",
+            "velocity_commands",
+            "reset_odometry",
+            "pid_tune_l",
+            "pid_tune_r",
+        ):
             assert any(f"/robot_0/{name}".encode() in payload for payload in names)
         requests = [decode_parameter_request(frame.payload) for frame in track.frames if frame.topic_id == Id.PARAMETER]
         assert requests == [
@@ -81,6 +90,7 @@ def test_its_topics_and_its_parameters() -> None:
                 "gains_left",
                 "gains_right",
                 "top_speed",
+                "battery_low",
             )
         ]
         assert any(b"robot is ready" in frame.payload for frame in track.frames if frame.topic_id == Id.LOG)

@@ -26,6 +26,8 @@ CORNER_S = sum(seconds for seconds, *_ in CORNER)
 COMMAND_INTERVAL_S = 0.1
 ROUNDING_M = 0.0015  # the board reports the truth in whole millimetres
 ODOMETRY, PLOT, VELOCITY = "/robot_0/odometry", "/robot_0/plot_data", "/robot_0/velocity_commands"
+BATTERY, ERRORS = "/robot_0/battery", "/robot_0/errors"
+FROM_DEVICE = (ODOMETRY, PLOT, BATTERY, ERRORS)
 
 
 async def messages(session: aiohttp.ClientSession, daemon: Process) -> dict[str, int]:
@@ -83,9 +85,9 @@ async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
     assert (after["got"], after["lost"], after["dropped"]) == (sent, 0, 0)
     assert sent >= 0.8 * SOAK_S / COMMAND_INTERVAL_S
     # From the device: every message that it queued is there; the report and the count are half a second apart.
-    reported = observed[ODOMETRY] + observed[PLOT]
-    assert abs(reported - after["sent"]) <= 2 * 12
-    assert reported - (observed_before[ODOMETRY] + observed_before[PLOT]) >= 2 * 9.0 * SOAK_S
+    assert abs(sum(observed[topic] for topic in FROM_DEVICE) - after["sent"]) <= 2 * 12
+    assert all(observed[topic] - observed_before[topic] >= 9.0 * SOAK_S for topic in (ODOMETRY, PLOT))
+    assert all(observed[topic] - observed_before[topic] >= 0.9 * SOAK_S for topic in (BATTERY, ERRORS))
     assert (link["skipped_bytes"], link["unknown_ids"], link["topic_requests"]) == (0, 0, 1)
 
     rolled_m = (after["rolled_mm"] - before["rolled_mm"]) / 1000

@@ -56,7 +56,7 @@ def library() -> ctypes.CDLL:
     once_a_run("due_world", _compile)
     loaded = ctypes.CDLL(str(WORLD_LIBRARY))
     signatures = {
-        "world_new": (_P, ctypes.c_uint32),
+        "world_new": (_P, ctypes.c_uint32, ctypes.c_uint32),
         "world_hang": (None, _P, ctypes.c_uint32),
         "world_restarts": (ctypes.c_uint32, _P),
         "world_delete": (None, _P),
@@ -206,9 +206,14 @@ def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
 
 
 @contextmanager
-def world(left: MotorWorld | None = None, right: MotorWorld | None = None, *, setup_s: float = 0.0) -> Iterator[World]:
-    """A robot that has just got its topics, for the length of the block; its setup() lasts `setup_s`."""
-    handle = library().world_new(round(setup_s * 1000))
+def world(
+    left: MotorWorld | None = None, right: MotorWorld | None = None, *, setup_s: float = 0.0, reset_type: int = 0
+) -> Iterator[World]:
+    """A robot that has just got its topics, for the length of the block; its setup() lasts `setup_s`.
+
+    `reset_type`: why its processor started, RSTTYP of the SAM3X; 2 is the watchdog.
+    """
+    handle = library().world_new(round(setup_s * 1000), reset_type)
     try:
         for side, motor in ((LEFT, left or MotorWorld()), (RIGHT, right or MotorWorld())):
             library().world_motor(handle, side, _values(motor))

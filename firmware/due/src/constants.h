@@ -40,6 +40,11 @@ const uint8_t kPublishEvery = 3;  // turns: 10 Hz
 const uint32_t kCommandTimeoutMs = 500;
 const uint32_t kParameterTimeoutMs = 1000;
 
+// Of the divider before the battery's input: (R1 + R2) / R2, R2 to ground; 4.9 for 39 and 10 kOhm. 0: it is not wired.
+const float kBatteryDivider = 0.0f;
+const float kBatteryLowV = 10.5f;  // three cells of a LiPo at 3.5 V, six of lead at 1.75 V
+const float kNotMeasured = __builtin_nanf("");
+
 struct Gains {
   float kp;
   float ki;
@@ -63,6 +68,11 @@ enum class Feedback : uint8_t {
 
 inline Gains left_gains() { return make_gains(23.0f, 36.0f, 0.1f, kFeedback); }  // table 1 of the paper
 inline Gains right_gains() { return make_gains(24.0f, 35.0f, 0.1f, kFeedback); }
+
+inline float battery_volts(uint32_t counts, uint32_t full_counts, float reference_v, float divider) {
+  if (divider <= 0.0f) return kNotMeasured;
+  return static_cast<float>(counts) / static_cast<float>(full_counts) * reference_v * divider;
+}
 
 inline float clamp(float value, float low, float high) {  // Arduino's macros evaluate their arguments twice
   return value < low ? low : (value > high ? high : value);

@@ -4,6 +4,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "constants.h"
+
 namespace hostlink {
 
 class Hal {
@@ -14,6 +16,8 @@ class Hal {
   virtual size_t write(const uint8_t* data, size_t size) = 0;   // accepts what fits now, never waits
   virtual void drive(int16_t left_pwm, int16_t right_pwm) = 0;  // signed, -4095..4095; 0 brakes as hard as it can
   virtual void edges(uint32_t& left, uint32_t& right) = 0;      // of the encoders, rising and falling; wrap
+  virtual float battery_v() { return kNotMeasured; }            // of the motors' supply; NaN: nothing measures it
+  virtual bool was_hung() { return false; }                     // the hardware watchdog started the board
 
  protected:
   ~Hal() {}

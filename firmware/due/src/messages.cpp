@@ -53,4 +53,10 @@ void write_float64(uint8_t* bytes, float value) {
   for (int i = 0; i < 8; ++i) bytes[i] = static_cast<uint8_t>(bits >> (8 * i));
 }
 
+void write_float32(uint8_t* bytes, float value) {
+  uint32_t bits = 0;
+  memcpy(&bits, &value, sizeof bits);
+  for (int i = 0; i < 4; ++i) bytes[i] = static_cast<uint8_t>(bits >> (8 * i));
+}
+
 }  // namespace hostlink

@@ -17,11 +17,21 @@ const char kPose2DType[] = "geometry_msgs/Pose2D";
 const char kPose2DMd5[] = "938fa65709584ad8e77d238529be13b8";
 const char kVector3Type[] = "geometry_msgs/Vector3";
 const char kVector3Md5[] = "4a842b65f413084dc2b10fb484ea7f17";
+const char kBatteryStateType[] = "sensor_msgs/BatteryState";
+const char kBatteryStateMd5[] = "4ddae7f048e32fda22cac764685e3974";
+const size_t kBatteryVoltageAt = 16;  // behind the header; six more float32 follow
+const size_t kBatteryFloats = 7;
+const size_t kBatteryPresentAt = 47;
+const size_t kBatteryStateBytes = 64;  // with empty lists and texts
+const char kUInt8MultiArrayType[] = "std_msgs/UInt8MultiArray";
+const char kUInt8MultiArrayMd5[] = "82373f1612381bb6ee473b5cd6f5d89c";
+const size_t kUInt8MultiArrayBytes = 12;  // without its data; its last four are their number
 const char kEmptyType[] = "std_msgs/Empty";
 const char kEmptyMd5[] = "d41d8cd98f00b204e9800998ecf8427e";
 
 // A float64 of the wire, rounded towards zero to a float; what no float can represent becomes infinite or zero.
 float read_float64(const uint8_t* bytes);
 void write_float64(uint8_t* bytes, float value);
+void write_float32(uint8_t* bytes, float value);
 
 }  // namespace hostlink

@@ -14,7 +14,7 @@ const float kMostGain = 1e6f;
 const uint32_t kTroubleIntervalMs = 10000;
 const float kLongestStepS = 0.2f;  // a loop that was away does not integrate the time that it missed
 
-enum class Use : uint8_t { kRadius, kSeparation, kTicks, kLeftGains, kRightGains, kTopSpeed };
+enum class Use : uint8_t { kRadius, kSeparation, kTicks, kLeftGains, kRightGains, kTopSpeed, kBatteryLow };
 
 // What the robot requests of the host: how many numbers, and their range.
 struct Parameter {
@@ -33,6 +33,7 @@ const Parameter kParameters[] = {
     {"gains_left", Use::kLeftGains, 3, 3, 0.0f, kMostGain},     // Kp, Ki, Kd
     {"gains_right", Use::kRightGains, 3, 3, 0.0f, kMostGain},
     {"top_speed", Use::kTopSpeed, 1, 1, 1.0f, kTopSpeedTicksS},  // ticks/s
+    {"battery_low", Use::kBatteryLow, 1, 1, 0.0f, 60.0f},        // V
 };
 const uint8_t kParameterCount = sizeof kParameters / sizeof kParameters[0];
 
@@ -55,6 +56,7 @@ void Robot::setup() {
   node_.subscribe(ns_, "reset_odometry", kEmptyType, kEmptyMd5, 0, &Robot::take_reset, this);
   node_.subscribe(ns_, "pid_tune_l", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_left_gains, this);
   node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_right_gains, this);
+  report_.advertise(node_, ns_);
   hal_.drive(0, 0);
   hal_.edges(left_edges_, right_edges_);
   turned_at_us_ = due_since_us_ = hal_.micros();
@@ -82,6 +84,7 @@ void Robot::guard() {
     stop();
   } else if (hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs) {
     stop();
+    raise(Error::kNoCommand);
     node_.log(kWarn, Text().add("no command for ").add(kCommandTimeoutMs).add(" ms: stopped").chars());
   }
 }
@@ -101,6 +104,8 @@ void Robot::turn(float dt_s) {
   if (++turns_ == kPublishEvery) {
     turns_ = 0;
     publish();
+    raise_faults();
+    report_.publish(node_, hal_.battery_v(), hal_.millis());
     tell_trouble();
   }
 }
@@ -135,6 +140,14 @@ bool Robot::tell_fault(const Wheel& wheel, const char* side) {
   return true;
 }
 
+// For as long as the wheel is off.
+void Robot::raise_faults() {
+  const WheelFault left = left_.fault();
+  const WheelFault right = right_.fault();
+  if (left != WheelFault::kNone) raise(left == WheelFault::kStalled ? Error::kLeftStalled : Error::kLeftRunaway);
+  if (right != WheelFault::kNone) raise(right == WheelFault::kStalled ? Error::kRightStalled : Error::kRightRunaway);
+}
+
 void Robot::stop() {
   is_commanded_ = false;
   left_.stop_at_once();
@@ -147,6 +160,11 @@ void Robot::greet() {
   const bool is_configured = node_.is_configured();
   if (is_configured && !was_configured_) {
     node_.log(kInfo, "robot is ready");
+    if (hal_.was_hung() && !was_hung_logged_) {
+      was_hung_logged_ = true;
+      raise(Error::kHung);
+      node_.log(kError, "started by its watchdog: the loop had not turned for 500 ms");
+    }
     asking_ = 1;
     node_.ask_parameter(ns_, kParameters[0].name, &Robot::take_parameter, this);
     asked_at_ms_ = hal_.millis();
@@ -189,6 +207,9 @@ bool Robot::apply_values(const float* values, size_t count) {
     case Use::kSeparation:
       drive_.set_separation(values[0]);
       break;
+    case Use::kBatteryLow:
+      report_.battery().set_low_v(values[0]);
+      return true;
     case Use::kTopSpeed:
       drive_.set_top_speed(values[0]);
       return true;
@@ -202,6 +223,7 @@ bool Robot::apply_values(const float* values, size_t count) {
 
 void Robot::refuse_parameter() {
   const Parameter& parameter = kParameters[asking_ - 1];
+  raise(Error::kRefused);
   Text text;
   text.add(parameter.name).add(" refused: ").add(static_cast<uint32_t>(parameter.least));
   if (parameter.most > parameter.least) text.add(" or ").add(static_cast<uint32_t>(parameter.most));
@@ -240,6 +262,7 @@ void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
   const bool is_number = linear_m_s - linear_m_s == 0.0f && angular_rad_s - angular_rad_s == 0.0f;
   if (!is_number) {
     robot.stop();
+    robot.raise(Error::kNoNumber);
     robot.node_.log(kError, "a velocity that is no number: stopped");
     return;
   }
@@ -277,6 +300,7 @@ void Robot::take_right_gains(void* self, const uint8_t* payload, size_t) {
 void Robot::tune(Wheel& wheel, const Gains& gains) {
   const char* const side = &wheel == &left_ ? "left" : "right";
   if (!is_gain(gains.kp) || !is_gain(gains.ki) || !is_gain(gains.kd)) {
+    raise(Error::kRefused);
     node_.log(kWarn, Text().add(side).add(" gains refused: each is 0 or more").chars());
     return;
   }

@@ -7,6 +7,7 @@
 #include "drive.h"
 #include "hal.h"
 #include "node_handle.h"
+#include "self_report.h"
 #include "wheel.h"
 
 namespace hostlink {
@@ -37,6 +38,8 @@ class Robot {
   void turn(float dt_s);
   void watch();
   bool tell_fault(const Wheel& wheel, const char* side);
+  void raise(Error error) { report_.raise(error, hal_.millis()); }
+  void raise_faults();
   void stop();
   void greet();
   void use_parameter(const float* values, size_t count);
@@ -50,6 +53,7 @@ class Robot {
   Hal& hal_;
   const char* ns_;
   NodeHandle node_;
+  SelfReport report_;
   Drive drive_;
   Wheel left_;
   Wheel right_;
@@ -66,6 +70,7 @@ class Robot {
   uint32_t right_edges_ = 0;
   uint8_t turns_ = 0;
   bool was_configured_ = false;
+  bool was_hung_logged_ = false;
   uint8_t asking_ = 0;  // the parameter that is requested, 0: none
   uint32_t asked_at_ms_ = 0;
   bool has_new_geometry_ = false;  // of the wheels, since it was logged

@@ -25,12 +25,15 @@ void power_up() { the_pins = Pins(); }
 using due_pins::the_pins;
 
 SerialPort Serial1;
+Rstc the_reset_controller = {0};
 
 void pinMode(uint32_t, uint32_t) {}
 void digitalWrite(uint32_t pin, uint32_t level) { due_pins::note(pin, level); }
 int digitalRead(uint32_t pin) { return the_pins.value[pin]; }
 void analogWrite(uint32_t pin, uint32_t duty) { due_pins::note(pin, duty); }
 void analogWriteResolution(int bits) { the_pins.resolution_bits = bits; }
+void analogReadResolution(int) {}
+uint32_t analogRead(uint32_t) { return 0; }
 uint32_t digitalPinToInterrupt(uint32_t pin) { return pin; }
 void attachInterrupt(uint32_t pin, void (*callback)(), uint32_t) { the_pins.on_edge[pin] = callback; }
 void noInterrupts() {}

@@ -22,6 +22,15 @@ const MotorPins kLeft = {2, 9, 3, 22, kIsReversedLeft};
 const MotorPins kRight = {5, 8, 6, 23, kIsReversedRight};
 const uint32_t kBaud = 38400;
 const uint8_t kPwmBits = 12;
+const uint8_t kBatteryPin = A2;  // A0 and A1 have the shield's current senses
+#if defined(ARDUINO_ARCH_SAM)
+const uint32_t kFullCounts = 4095;
+const float kReferenceV = 3.3f;
+const uint32_t kResetByWatchdog = 2;  // SAM3X, RSTTYP
+#else
+const uint32_t kFullCounts = 1023;
+const float kReferenceV = 5.0f;
+#endif
 const uint32_t kLeastPulseUs = 500;  // at 280 ticks/s an edge comes each 1.8 ms; what is faster is a bouncing sensor
 const uint32_t kQuietMs = 2000;      // after power-up: the ESP8266 prints its boot message at another baud rate
 const uint32_t kWatchdogMs = 500;    // the loop has not turned for this time: the board starts again, motors off
@@ -83,6 +92,7 @@ void begin_motor(const MotorPins& pins, Encoder& encoder) {
 void DueBoard::begin() {
 #if defined(ARDUINO_ARCH_SAM)
   analogWriteResolution(kPwmBits);
+  analogReadResolution(12);
 #endif
   begin_motor(kLeft, left_encoder);
   begin_motor(kRight, right_encoder);
@@ -128,6 +138,19 @@ void DueBoard::edges(uint32_t& left, uint32_t& right) {
   left = left_encoder.edges;
   right = right_encoder.edges;
   interrupts();
+}
+
+float DueBoard::battery_v() {
+  const uint32_t counts = kBatteryDivider > 0.0f ? static_cast<uint32_t>(analogRead(kBatteryPin)) : 0;
+  return battery_volts(counts, kFullCounts, kReferenceV, kBatteryDivider);
+}
+
+bool DueBoard::was_hung() {
+#if defined(ARDUINO_ARCH_SAM)
+  return (RSTC->RSTC_SR & RSTC_SR_RSTTYP_Msk) >> RSTC_SR_RSTTYP_Pos == kResetByWatchdog;
+#else
+  return false;
+#endif
 }
 
 }  // namespace hostlink

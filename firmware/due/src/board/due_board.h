@@ -17,6 +17,8 @@ class DueBoard : public Hal {
   size_t write(const uint8_t* data, size_t size) override;
   void drive(int16_t left_pwm, int16_t right_pwm) override;
   void edges(uint32_t& left, uint32_t& right) override;
+  float battery_v() override;
+  bool was_hung() override;
 
  private:
   bool is_quiet_ = false;

@@ -1,0 +1,90 @@
+// What the robot knows of itself, as numbers for programs: its battery's voltage and what is wrong
+// (docs/robot.md#what-the-robot-knows-of-itself). The lines of the log say the same to people.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "node_handle.h"
+
+namespace hostlink {
+
+enum class Error : uint8_t {
+  kLeftStalled = 11,
+  kRightStalled = 12,
+  kLeftRunaway = 21,
+  kRightRunaway = 22,
+  kNoCommand = 31,    // the wheels rolled, and no command came
+  kHung = 32,         // the hardware watchdog started the board again
+  kNoNumber = 33,     // a velocity that is none
+  kRefused = 34,      // gains or a parameter out of range
+  kFromHost = 41,     // bytes from the host that made no frame
+  kNotExpected = 42,  // frames that no topic has
+  kNotSent = 43,      // messages to the host for which the line had no room
+  kBatteryLow = 51,
+};
+
+// The errors of the last ten seconds, each once.
+class Errors {
+ public:
+  static const size_t kMost = 12;
+  static const uint32_t kShownMs = 10000;
+
+  void raise(Error error, uint32_t now_ms);
+  size_t list(uint8_t* numbers, uint32_t now_ms);  // ascending; what is older is forgotten
+  bool has_changed();                              // since the last call
+
+ private:
+  struct Entry {
+    uint8_t number;
+    uint32_t at_ms;
+  };
+  Entry entries_[kMost] = {};
+  size_t count_ = 0;
+  bool has_changed_ = false;
+};
+
+// Smoothed over a second; low is what stays below the limit for five: a motor that starts costs a volt.
+class Battery {
+ public:
+  static const uint8_t kLowTurns = 50;
+
+  void add(float volts);  // ten times a second; NaN: nothing measures it
+  bool is_measured() const { return volts_ == volts_; }
+  float volts() const { return volts_; }
+  bool is_low() const { return low_turns_ == kLowTurns; }
+  float low_v() const { return low_v_; }
+  void set_low_v(float low_v) { low_v_ = low_v; }
+
+ private:
+  float volts_ = kNotMeasured;
+  float low_v_ = kBatteryLowV;
+  uint8_t low_turns_ = 0;
+};
+
+class SelfReport {
+ public:
+  void advertise(NodeHandle& node, const char* ns);
+  void raise(Error error, uint32_t now_ms) { errors_.raise(error, now_ms); }
+  // Ten times a second: the errors each second and when they change, the battery each second where it is measured.
+  void publish(NodeHandle& node, float battery_v, uint32_t now_ms);
+  Battery& battery() { return battery_; }
+
+ private:
+  static const uint8_t kEvery = 10;
+
+  void check_battery(NodeHandle& node, float battery_v, uint32_t now_ms);
+  void check_link(const NodeHandle& node, uint32_t now_ms);
+  void publish_battery(NodeHandle& node);
+
+  Errors errors_;
+  Battery battery_;
+  uint16_t battery_id_ = 0;
+  uint16_t errors_id_ = 0;
+  uint8_t turns_ = 0;
+  uint32_t from_host_ = 0;  // as they were counted last
+  uint32_t not_expected_ = 0;
+  uint32_t not_sent_ = 0;
+};
+
+}  // namespace hostlink
