@@ -1,5 +1,6 @@
 """SimulatedRobot: the paper's robot on a SimulatedDevice: topics, 30 Hz loop, watchdog, odometry. Pure."""
 
+import math
 from functools import partial
 from typing import Any
 
@@ -11,12 +12,27 @@ from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Gains, Whee
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.drive_train import FULL_SPEED_TICKS_S, DriveTrain
 from hostlink.sim.geometry import PARAMETERS, Geometry
+from hostlink.sim.self_report import Battery, Error, Errors
 
 PUBLISH_EVERY = 3
+REPORT_EVERY = 10  # of what it publishes: once a second
+BATTERY_V = 12.0
 WATCHDOG_S = 0.5
 _INFO = 1
 _WARN = 2
 _ERROR = 3
+_TYPES = (
+    "geometry_msgs/Twist",
+    "geometry_msgs/Pose2D",
+    "geometry_msgs/Vector3",
+    "sensor_msgs/BatteryState",
+    "std_msgs/UInt8MultiArray",
+)
+_UNMEASURED = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), math.nan)
+_WHEEL_ERRORS = (
+    {WheelFault.STALLED: Error.LEFT_STALLED, WheelFault.RUNAWAY: Error.LEFT_RUNAWAY},
+    {WheelFault.STALLED: Error.RIGHT_STALLED, WheelFault.RUNAWAY: Error.RIGHT_RUNAWAY},
+)
 
 
 class SimulatedRobot:
@@ -36,9 +52,14 @@ class SimulatedRobot:
         self._now_s = 0.0
         self._is_greeted = False
         self._is_geometry_new = False  # since it was logged
-        self._types = {key: _message_type(catalog, key) for key in ("Twist", "Pose2D", "Vector3")}
+        self.battery_v = BATTERY_V  # as it truly is
+        self.battery = Battery()
+        self.errors = Errors()
+        self._types = {name.split("/")[1]: _message_type(catalog, name) for name in _TYPES}
         self._odometry = self._advertise("odometry", "Pose2D")
         self._plot = self._advertise("plot_data", "Twist")
+        self._battery = self._advertise("battery", "BatteryState")
+        self._errors = self._advertise("errors", "UInt8MultiArray")
         self._subscribe_all(catalog)
 
     @property
@@ -56,6 +77,8 @@ class SimulatedRobot:
             return wait_s
         self._greet()
         is_stale = self._commanded_at_s is not None and now_s - self._commanded_at_s > WATCHDOG_S
+        if is_stale and any(control.set_point.target for control in self.controllers):
+            self.errors.raise_(Error.NO_COMMAND, now_s)
         if is_stale or not self.device.is_configured:
             self._command(0.0, 0.0)
             self._commanded_at_s = None
@@ -66,6 +89,7 @@ class SimulatedRobot:
         self._turns += 1
         if self._turns % PUBLISH_EVERY == 0:
             self._publish()
+            self._report()
         return None
 
     def reboot(self) -> None:
@@ -105,6 +129,25 @@ class SimulatedRobot:
         self.device.publish(self._odometry, self._types["Pose2D"].encode(pose), self._now_s)
         self.device.publish(self._plot, self._types["Twist"].encode(plot), self._now_s)
 
+    def _report(self) -> None:
+        """The errors each second and when they change, the battery each second."""
+        for control, known in zip(self.controllers, _WHEEL_ERRORS, strict=True):
+            if control.watch.fault is not None:
+                self.errors.raise_(known[control.watch.fault], self._now_s)
+        if self.battery.add(self.battery_v):
+            text = f"battery low: {self.battery.volts:.1f} V, below {self.battery.low_v:.1f} V"
+            self.device.log(_ERROR, text, self._now_s)
+        if self.battery.is_low:
+            self.errors.raise_(Error.BATTERY_LOW, self._now_s)
+        is_due = self._turns % (PUBLISH_EVERY * REPORT_EVERY) == 0
+        numbers = self.errors.numbers(self._now_s)
+        if self.errors.has_changed(numbers) or is_due:
+            payload = self._types["UInt8MultiArray"].encode({"data": numbers})
+            self.device.publish(self._errors, payload, self._now_s)
+        if is_due:
+            state = {**_UNMEASURED, "voltage": self.battery.volts, "present": True}
+            self.device.publish(self._battery, self._types["BatteryState"].encode(state), self._now_s)
+
     def _greet(self) -> None:
         """Once configured, log it, and request the parameters; without an answer the constants apply."""
         if not self.device.is_configured:
@@ -129,6 +172,7 @@ class SimulatedRobot:
             self.geometry = self.geometry.changed(name, values)
             self._is_geometry_new = True
         elif values:
+            self.errors.raise_(Error.REFUSED, self._now_s)
             self.device.log(_WARN, f"{name} refused: {PARAMETERS[name]}", self._now_s)
         self._request(names[1:])
 
@@ -176,6 +220,6 @@ def _complaint(control: WheelController) -> str:
 
 
 def _message_type(catalog: Catalog, name: str) -> MessageType:
-    type_ = catalog.message(f"geometry_msgs/{name}")
+    type_ = catalog.message(name)
     assert type_ is not None  # noqa: S101 - of the store that the project is built on
     return type_

@@ -1,6 +1,7 @@
 """The simulated robot: the numbers of docs/robot.md, its watchdog, and odometry against what the wheels truly did."""
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -258,3 +259,55 @@ def test_the_drive_train_does_not_depend_on_the_length_of_its_steps() -> None:
 def test_stiction_stops_a_wheel_below_its_least_pwm() -> None:
     wheel = DriveTrain()
     assert wheel.step(300, 1.0) == 0
+
+
+BATTERY_ID, ERRORS_ID = 127, 128
+
+
+def published(track: Track, topic_id: int, type_name: str) -> list[dict[str, Any]]:
+    type_ = CATALOG.message(type_name)
+    assert type_ is not None
+    return [type_.decode(frame.payload) for frame in track.frames if frame.topic_id == topic_id]
+
+
+def numbers(track: Track) -> list[list[int]]:
+    return [list(message["data"]) for message in published(track, ERRORS_ID, "std_msgs/UInt8MultiArray")]
+
+
+def test_it_publishes_its_battery_and_that_nothing_is_wrong_once_a_second() -> None:
+    track = Track()
+    track.frames.clear()
+    track.drive(0.0, 0.0, 3.0)
+    states = published(track, BATTERY_ID, "sensor_msgs/BatteryState")
+    assert [state["voltage"] for state in states] == [12.0] * 3
+    assert math.isnan(states[0]["percentage"])
+    assert numbers(track) == [[]] * 3
+
+
+def test_a_stalled_wheel_and_a_lost_driver_have_numbers() -> None:
+    track = Track()
+    track.drive(0.2, 0.0, 1.0)
+    track.drive(0.2, 0.0, 1.0, is_commanded=False)
+    assert numbers(track)[-1] == [31]
+    track = Track()
+    track.robot.wheels[0].block()
+    track.drive(0.3, 0.0, 4.0)
+    assert numbers(track)[-1] == [11]
+
+
+def stand(track: Track, seconds: float) -> None:
+    """With a host that answers with the time; without one the device falls silent after 11 s."""
+    for _ in range(round(seconds)):
+        track.robot.device.from_host.send(encode(Id.TIME, bytes(8)), track.now_s)
+        track.drive(0.0, 0.0, 1.0)
+
+
+def test_a_battery_that_stays_low_is_logged_once() -> None:
+    track = Track()
+    track.robot.battery_v = 10.2
+    stand(track, 20.0)
+    assert errors(track) == ["battery low: 10.2 V, below 10.5 V"]
+    assert numbers(track)[-1] == [51]
+    track.robot.battery_v = 12.0
+    stand(track, 15.0)
+    assert numbers(track)[-1] == []
