@@ -70,6 +70,7 @@ void bridge_set_room(Bridge* b, size_t to_device, size_t to_host) {
   b->uart.room = to_device;
   b->network.room = to_host;
 }
+void bridge_set_signal(Bridge* b, int dbm) { b->network.signal = dbm; }
 void bridge_lose(Bridge* b) { b->network.connected = false; }
 void bridge_set_joined(Bridge* b, int is_joined) { b->network.joined = is_joined != 0; }
 size_t bridge_to_device(Bridge* b, uint8_t* to, size_t limit) { return move_all(b->uart.to_device, to, limit); }

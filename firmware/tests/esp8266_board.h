@@ -38,6 +38,7 @@ class MemoryUart : public hostlink::Uart {
 class MemoryNetwork : public hostlink::Network {
  public:
   bool is_joined() override { return joined; }
+  int signal_dbm() override { return signal; }
   void rejoin() override { ++rejoins; }
   bool connect() override { return connected = true; }
   bool is_connected() override { return connected; }
@@ -59,6 +60,7 @@ class MemoryNetwork : public hostlink::Network {
   std::vector<Bytes> writes;
   size_t room = 2920;
   size_t write_limit = SIZE_MAX;
+  int signal = 31;  // dBm; as the core has it where there is none
   bool joined = true;
   bool connected = false;
   int rejoins = 0;

@@ -54,6 +54,7 @@ def library() -> ctypes.CDLL:
         "bridge_from_device": (None, pointer, octets, size),
         "bridge_from_host": (None, pointer, octets, size),
         "bridge_set_room": (None, pointer, size, size),
+        "bridge_set_signal": (None, pointer, ctypes.c_int),
         "bridge_lose": (None, pointer),
         "bridge_set_joined": (None, pointer, ctypes.c_int),
         "bridge_to_device": (size, pointer, octets, size),
@@ -129,6 +130,10 @@ class Bridge:
 
     def from_host(self, data: bytes) -> None:
         self._lib.bridge_from_host(self._self, data, len(data))
+
+    def set_signal(self, dbm: int) -> None:
+        """How strong the WiFi is; 0 or more: it is not known."""
+        self._lib.bridge_set_signal(self._self, dbm)
 
     def lose(self) -> None:
         self._lib.bridge_lose(self._self)

@@ -99,6 +99,16 @@ bool FrameAssembler::has_frame(uint16_t topic_id, size_t count) const {
   return false;
 }
 
+bool FrameAssembler::ends_with_frame() const {
+  bool is_frame = false;
+  for (size_t at = started_bytes_; is_aligned_ && at < size_bytes_;) {
+    const Piece piece = piece_at(at);
+    is_frame = piece.is_frame && piece.is_whole;
+    at += piece.bytes;
+  }
+  return is_frame;
+}
+
 size_t FrameAssembler::drop_oldest() {
   if (started_bytes_ == size_bytes_) return 0;
   const size_t count = piece_at(started_bytes_).bytes;

@@ -40,6 +40,9 @@ class FrameAssembler {
   // Whether a frame with this id begins within the first count bytes, which are ready.
   bool has_frame(uint16_t topic_id, size_t count) const;
 
+  // Whether the last bytes that came are a whole frame: the next one begins a frame, or none.
+  bool ends_with_frame() const;
+
   // Each forgets bytes and returns how many. What has begun to leave is never forgotten.
   size_t drop_oldest();        // the oldest piece
   size_t forget_incomplete();  // the frame at the end that has not come whole

@@ -45,6 +45,7 @@ void Passthrough::begin_link(uint32_t now_ms) {
   ++counters_.links;
   counters_.to_device_discarded_bytes += static_cast<uint32_t>(to_device_.forget_unstarted());
   from_device_.restart(now_ms);
+  signal_.restart();
   is_stalled_ = false;
   is_asked_ = false;
   state_ = LinkState::kConnected;
@@ -129,6 +130,15 @@ void Passthrough::read_device(uint32_t now_ms) {
     counters_.from_device_dropped_bytes += static_cast<uint32_t>(from_device_.drop_oldest());
   }
   from_device_.put(bytes, count, now_ms);
+  if (count > 0) report_signal(now_ms);
+}
+
+// Where the device has just ended a frame, and there is room: nothing of the device's is dropped for it.
+void Passthrough::report_signal(uint32_t now_ms) {
+  const bool has_room = from_device_.room_bytes() >= SignalReport::kFrameBytesMax + FrameAssembler::kFrameBytesMax;
+  if (!signal_.is_due(now_ms) || !has_room || !from_device_.ends_with_frame()) return;
+  uint8_t frame[SignalReport::kFrameBytesMax];
+  from_device_.put(frame, signal_.write(network_.signal_dbm(), now_ms, frame), now_ms);
 }
 
 // False when the network has taken nothing for too long.

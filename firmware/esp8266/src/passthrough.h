@@ -9,6 +9,7 @@
 #include "frame_assembler.h"
 #include "key_proof.h"
 #include "ports.h"
+#include "signal_report.h"
 
 namespace hostlink {
 
@@ -74,6 +75,7 @@ class Passthrough {
   bool read_host(uint32_t now_ms);
   void write_device(uint32_t now_ms);
   void read_device(uint32_t now_ms);
+  void report_signal(uint32_t now_ms);
   bool write_host(uint32_t now_ms);
   void end_link(LinkEnd end, uint32_t now_ms);
   void retry_in(uint32_t delay_ms, uint32_t now_ms);
@@ -83,6 +85,7 @@ class Passthrough {
   Network& network_;
   Backoff backoff_;
   KeyProof proof_;
+  SignalReport signal_;
   FrameAssembler from_device_;
   FrameAssembler to_device_;
   Counters counters_;

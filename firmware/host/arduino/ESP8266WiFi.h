@@ -23,6 +23,7 @@ class ESP8266WiFiClass {
   wl_status_t begin(const char* ssid, const char* passphrase);
   bool reconnect();
   wl_status_t status();
+  int8_t RSSI();
 };
 
 class WiFiClient {

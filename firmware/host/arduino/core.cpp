@@ -114,6 +114,8 @@ wl_status_t ESP8266WiFiClass::status() {
   return machine().radio.is_joined(machine().now_us()) ? WL_CONNECTED : WL_DISCONNECTED;
 }
 
+int8_t ESP8266WiFiClass::RSSI() { return static_cast<int8_t>(machine().radio.options.signal_dbm); }
+
 namespace {
 int open_socket(const char* host, uint16_t port) {
   addrinfo hints{}, *address = nullptr;

@@ -21,6 +21,7 @@ constexpr char kUsage[] =
     "  --key TEXT           the key that host and device share\n"
     "  --boot-noise N       N bytes of garbage on the UART at power-up\n"
     "  --wait-for-device    power up when the other end of the UART is there\n"
+    "  --signal DBM         how strong the WiFi is, -67 for example (default: it is not known)\n"
     "  --swap               UART on GPIO15 and GPIO13\n"
     "  --join-ms N --connect-ms N --send-buffer N --write-limit N   how unkind the radio is\n"
     "commands on stdin: wifi up|down, radio mute|clear, connect normal|refuse|hang, wait MS, stats; each is\n"
@@ -52,6 +53,7 @@ standin::Options parse(int argc, char** argv) {
       {"--server", [&](Value value) { set_server(options, value); }},
       {"--key", [&](Value value) { options.key = value; }},
       {"--boot-noise", [&](Value value) { options.boot_noise_bytes = number(value); }},
+      {"--signal", [&](Value value) { radio.signal_dbm = std::stoi(value); }},
       {"--join-ms", [&](Value value) { radio.join_ms = number(value); }},
       {"--connect-ms", [&](Value value) { radio.connect_ms = number(value); }},
       {"--send-buffer", [&](Value value) { radio.send_buffer_bytes = number(value); }},

@@ -11,6 +11,7 @@ namespace standin {
 
 struct RadioOptions {
   unsigned join_ms = 100;
+  int signal_dbm = 31;       // as the core has it where there is none
   unsigned connect_ms = 20;  // the least duration of a connect()
   size_t send_buffer_bytes = 2920;
   size_t write_limit_bytes = 0;  // the most that one write() accepts; 0: what fits the send buffer

@@ -50,6 +50,8 @@ void WifiNetwork::begin(const hostlink::Settings& settings) {
 
 bool WifiNetwork::is_joined() { return WiFi.status() == WL_CONNECTED; }
 
+int WifiNetwork::signal_dbm() { return WiFi.RSSI(); }  // 31 where there is none
+
 void WifiNetwork::rejoin() { WiFi.reconnect(); }
 
 bool WifiNetwork::connect() {

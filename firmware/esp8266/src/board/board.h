@@ -21,6 +21,7 @@ class WifiNetwork : public hostlink::Network {
  public:
   void begin(const hostlink::Settings& settings);
   bool is_joined() override;
+  int signal_dbm() override;
   void rejoin() override;
   bool connect() override;
   bool is_connected() override;

@@ -1,0 +1,28 @@
+// SignalReport: how strong the WiFi is, as a line of the device's log: a whole rosserial frame of the passthrough's
+// own, put directly behind a whole frame of the device. So it cuts no frame, and a device that does not speak rosserial
+// never gets one.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace hostlink {
+
+class SignalReport {
+ public:
+  static const uint32_t kEvery_ms = 10000;
+  static const size_t kFrameBytesMax = 40;
+  static const int kWeak_dbm = -80;  // below it packets are lost and sent again
+
+  void restart() { has_reported_ = was_weak_ = false; }
+  bool is_due(uint32_t now_ms) const { return !has_reported_ || now_ms - reported_at_ms_ >= kEvery_ms; }
+  // Writes the frame and returns its size; 0 where there is no signal to report: dBm are negative.
+  size_t write(int signal_dbm, uint32_t now_ms, uint8_t* frame);
+
+ private:
+  uint32_t reported_at_ms_ = 0;
+  bool has_reported_ = false;
+  bool was_weak_ = false;  // one warning, when it becomes so
+};
+
+}  // namespace hostlink
