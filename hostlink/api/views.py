@@ -129,6 +129,7 @@ class LinkView(TypedDict):
     rejected: dict[str, int]
     slowest_wait_s: float
     oldest_waiting_s: float
+    signal_dbm: int | None
     clock: ClockView | None
 
 
@@ -253,6 +254,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
         "rejected": facts.rejected,
         "slowest_wait_s": round(facts.slowest_wait_s, 6),
         "oldest_waiting_s": round(facts.oldest_waiting_s, 6),
+        "signal_dbm": diagnosis.monitor.signal_dbm(link.opened_at_s + facts.seconds),
         "clock": None
         if clock is None
         else {

@@ -54,6 +54,9 @@ class Evidence:
     too_small: tuple[str, ...] = ()  # what does not fit a buffer, a text each
     wheel_stalled: Complaint | None = None
     wheel_runaway: Complaint | None = None
+    battery_low: Complaint | None = None
+    watchdog_restart: Complaint | None = None
+    signal_dbm: int | None = None  # of the WiFi, where the passthrough reports it
     revivals: int = 0  # recently: it fell silent, and announced its topics when they were requested
     earlier: tuple[EarlierLink, ...] = ()
     end: str | None = None  # why the link is no more

@@ -1,5 +1,6 @@
 """LinkMonitor: gathers the evidence of one link. Pure: events, the time and the session's counts come in by calls."""
 
+import math
 import re
 from collections import deque
 
@@ -14,7 +15,11 @@ SAMPLE_INTERVAL_S = 1.0
 REVIVALS_S = 60.0  # a board that starts anew four times a minute does so for a reason
 _KEPT = 16  # intervals and revivals: more add nothing
 _ERROR = 3  # rosserial: the level of a log line
-_WHEEL = re.compile(r"(?:left|right) wheel (stalled|runs away)\b[ -~]{0,100}")  # firmware/due, hostlink sim
+_COMPLAINT = re.compile(  # firmware/due, hostlink sim
+    r"(?:(?:left|right) wheel (stalled|runs away)|(battery low|started by its watchdog))\b[ -~]{0,100}"
+)
+_SIGNAL = re.compile(r"WiFi signal (-\d{1,3}) dBm")  # firmware/esp8266
+SIGNAL_S = 30.0  # it comes every 10 s
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 
@@ -38,7 +43,8 @@ class LinkMonitor:
         self._intervals_s: deque[float] = deque(maxlen=_KEPT)
         self._revived_at_s: deque[float] = deque(maxlen=_KEPT)
         self._device_complaint = ""
-        self._wheels: dict[str, tuple[str, float]] = {}  # what a wheel did: the last line of it, and when it came
+        self._complaints: dict[str, tuple[str, float]] = {}  # what is wrong: the last line of it, and when it came
+        self._signal = (0, -math.inf)  # dBm, and when they came
 
     def set_baud(self, baud: int, now_s: float) -> None:
         """The line is read at this speed from now on: earlier counts do not apply to it."""
@@ -61,8 +67,10 @@ class LinkMonitor:
                     self._early_non_rosserial = self._session.non_rosserial.tail
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
-            case events.DeviceLogged(level, text) if level == _ERROR and (wheel := _WHEEL.fullmatch(text)):
-                self._wheels[wheel[1]] = text, now_s
+            case events.DeviceLogged(level, text) if level == _ERROR and (found := _COMPLAINT.fullmatch(text)):
+                self._complaints[found[1] or found[2]] = text, now_s
+            case events.DeviceLogged(_, text) if found := _SIGNAL.fullmatch(text):
+                self._signal = int(found[1]), now_s
 
     def sample(self, now_s: float) -> None:
         """Remember the counts: the recent ones are a difference to them."""
@@ -72,6 +80,11 @@ class LinkMonitor:
     @property
     def was_negotiated(self) -> bool:
         return self._negotiated_at_s is not None
+
+    def signal_dbm(self, now_s: float) -> int | None:
+        """How strong the device's WiFi is; None where nothing reports it."""
+        dbm, at_s = self._signal
+        return dbm if now_s < at_s + SIGNAL_S else None
 
     def evidence(
         self,
@@ -105,6 +118,9 @@ class LinkMonitor:
             too_small=tuple(self._too_small()),
             wheel_stalled=self._complaint("stalled", now_s),
             wheel_runaway=self._complaint("runs away", now_s),
+            battery_low=self._complaint("battery low", now_s),
+            watchdog_restart=self._complaint("started by its watchdog", now_s),
+            signal_dbm=self.signal_dbm(now_s),
             revivals=sum(at_s >= now_s - REVIVALS_S for at_s in self._revived_at_s),
             earlier=earlier,
             end=end,
@@ -113,9 +129,9 @@ class LinkMonitor:
         )
 
     def _complaint(self, what: str, now_s: float) -> Complaint | None:
-        if what not in self._wheels:
+        if what not in self._complaints:
             return None
-        text, at_s = self._wheels[what]
+        text, at_s = self._complaints[what]
         return Complaint(text, now_s - at_s)
 
     def _note_time_request(self, now_s: float) -> None:

@@ -30,6 +30,7 @@ CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within
 STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives: some tens of milliseconds
 CLOCK_INTERVALS = 3  # the median of three stands one outlier
 WHEEL_S = 600.0  # a wheel shows what is wrong with it only while it is driven, and the person may be at it
+WEAK_DBM = -80  # as firmware/esp8266 has it: below it packets are lost and sent again
 BOOT_WORDS = (b"ets Jan", b"ets Jun", b"rst cause", b"rst:0x", b"boot mode", b"boot:0x", b"Brownout")
 EXCERPT_CHARS = 40
 
@@ -164,6 +165,19 @@ def _wheel_runaway(evidence: Evidence) -> str | None:
     return _recent(evidence.wheel_runaway)
 
 
+def _battery_low(evidence: Evidence) -> str | None:
+    return _recent(evidence.battery_low)
+
+
+def _watchdog_restart(evidence: Evidence) -> str | None:
+    return _recent(evidence.watchdog_restart)
+
+
+def _weak_signal(evidence: Evidence) -> str | None:
+    dbm = evidence.signal_dbm
+    return f"{dbm} dBm" if dbm is not None and dbm < WEAK_DBM else None
+
+
 def _recent(complaint: Complaint | None) -> str | None:
     return complaint.text if complaint is not None and complaint.ago_s < WHEEL_S else None
 
@@ -212,6 +226,9 @@ _RULES: dict[str, Rule] = {
     "time_stopped": _time_stopped,
     "wheel_stalled": _wheel_stalled,
     "wheel_runaway": _wheel_runaway,
+    "battery_low": _battery_low,
+    "watchdog_restart": _watchdog_restart,
+    "weak_signal": _weak_signal,
     "clock_trouble": _clock_trouble,
     "flashed_alike": _flashed_alike,
 }

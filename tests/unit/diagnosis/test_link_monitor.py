@@ -105,6 +105,19 @@ def test_the_last_line_of_a_wheel_counts() -> None:
     assert negotiated == Complaint("right wheel runs away: 250 of 100 ticks/s", 1.0)
 
 
+def test_a_low_battery_a_restart_and_the_signal_are_read_from_the_log() -> None:
+    monitor = LinkMonitor(session(), now_s=0.0)
+    monitor.observe(DeviceLogged(3, "battery low: 10.2 V, below 10.5 V"), 1.0)
+    monitor.observe(DeviceLogged(3, "started by its watchdog: the loop had not turned for 500 ms"), 1.0)
+    monitor.observe(DeviceLogged(0, "WiFi signal -67 dBm"), 1.0)
+    monitor.observe(DeviceLogged(0, "WiFi signal 67 dBm"), 2.0)
+    evidence = monitor.evidence(3.0, silent_s=0.0)
+    assert evidence.battery_low == Complaint("battery low: 10.2 V, below 10.5 V", 2.0)
+    assert evidence.watchdog_restart is not None
+    assert evidence.signal_dbm == -67
+    assert monitor.evidence(31.0, silent_s=0.0).signal_dbm is None
+
+
 def test_refused_topics_have_their_reason() -> None:
     def refuse(info: TopicInfo) -> int | None:
         raise FrameTooLarge(info.name, 2, 1)
