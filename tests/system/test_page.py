@@ -363,3 +363,19 @@ async def test_who_drives_is_shown_and_who_goes_first(scene: Scene) -> None:
             assert scene.wanted == before
             await tab.page.keyboard.up("KeyW")
         await tab.shows("#drive-state", "nobody drives")
+
+
+async def test_it_shows_the_battery_the_signal_and_what_is_wrong_in_words(scene: Scene) -> None:
+    async with connected(scene) as tab:
+        await tab.shows("#link", "Battery12.0 V")
+        await tab.shows("#link", "Errorsnone")
+        await tab.shows("#link", "WiFi–")
+        scene.robot.device.log(0, "WiFi signal -67 dBm", asyncio.get_running_loop().time())
+        await tab.shows("#link", "WiFi−67 dBm")
+        scene.robot.battery_v = 9.5
+        await tab.shows("#link", "51 battery low", timeout_s=10.0)
+        await tab.shows("#link", "Battery9.5 V")
+        await tab.shows("#link .diagnosis", "limit for five seconds")
+        scene.robot.battery_v = 12.0
+        await tab.shows("#link", "Errorsnone", timeout_s=15.0)
+        assert tab.complaints == []

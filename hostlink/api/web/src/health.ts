@@ -3,7 +3,12 @@
 import { digits, find, make, setText } from "./dom";
 import type { LinkView, RobotView } from "./views";
 
-type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device";
+/** sensor_msgs/BatteryState; a voltage that nothing measures is null. */
+export interface BatteryState {
+  voltage: number | null;
+}
+
+type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device" | "signal" | "battery" | "errors";
 
 const TILES: Record<Tile, [label: string, hint: string]> = {
   rate: ["Odometry", "poses a second"],
@@ -12,12 +17,39 @@ const TILES: Record<Tile, [label: string, hint: string]> = {
   resyncs: ["Resyncs", "times that the topics were negotiated again"],
   page: ["Page", "round trip from this page to hostlink"],
   device: ["Device", "round trip from hostlink to the device"],
+  signal: ["WiFi", "how strong the device's WiFi is"],
+  battery: ["Battery", "the robot's, in volts"],
+  errors: ["Errors", "their numbers: docs/robot.md, what the robot knows of itself"],
 };
 const OLD_S = 1;
 const SLOW_MS = 200;
+const WEAK_DBM = -80;
+
+/** docs/robot.md#what-the-robot-knows-of-itself */
+const ERRORS: Record<number, string> = {
+  11: "left wheel stalled",
+  12: "right wheel stalled",
+  21: "left wheel runs away",
+  22: "right wheel runs away",
+  31: "no command for 0.5 s",
+  32: "started by its watchdog",
+  33: "a velocity that is no number",
+  34: "gains or a parameter refused",
+  41: "bytes lost from the host",
+  42: "frames that were not expected",
+  43: "messages that were not sent",
+  51: "battery low",
+};
+const BATTERY_LOW = 51;
+
+/** Of a uint8[], which rosbridge sends as base64. */
+export function numbersOf(data: number[] | string): number[] {
+  return typeof data === "string" ? Array.from(atob(data), (char) => char.charCodeAt(0)) : data;
+}
 
 export class Health {
   private readonly values = new Map<Tile, HTMLElement>();
+  private isBatteryLow = false;
 
   constructor() {
     for (const [tile, [label, hint]] of Object.entries(TILES)) {
@@ -41,8 +73,23 @@ export class Health {
       roundTripMs === null ? "–" : `${digits(roundTripMs, roundTripMs < 10 ? 1 : 0)} ms`,
       (roundTripMs ?? 0) > SLOW_MS,
     );
+    const dbm = link?.signal_dbm ?? null;
+    this.set("signal", dbm === null ? "–" : `${digits(dbm, 0)} dBm`, dbm !== null && dbm < WEAK_DBM);
     this.set("device", device_s === undefined ? "–" : `${digits(device_s * 1000, 0)} ms`);
     this.diagnose(robot === undefined ? links : link ? [link] : []);
+  }
+
+  /** null: the robot does not publish it. */
+  setBattery(volts: number | null): void {
+    this.set("battery", volts === null ? "–" : `${digits(volts, 1)} V`, this.isBatteryLow);
+  }
+
+  /** null: the robot does not publish them. */
+  setErrors(numbers: number[] | null): void {
+    const texts = numbers?.map((number) => `${number} ${ERRORS[number] ?? "unknown"}`) ?? [];
+    this.set("errors", numbers === null ? "–" : texts.join(", ") || "none", texts.length > 0);
+    this.isBatteryLow = numbers?.includes(BATTERY_LOW) ?? false;
+    this.values.get("battery")?.classList.toggle("bad", this.isBatteryLow);
   }
 
   private set(tile: Tile, text: string, isBad = false): void {

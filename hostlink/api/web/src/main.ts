@@ -11,7 +11,8 @@ import { digits, find, setText } from "./dom";
 import { Drive } from "./drive";
 import { Events } from "./events";
 import { Fleet } from "./fleet";
-import { Health } from "./health";
+import { Followed } from "./followed";
+import { type BatteryState, Health, numbersOf } from "./health";
 import { DeviceLog } from "./log";
 import { RobotMap } from "./map";
 import { notice } from "./notice";
@@ -23,7 +24,6 @@ import { Stop } from "./stop";
 import { connectTheme } from "./theme";
 import { moveTokenFromAddress, token } from "./token";
 import { Tuning } from "./tuning";
-import { topicOf } from "./views";
 
 const STATES: Record<State, string> = {
   connecting: "connecting …",
@@ -75,14 +75,33 @@ const plots = new Plots();
 const odometry = new Odometry(fleet, (name) => map.forget(name));
 const tuning = new Tuning(fleet, connection);
 const health = new Health();
+const plotData = new Followed<PlotData>(
+  connection,
+  "plot_data",
+  "geometry_msgs/Twist",
+  (data) => plots.add(data),
+  () => plots.clear(),
+);
+const battery = new Followed<BatteryState>(
+  connection,
+  "battery",
+  "sensor_msgs/BatteryState",
+  (state) => health.setBattery(state.voltage),
+  () => health.setBattery(null),
+);
+const errors = new Followed<{ data: number[] | string }>(
+  connection,
+  "errors",
+  "std_msgs/UInt8MultiArray",
+  ({ data }) => health.setErrors(numbersOf(data)),
+  () => health.setErrors(null),
+);
 const log = new DeviceLog();
 const access = new Access(() => {
   connection.retryNow();
   events.retryNow();
 });
 
-let plotted = ""; // a topic
-let stopPlotting = () => {};
 let isCut = false; // the WebSocket was lost, and is not there again
 
 connectTheme(() => {
@@ -137,7 +156,7 @@ function refuse(refused: Refused): void {
 /** Everything that comes from the daemon's events. */
 function show(): void {
   const { robot, link } = fleet;
-  plot();
+  for (const followed of [plotData, battery, errors]) followed.show(robot, link);
   map.show(fleet.robots, robot?.name ?? null);
   drive.show();
   robots.show(events.isHeard);
@@ -145,7 +164,7 @@ function show(): void {
   odometry.show();
   tuning.show();
   health.show(robot, fleet.links, connection.roundTripMs);
-  find("#plots-note").hidden = !robot?.connected || !link || plotted !== "";
+  find("#plots-note").hidden = !robot?.connected || !link || plotData.topic !== "";
   showConnection();
   notice("robot", robot && !robot.connected ? `${robot.name} is not connected: it stands, or will soon.` : null);
 }
@@ -154,18 +173,4 @@ function showPoses(): void {
   for (const robot of fleet.robots) {
     if (robot.odometry) map.add(robot.name, robot.odometry.pose);
   }
-}
-
-/** Subscribe to the plot_data of the robot that is shown. */
-function plot(): void {
-  const { robot, link } = fleet;
-  const topic = robot ? topicOf(robot, link, "plot_data", "geometry_msgs/Twist") : null;
-  const wanted = topic ?? (robot?.connected && link ? "" : plotted);
-  if (wanted === plotted) return;
-  plots.clear();
-  stopPlotting();
-  plotted = wanted;
-  stopPlotting = wanted
-    ? connection.subscribe<PlotData>(wanted, "geometry_msgs/Twist", (data) => plots.add(data))
-    : () => {};
 }

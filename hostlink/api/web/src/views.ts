@@ -45,6 +45,7 @@ export interface LinkView {
   rejected: Record<string, number>;
   clock?: { offset_s: number; drift_ppm: number; round_trip_s: number } | null;
   oldest_waiting_s?: number | null;
+  signal_dbm?: number | null;
   diagnosis?: { code: string; cause: string; next_step: string }[];
 }
 
