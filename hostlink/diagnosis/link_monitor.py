@@ -19,7 +19,7 @@ _COMPLAINT = re.compile(  # firmware/due, hostlink sim
     r"(?:(?:left|right) wheel (stalled|runs away)|(battery low|started by its watchdog))\b[ -~]{0,100}"
 )
 _SIGNAL = re.compile(r"WiFi signal (-\d{1,3}) dBm")  # firmware/esp8266
-SIGNAL_S = 30.0  # it comes every 10 s
+SIGNAL_S = 150.0  # it comes once a minute, or when it has changed
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
 

@@ -11,7 +11,7 @@ from tests.firmware.esp8266 import Bridge
 
 pytestmark = pytest.mark.usefixtures("esp8266_built")
 
-EVERY_MS = 10_000
+SOONEST_MS, LATEST_MS = 10_000, 60_000
 frames = st.builds(encode, st.integers(100, 140), st.binary(max_size=80))
 
 
@@ -66,19 +66,33 @@ def test_a_weak_signal_is_one_warning_until_it_was_strong_again() -> None:
     with Bridge() as bridge:
         levels = []
         linked(bridge, -85)
-        for dbm in (-85, -85, -60, -85):
+        for dbm in (-85, -90, -60, -85):
             bridge.set_signal(dbm)
             bridge.from_device(encode(125, b"pose"))
-            bridge.turn(EVERY_MS)
+            bridge.turn(SOONEST_MS)
             levels += [level for level, _ in reports(b"".join(bridge.to_host()))]
         assert levels == [2, 0, 0, 2]
+
+
+def test_a_steady_signal_is_reported_once_a_minute_and_a_change_within_ten_seconds() -> None:
+    with Bridge() as bridge:
+        linked(bridge, -60)
+        found = []
+        for second in range(150):
+            bridge.set_signal(-70 if second >= 100 else -60 - second % 3)
+            bridge.from_device(encode(125, b"pose"))
+            bridge.turn(1000)
+            bridge.from_host(encode(Id.TIME, bytes(8)))
+            found += [(second, text) for _, text in reports(b"".join(bridge.to_host()))]
+        assert [text for _, text in found] == ["WiFi signal -60 dBm", "WiFi signal -60 dBm", "WiFi signal -70 dBm"]
+        assert [second for second, _ in found] == [0, 60, 100]
 
 
 @given(
     st.lists(st.tuples(frames | st.binary(max_size=30), st.integers(0, 4000), st.integers(1, 8)), max_size=25),
     st.integers(-100, -30),
 )
-def test_whatever_the_device_sends_reaches_the_host_whole_and_in_order_with_a_report_each_ten_seconds(
+def test_whatever_the_device_sends_reaches_the_host_whole_and_in_order_beside_the_reports(
     story: list[tuple[bytes, int, int]], dbm: int
 ) -> None:
     """In pieces of any size; without the reports the stream is the device's, byte by byte."""
@@ -104,4 +118,4 @@ def test_whatever_the_device_sends_reaches_the_host_whole_and_in_order_with_a_re
         got, wanted = b"".join(bridge.to_host()), b"".join(silent.to_host())
         count = got.count(report) + got.count(warning)
         assert got.replace(report, b"").replace(warning, b"") == wanted
-        assert count <= 1 + (passed_ms + 3000) // EVERY_MS
+        assert count <= 1 + (passed_ms + 3000) // LATEST_MS

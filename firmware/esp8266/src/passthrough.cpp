@@ -136,9 +136,10 @@ void Passthrough::read_device(uint32_t now_ms) {
 // Where the device has just ended a frame, and there is room: nothing of the device's is dropped for it.
 void Passthrough::report_signal(uint32_t now_ms) {
   const bool has_room = from_device_.room_bytes() >= SignalReport::kFrameBytesMax + FrameAssembler::kFrameBytesMax;
-  if (!signal_.is_due(now_ms) || !has_room || !from_device_.ends_with_frame()) return;
+  const int signal_dbm = network_.signal_dbm();
+  if (!signal_.is_due(signal_dbm, now_ms) || !has_room || !from_device_.ends_with_frame()) return;
   uint8_t frame[SignalReport::kFrameBytesMax];
-  from_device_.put(frame, signal_.write(network_.signal_dbm(), now_ms, frame), now_ms);
+  from_device_.put(frame, signal_.write(signal_dbm, now_ms, frame), now_ms);
 }
 
 // False when the network has taken nothing for too long.

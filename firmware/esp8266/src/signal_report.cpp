@@ -4,7 +4,9 @@
 
 namespace hostlink {
 
-const uint32_t SignalReport::kEvery_ms;
+const uint32_t SignalReport::kSoonest_ms;
+const uint32_t SignalReport::kLatest_ms;
+const int SignalReport::kChange_dbm;
 const size_t SignalReport::kFrameBytesMax;
 const int SignalReport::kWeak_dbm;
 
@@ -37,9 +39,17 @@ size_t add_number(uint8_t* to, int number) {
 
 }  // namespace
 
+// dBm are negative: what is not is none.
+bool SignalReport::is_due(int signal_dbm, uint32_t now_ms) const {
+  if (signal_dbm >= 0 || signal_dbm < kLeast_dbm) return false;
+  const uint32_t passed_ms = now_ms - reported_at_ms_;
+  const int change_dbm = signal_dbm > reported_dbm_ ? signal_dbm - reported_dbm_ : reported_dbm_ - signal_dbm;
+  return !has_reported_ || passed_ms >= kLatest_ms || (passed_ms >= kSoonest_ms && change_dbm >= kChange_dbm);
+}
+
 size_t SignalReport::write(int signal_dbm, uint32_t now_ms, uint8_t* frame) {
-  if (signal_dbm >= 0 || signal_dbm < kLeast_dbm) return 0;
   reported_at_ms_ = now_ms;
+  reported_dbm_ = signal_dbm;
   has_reported_ = true;
   uint8_t* const payload = frame + kHeaderBytes + 2;
   const bool is_weak = signal_dbm < kWeak_dbm;

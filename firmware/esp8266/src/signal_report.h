@@ -10,17 +10,20 @@ namespace hostlink {
 
 class SignalReport {
  public:
-  static const uint32_t kEvery_ms = 10000;
+  static const uint32_t kSoonest_ms = 10000;  // when it has changed
+  static const uint32_t kLatest_ms = 60000;
+  static const int kChange_dbm = 5;
   static const size_t kFrameBytesMax = 40;
   static const int kWeak_dbm = -80;  // below it packets are lost and sent again
 
   void restart() { has_reported_ = was_weak_ = false; }
-  bool is_due(uint32_t now_ms) const { return !has_reported_ || now_ms - reported_at_ms_ >= kEvery_ms; }
-  // Writes the frame and returns its size; 0 where there is no signal to report: dBm are negative.
+  bool is_due(int signal_dbm, uint32_t now_ms) const;
+  // Writes the frame and returns its size.
   size_t write(int signal_dbm, uint32_t now_ms, uint8_t* frame);
 
  private:
   uint32_t reported_at_ms_ = 0;
+  int reported_dbm_ = 0;
   bool has_reported_ = false;
   bool was_weak_ = false;  // one warning, when it becomes so
 };

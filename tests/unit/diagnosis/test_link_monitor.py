@@ -115,7 +115,7 @@ def test_a_low_battery_a_restart_and_the_signal_are_read_from_the_log() -> None:
     assert evidence.battery_low == Complaint("battery low: 10.2 V, below 10.5 V", 2.0)
     assert evidence.watchdog_restart is not None
     assert evidence.signal_dbm == -67
-    assert monitor.evidence(31.0, silent_s=0.0).signal_dbm is None
+    assert monitor.evidence(151.0, silent_s=0.0).signal_dbm is None
 
 
 def test_refused_topics_have_their_reason() -> None:
