@@ -25,7 +25,8 @@ class Range(NamedTuple):
 
     def __str__(self) -> str:
         count = f"{self.least}" if self.least == self.most else f"{self.least} or {self.most}"
-        return f"{count} numbers from {self.low:.3f} to {self.high:.1f}"
+        noun = "numbers" if self.most > 1 else "number"
+        return f"{count} {noun} from {self.low:.3f} to {self.high:.1f}"
 
 
 PARAMETERS = {  # in the order in which they are requested
@@ -74,10 +75,13 @@ class Geometry:
         left_m, right_m = self.metres_per_tick
         return self._drive.integrate(pose, left_ticks * left_m, right_ticks * right_m)
 
-    def __str__(self) -> str:
+    @property
+    def lines(self) -> tuple[str, str]:
+        """As the robot logs it; the host's own log cuts a line at 64 characters."""
         radii = " and ".join(f"{radius_m * 1000:.3f}" for radius_m in self.wheel_radius_m)
         ticks = " and ".join(f"{count:.3f}" for count in self.ticks_per_turn)
-        return f"wheels: radius {radii} mm, ticks a turn {ticks}, {self.wheel_separation_m * 1000:.2f} mm apart"
+        wheels = f"wheel radius {radii} mm, {self.wheel_separation_m * 1000:.2f} mm apart"
+        return wheels, f"ticks a turn {ticks}"
 
     @property
     def _drive(self) -> DifferentialDrive:

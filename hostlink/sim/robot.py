@@ -164,7 +164,8 @@ class SimulatedRobot:
             self.device.request_parameter(f"/{self.name}/{names[0]}", answered, self._now_s)
         elif self._is_geometry_new:
             self._is_geometry_new = False
-            self.device.log(_INFO, str(self.geometry), self._now_s)
+            for line in self.geometry.lines:
+                self.device.log(_INFO, line, self._now_s)
 
     def _receive_parameter(self, names: tuple[str, ...], parameter: Parameter) -> None:
         name, values = names[0], parameter.floats or parameter.ints

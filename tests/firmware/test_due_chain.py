@@ -3,10 +3,12 @@
 The firmware runs natively, and on a Cortex-M3 that QEMU emulates; with the ESP8266 between, and without.
 """
 
+import asyncio
 import signal
 import socket
 import time
 from pathlib import Path
+from typing import Any
 
 import aiohttp
 import pytest
@@ -31,7 +33,7 @@ async def expect_stop(made: Board) -> None:
 async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_esp: bool) -> None:
     async with chain(kind, with_esp=with_esp) as (daemon, made):
         negotiated = await daemon.read_log("topics.negotiated")
-        assert (negotiated["count"], negotiated["gap_at"]) == (6, None)
+        assert (negotiated["count"], negotiated["gap_at"]) == (8, None)
         await daemon.read_log("robot.appeared")
         await drive(daemon, made, 0.3, until_ticks_s=80.0)
         async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
@@ -112,3 +114,42 @@ async def test_a_device_that_restarts_is_driven_again_within_ten_seconds() -> No
             async with board("native", sketch.uart_port) as made:
                 await drive(daemon, made, 0.3, until_ticks_s=50.0)
             assert time.monotonic() - began_s < 10.0
+
+
+async def test_the_robot_shows_its_battery_its_errors_and_a_weak_wifi() -> None:
+    async with serve() as daemon, aiohttp.ClientSession() as session:
+        with esp8266.running("esp8266_native", daemon.tcp[1], "--signal", "-85") as sketch:
+            async with board("native", sketch.uart_port), asyncio.timeout(PATIENCE_S):
+                await daemon.read_log("robot.appeared")
+                found: dict[str, Any] = {}
+                while not {"weak_signal"} <= {each["code"] for each in found.get("diagnosis", [])}:
+                    await asyncio.sleep(0.2)
+                    async with session.get(f"{daemon.url}/api/links") as response:
+                        found = (await response.json())["links"][0]
+                assert found["signal_dbm"] == -85
+                assert (found["skipped_bytes"], found["unknown_ids"]) == (0, 0)
+                counts: dict[str, int] = {}
+                while min(counts.get(name, 0) for name in ("/robot_0/battery", "/robot_0/errors")) < 2:
+                    await asyncio.sleep(0.2)
+                    async with session.get(f"{daemon.url}/api/topics") as response:
+                        counts = {each["name"]: each["messages"] for each in (await response.json())["topics"]}
+
+
+async def test_the_host_s_configuration_gives_each_wheel_its_size(tmp_path: Path) -> None:
+    config = tmp_path / "hostlink.toml"
+    config.write_text(
+        "[parameters]\n"
+        '"/robot_0/wheel_radius" = [0.0449, 0.0453]\n'
+        '"/robot_0/ticks_per_turn" = [230, 231]\n'
+        '"/robot_0/wheel_separation" = 45.0\n'
+    )
+    texts: list[str] = []
+    async with chain("native", "--config", str(config), with_esp=False) as (daemon, _), asyncio.timeout(PATIENCE_S):
+        while len(texts) < 4:
+            texts.append((await daemon.read_log("device.logged"))["text"])
+    assert texts == [
+        "robot is ready",
+        "wheel_separation refused: 1 number from 0.020 to 5.0",
+        "wheel radius 44.900 and 45.300 mm, 210.00 mm apart",
+        "ticks a turn 230.000 and 231.000",
+    ]

@@ -217,13 +217,13 @@ CALIBRATED = {
     "ticks_per_turn": Parameter(floats=(230.4, 231.5)),
     "wheel_separation": Parameter(floats=(0.2143,)),
 }
-CALIBRATED_TEXT = "wheels: radius 44.900 and 45.300 mm, ticks a turn 230.400 and 231.500, 214.30 mm apart"
+CALIBRATED_TEXTS = ["wheel radius 44.900 and 45.300 mm, 214.30 mm apart", "ticks a turn 230.400 and 231.500"]
 
 
 def test_each_wheel_has_a_radius_and_ticks_of_its_own() -> None:
     with robot() as firmware:
         track = Track(firmware)
-        assert configured(track, CALIBRATED) == [CALIBRATED_TEXT]
+        assert configured(track, CALIBRATED) == CALIBRATED_TEXTS
         before = Pose(*firmware.pose)
         start = [motor.rolled_ticks for motor in track.motors]
         track.run(6.0, velocity(0.2, 0.3))
@@ -243,8 +243,8 @@ def test_each_wheel_has_a_radius_and_ticks_of_its_own() -> None:
         ("wheel_radius", (45.0,), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
         ("wheel_radius", (0.045, 0.045, 0.045), "wheel_radius refused: 1 or 2 numbers from 0.005 to 0.5"),
         ("ticks_per_turn", (0.0,), "ticks_per_turn refused: 1 or 2 numbers from 1.000 to 100000.0"),
-        ("wheel_separation", (0.2, 0.2), "wheel_separation refused: 1 numbers from 0.020 to 5.0"),
-        ("wheel_separation", (0.0,), "wheel_separation refused: 1 numbers from 0.020 to 5.0"),
+        ("wheel_separation", (0.2, 0.2), "wheel_separation refused: 1 number from 0.020 to 5.0"),
+        ("wheel_separation", (0.0,), "wheel_separation refused: 1 number from 0.020 to 5.0"),
     ],
 )
 def test_numbers_that_no_wheel_has_are_refused_and_the_simulator_refuses_them_alike(
@@ -264,7 +264,7 @@ def test_whole_numbers_of_the_host_are_numbers() -> None:
     with robot() as firmware:
         track = Track(firmware)
         texts = configured(track, {"ticks_per_turn": Parameter(ints=(230, 460))})
-        assert texts == ["wheels: radius 45.000 and 45.000 mm, ticks a turn 230.000 and 460.000, 210.00 mm apart"]
+        assert texts == ["wheel radius 45.000 and 45.000 mm, 210.00 mm apart", "ticks a turn 230.000 and 460.000"]
 
 
 def test_a_host_that_answers_no_parameter_is_not_waited_for() -> None:

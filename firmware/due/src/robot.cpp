@@ -227,19 +227,27 @@ void Robot::refuse_parameter() {
   Text text;
   text.add(parameter.name).add(" refused: ").add(static_cast<uint32_t>(parameter.least));
   if (parameter.most > parameter.least) text.add(" or ").add(static_cast<uint32_t>(parameter.most));
-  text.add(" numbers from ").add(parameter.low, 3).add(" to ").add(parameter.high, 1);
+  text.add(parameter.most > 1 ? " numbers from " : " number from ")
+      .add(parameter.low, 3)
+      .add(" to ")
+      .add(parameter.high, 1);
   node_.log(kWarn, text.chars());
 }
 
+// Two lines: the host's own log cuts one at 64 characters.
 void Robot::log_geometry() {
   if (!has_new_geometry_) return;
   has_new_geometry_ = false;
-  Text text;
-  text.add("wheels: radius ").add(drive_.left().radius_m * 1000.0f, 3).add(" and ");
-  text.add(drive_.right().radius_m * 1000.0f, 3).add(" mm, ticks a turn ").add(drive_.left().ticks_per_turn, 3);
-  text.add(" and ").add(drive_.right().ticks_per_turn, 3).add(", ");
-  text.add(drive_.separation_m() * 1000.0f, 2).add(" mm apart");
-  node_.log(kInfo, text.chars());
+  Text wheels;
+  wheels.add("wheel radius ").add(drive_.left().radius_m * 1000.0f, 3).add(" and ");
+  wheels.add(drive_.right().radius_m * 1000.0f, 3)
+      .add(" mm, ")
+      .add(drive_.separation_m() * 1000.0f, 2)
+      .add(" mm apart");
+  node_.log(kInfo, wheels.chars());
+  Text ticks;
+  ticks.add("ticks a turn ").add(drive_.left().ticks_per_turn, 3).add(" and ").add(drive_.right().ticks_per_turn, 3);
+  node_.log(kInfo, ticks.chars());
 }
 
 void Robot::publish() {

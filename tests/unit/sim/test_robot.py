@@ -124,7 +124,7 @@ def test_each_wheel_has_a_radius_and_ticks_of_its_own() -> None:
             "wheel_separation": Parameter(floats=(0.2143,)),
         }
     )
-    assert logs == ["wheels: radius 44.900 and 45.300 mm, ticks a turn 230.400 and 231.500, 214.30 mm apart"]
+    assert logs == ["wheel radius 44.900 and 45.300 mm, 214.30 mm apart", "ticks a turn 230.400 and 231.500"]
     wanted = Geometry(wheel_radius_m=(0.0449, 0.0453), ticks_per_turn=(230.4, 231.5))
     assert track.robot.geometry.metres_per_tick == pytest.approx(wanted.metres_per_tick)
     assert track.robot.geometry.wheel_separation_m == pytest.approx(0.2143)
