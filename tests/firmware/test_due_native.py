@@ -14,7 +14,7 @@ from tests.firmware.boards import build_native
 
 BYTES_S = 38400 / 10
 RING_BYTES = 128  # of the Due's UART: so many may be under way already
-TOPICS = 6
+TOPICS = 8
 
 
 @contextlib.contextmanager
