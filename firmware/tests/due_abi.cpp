@@ -111,7 +111,7 @@ int node_publish(TestNode* node, uint16_t topic_id, const uint8_t* bytes, size_t
   return node->node.publish(topic_id, bytes, size) ? 1 : 0;
 }
 void node_log(TestNode* node, uint8_t level, const char* text) { node->node.log(level, text); }
-void node_ask(TestNode* node, const char* name) { node->node.ask_parameter("", name, take_floats, node); }
+void node_ask(TestNode* node, const char* name) { node->node.request_parameter("", name, take_floats, node); }
 size_t node_parameter(TestNode* node, float* out, size_t capacity) {
   const size_t count = node->parameter.size() < capacity ? node->parameter.size() : capacity;
   for (size_t i = 0; i < count; ++i) out[i] = node->parameter[i];

@@ -19,7 +19,7 @@ uint8_t sum(const uint8_t* bytes, size_t count) {
 
 }  // namespace
 
-FrameReader::Result FrameReader::take(uint8_t byte) {
+FrameReader::Result FrameReader::add(uint8_t byte) {
   drop(frame_bytes_);
   frame_bytes_ = 0;
   if (size_ == 0 && byte != kSync) return kNothing;

@@ -27,8 +27,8 @@ class FrameReader {
   FrameReader(bool rescans, const Expected& expected) : rescans_(rescans), expected_(expected) {}
 
   // Adds one byte. kFrame: topic_id(), payload() and payload_bytes() are valid until the next call.
-  Result take(uint8_t byte);
-  // A frame is among the bytes that were read again: call until kNothing, before the next take().
+  Result add(uint8_t byte);
+  // A frame is among the bytes that were read again: call until kNothing, before the next add().
   Result again();
 
   bool is_inside() const { return size_ > 0; }

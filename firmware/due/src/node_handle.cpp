@@ -60,12 +60,12 @@ uint32_t NodeHandle::spin() {
       break;
     }
     is_retrying_ = false;
-    if (take(static_cast<uint8_t>(byte))) break;
+    if (receive(static_cast<uint8_t>(byte))) break;
   }
   is_spinning_ = false;
-  if (is_configured_ && began_ms_ - time_asked_ms_ > kTimeIntervalMs) {
-    ask_time();
-    time_asked_ms_ = began_ms_;
+  if (is_configured_ && began_ms_ - time_requested_ms_ > kTimeIntervalMs) {
+    request_time();
+    time_requested_ms_ = began_ms_;
   }
   flush();
   return 0;
@@ -75,7 +75,7 @@ void NodeHandle::begin_turn() {
   is_spinning_ = true;
   is_retrying_ = false;
   began_ms_ = hal_.millis();
-  if (began_ms_ - time_heard_ms_ > kHostTimeoutMs) is_configured_ = false;
+  if (began_ms_ - time_received_ms_ > kHostTimeoutMs) is_configured_ = false;
   const uint32_t timeout_ms = retry_ == Retry::kKeepState ? kKeptFrameTimeoutMs : kFrameTimeoutMs;
   if (reader_.is_inside() && began_ms_ - frame_began_ms_ > timeout_ms) {
     reader_.give_up();
@@ -85,10 +85,10 @@ void NodeHandle::begin_turn() {
 }
 
 // True when this turn ends here, as the original's does after a request for topics.
-bool NodeHandle::take(uint8_t byte) {
+bool NodeHandle::receive(uint8_t byte) {
   const uint32_t dropped = reader_.dropped();
   const bool was_inside = reader_.is_inside();
-  const FrameReader::Result result = reader_.take(byte);
+  const FrameReader::Result result = reader_.add(byte);
   if (!was_inside || reader_.dropped() != dropped) frame_began_ms_ = began_ms_;  // another start: its time begins now
   return act(result);
 }
@@ -100,7 +100,7 @@ bool NodeHandle::act(FrameReader::Result result) {
     frame_began_ms_ = began_ms_;
     result = reader_.again();
   }
-  if (result == FrameReader::kWrongVersion && !is_configured_) ask_time();  // shows our version
+  if (result == FrameReader::kWrongVersion && !is_configured_) request_time();  // shows our version
   return ends_turn;
 }
 
@@ -109,15 +109,15 @@ bool NodeHandle::act_on_frame() {
   const size_t size = reader_.payload_bytes();
   switch (reader_.topic_id()) {
     case kIdPublisher:
-      ask_time();
-      tell_topics();
-      time_asked_ms_ = time_heard_ms_ = began_ms_;
+      request_time();
+      send_topics();
+      time_requested_ms_ = time_received_ms_ = began_ms_;
       return true;
     case kIdTime:
-      if (size == kTimeBytes) time_heard_ms_ = hal_.millis();
+      if (size == kTimeBytes) time_received_ms_ = hal_.millis();
       break;
     case kIdParameter:
-      take_parameter(payload, size);
+      receive_parameter(payload, size);
       break;
     case kIdStop:
       is_configured_ = false;
@@ -169,7 +169,7 @@ void NodeHandle::log(uint8_t level, const char* text) {
   end_frame();
 }
 
-void NodeHandle::ask_parameter(const char* ns, const char* name, FloatsCallback callback, void* context) {
+void NodeHandle::request_parameter(const char* ns, const char* name, FloatsCallback callback, void* context) {
   parameter_ = callback;
   parameter_context_ = context;
   if (!begin_frame(kIdParameter, 4 + strlen(ns) + strlen(name))) return;
@@ -178,17 +178,17 @@ void NodeHandle::ask_parameter(const char* ns, const char* name, FloatsCallback 
 }
 
 // int32[] ints, float32[] floats, string[] strings: the floats are what this robot requests; ints are read as such.
-void NodeHandle::take_parameter(const uint8_t* payload, size_t size) {
+void NodeHandle::receive_parameter(const uint8_t* payload, size_t size) {
   if (parameter_ == nullptr || size < 4) return;
   float values[kFloatsMax] = {};
   size_t at = 0;
   size_t count = 0;
   for (int kind = 0; kind < 2 && count == 0; ++kind) {
     if (size - at < 4) return;
-    const size_t told = read_u32(payload + at);
+    const size_t announced = read_u32(payload + at);
     at += 4;
-    if (told > (size - at) / 4) return;
-    count = told < kFloatsMax ? told : kFloatsMax;
+    if (announced > (size - at) / 4) return;
+    count = announced < kFloatsMax ? announced : kFloatsMax;
     for (size_t i = 0; i < count; ++i) {
       const uint32_t bits = read_u32(payload + at + 4 * i);
       if (kind == 0) {
@@ -197,31 +197,31 @@ void NodeHandle::take_parameter(const uint8_t* payload, size_t size) {
         memcpy(&values[i], &bits, sizeof bits);
       }
     }
-    at += 4 * told;
+    at += 4 * announced;
   }
   FloatsCallback callback = parameter_;
   parameter_ = nullptr;
   callback(parameter_context_, values, count);
 }
 
-void NodeHandle::ask_time() {
+void NodeHandle::request_time() {
   const uint8_t nothing[kTimeBytes] = {};
   publish(kIdTime, nothing, sizeof nothing);
 }
 
-void NodeHandle::tell_topics() {
+void NodeHandle::send_topics() {
   bool is_whole = true;
   for (size_t i = 0; i < from_device_count_; ++i) {
     const uint16_t topic_id = static_cast<uint16_t>(kFirstTopicId + kMaxSubscribers + i);
-    is_whole = tell(kIdPublisher, topic_id, from_device_[i]) && is_whole;
+    is_whole = send_topic(kIdPublisher, topic_id, from_device_[i]) && is_whole;
   }
   for (size_t i = 0; i < to_device_count_; ++i) {
-    is_whole = tell(kIdSubscriber, static_cast<uint16_t>(kFirstTopicId + i), to_device_[i]) && is_whole;
+    is_whole = send_topic(kIdSubscriber, static_cast<uint16_t>(kFirstTopicId + i), to_device_[i]) && is_whole;
   }
   is_configured_ = is_whole;  // else the host receives no data, and requests the topics again
 }
 
-bool NodeHandle::tell(uint8_t kind, uint16_t topic_id, const Topic& topic) {
+bool NodeHandle::send_topic(uint8_t kind, uint16_t topic_id, const Topic& topic) {
   const size_t name_bytes = strlen(topic.ns) + strlen(topic.name);
   if (!begin_frame(kind, 2 + 4 + name_bytes + 4 + strlen(topic.type) + 4 + strlen(topic.md5) + 4)) return false;
   const uint8_t id[2] = {static_cast<uint8_t>(topic_id), static_cast<uint8_t>(topic_id >> 8)};

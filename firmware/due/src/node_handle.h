@@ -41,7 +41,7 @@ class NodeHandle : private Expected {
   // False: dropped and counted. One that is queued may still go for a newer one, when the line is full.
   bool publish(uint16_t topic_id, const uint8_t* payload, size_t size);
   void log(uint8_t level, const char* text);
-  void ask_parameter(const char* ns, const char* name, FloatsCallback callback, void* context);
+  void request_parameter(const char* ns, const char* name, FloatsCallback callback, void* context);
 
   uint32_t delivered() const { return delivered_; }  // messages that reached their callback
   uint32_t published() const { return published_; }  // messages of topics that went to the host, or will
@@ -63,14 +63,14 @@ class NodeHandle : private Expected {
 
   bool is_expected(uint16_t topic_id, size_t size) const override;
   void begin_turn();
-  bool take(uint8_t byte);
+  bool receive(uint8_t byte);
   bool act(FrameReader::Result result);
   bool act_on_frame();
   void deliver(uint16_t topic_id, const uint8_t* payload, size_t size);
-  void take_parameter(const uint8_t* payload, size_t size);
-  void ask_time();
-  void tell_topics();
-  bool tell(uint8_t kind, uint16_t topic_id, const Topic& topic);
+  void receive_parameter(const uint8_t* payload, size_t size);
+  void request_time();
+  void send_topics();
+  bool send_topic(uint8_t kind, uint16_t topic_id, const Topic& topic);
   bool begin_frame(uint16_t topic_id, size_t payload_bytes);
   void put(const uint8_t* bytes, size_t count);
   void put_text(const char* first, const char* second);
@@ -94,8 +94,8 @@ class NodeHandle : private Expected {
   bool is_retrying_ = false;
   uint32_t began_ms_ = 0;
   uint32_t frame_began_ms_ = 0;
-  uint32_t time_asked_ms_ = 0;
-  uint32_t time_heard_ms_ = 0;
+  uint32_t time_requested_ms_ = 0;
+  uint32_t time_received_ms_ = 0;
   FloatsCallback parameter_ = nullptr;
   void* parameter_context_ = nullptr;
   uint8_t queue_[kQueueBytes] = {};

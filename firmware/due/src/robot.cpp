@@ -52,10 +52,10 @@ Robot::Robot(Hal& hal, const char* name, Retry retry, Feedback feedback)
 void Robot::setup() {
   odometry_id_ = node_.advertise(ns_, "odometry", kPose2DType, kPose2DMd5);
   plot_id_ = node_.advertise(ns_, "plot_data", kTwistType, kTwistMd5);
-  node_.subscribe(ns_, "velocity_commands", kTwistType, kTwistMd5, kTwistBytes, &Robot::take_velocity, this);
-  node_.subscribe(ns_, "reset_odometry", kEmptyType, kEmptyMd5, 0, &Robot::take_reset, this);
-  node_.subscribe(ns_, "pid_tune_l", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_left_gains, this);
-  node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::take_right_gains, this);
+  node_.subscribe(ns_, "velocity_commands", kTwistType, kTwistMd5, kTwistBytes, &Robot::receive_velocity, this);
+  node_.subscribe(ns_, "reset_odometry", kEmptyType, kEmptyMd5, 0, &Robot::receive_reset, this);
+  node_.subscribe(ns_, "pid_tune_l", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::receive_left_gains, this);
+  node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::receive_right_gains, this);
   report_.advertise(node_, ns_);
   hal_.drive(0, 0);
   hal_.edges(left_edges_, right_edges_);
@@ -106,7 +106,7 @@ void Robot::turn(float dt_s) {
     publish();
     raise_faults();
     report_.publish(node_, hal_.battery_v(), hal_.millis());
-    tell_trouble();
+    log_trouble();
   }
 }
 
@@ -118,15 +118,15 @@ void Robot::watch() {
     left_.forgive();
     right_.forgive();
   }
-  const bool has_left = tell_fault(left_, "left");
-  const bool has_right = tell_fault(right_, "right");
+  const bool has_left = log_fault(left_, "left");
+  const bool has_right = log_fault(right_, "right");
   if (!has_left && !has_right) return;
   is_faulted_ = true;
   has_zero_ = false;
   stop();
 }
 
-bool Robot::tell_fault(const Wheel& wheel, const char* side) {
+bool Robot::log_fault(const Wheel& wheel, const char* side) {
   if (wheel.fault() == WheelFault::kNone) return false;
   Text text;
   text.add(side);
@@ -165,33 +165,34 @@ void Robot::greet() {
       raise(Error::kHung);
       node_.log(kError, "started by its watchdog: the loop had not turned for 500 ms");
     }
-    asking_ = 1;
-    node_.ask_parameter(ns_, kParameters[0].name, &Robot::take_parameter, this);
-    asked_at_ms_ = hal_.millis();
-  } else if (is_configured && asking_ != 0 && hal_.millis() - asked_at_ms_ > kParameterTimeoutMs) {
+    requested_ = 1;
+    node_.request_parameter(ns_, kParameters[0].name, &Robot::receive_parameter, this);
+    requested_at_ms_ = hal_.millis();
+  } else if (is_configured && requested_ != 0 && hal_.millis() - requested_at_ms_ > kParameterTimeoutMs) {
     // The constants apply. An answer does not name its parameter: one that comes now must not be used for the next.
-    node_.log(kWarn, Text().add("no answer to ").add(kParameters[asking_ - 1].name).add(": no more questions").chars());
-    asking_ = 0;
+    node_.log(kWarn,
+              Text().add("no answer to ").add(kParameters[requested_ - 1].name).add(": no more questions").chars());
+    requested_ = 0;
   }
   was_configured_ = is_configured;
 }
 
 // An answer without a number: the host has no such parameter, and what applies stays.
 void Robot::use_parameter(const float* values, size_t count) {
-  if (asking_ == 0) return;
+  if (requested_ == 0) return;
   if (count > 0 && !apply_values(values, count)) refuse_parameter();
-  asking_ = asking_ < kParameterCount ? static_cast<uint8_t>(asking_ + 1) : static_cast<uint8_t>(0);
-  if (asking_ == 0) {
+  requested_ = requested_ < kParameterCount ? static_cast<uint8_t>(requested_ + 1) : static_cast<uint8_t>(0);
+  if (requested_ == 0) {
     log_geometry();
     return;
   }
-  node_.ask_parameter(ns_, kParameters[asking_ - 1].name, &Robot::take_parameter, this);
-  asked_at_ms_ = hal_.millis();
+  node_.request_parameter(ns_, kParameters[requested_ - 1].name, &Robot::receive_parameter, this);
+  requested_at_ms_ = hal_.millis();
 }
 
 // False: it makes no sense. One number for both wheels, or one for each, the left one first.
 bool Robot::apply_values(const float* values, size_t count) {
-  const Parameter& parameter = kParameters[asking_ - 1];
+  const Parameter& parameter = kParameters[requested_ - 1];
   if (count < parameter.least || count > parameter.most) return false;
   for (size_t i = 0; i < count; ++i) {
     if (!(values[i] >= parameter.low && values[i] <= parameter.high)) return false;  // NaN is not
@@ -222,7 +223,7 @@ bool Robot::apply_values(const float* values, size_t count) {
 }
 
 void Robot::refuse_parameter() {
-  const Parameter& parameter = kParameters[asking_ - 1];
+  const Parameter& parameter = kParameters[requested_ - 1];
   raise(Error::kRefused);
   Text text;
   text.add(parameter.name).add(" refused: ").add(static_cast<uint32_t>(parameter.least));
@@ -263,7 +264,7 @@ void Robot::publish() {
   node_.publish(plot_id_, twist, sizeof twist);
 }
 
-void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
+void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   Robot& robot = *static_cast<Robot*>(self);
   const float linear_m_s = read_float64(payload);
   const float angular_rad_s = read_float64(payload + 5 * kFloat64Bytes);
@@ -289,17 +290,17 @@ void Robot::take_velocity(void* self, const uint8_t* payload, size_t) {
   robot.commanded_at_ms_ = robot.hal_.millis();
 }
 
-void Robot::take_reset(void* self, const uint8_t*, size_t) {
+void Robot::receive_reset(void* self, const uint8_t*, size_t) {
   const Pose origin = {0.0, 0.0, 0.0};
   static_cast<Robot*>(self)->pose_ = origin;
 }
 
-void Robot::take_left_gains(void* self, const uint8_t* payload, size_t) {
+void Robot::receive_left_gains(void* self, const uint8_t* payload, size_t) {
   Robot& robot = *static_cast<Robot*>(self);
   robot.tune(robot.left_, read_gains(payload));
 }
 
-void Robot::take_right_gains(void* self, const uint8_t* payload, size_t) {
+void Robot::receive_right_gains(void* self, const uint8_t* payload, size_t) {
   Robot& robot = *static_cast<Robot*>(self);
   robot.tune(robot.right_, read_gains(payload));
 }
@@ -319,19 +320,19 @@ void Robot::tune(Wheel& wheel, const Gains& gains) {
 }
 
 // What the link has cost so far, when it was something new, at most every ten seconds.
-void Robot::tell_trouble() {
+void Robot::log_trouble() {
   const uint32_t trouble = node_.dropped_from_host() + node_.refused() + node_.dropped_to_host();
-  const bool is_new = trouble != told_trouble_ && hal_.millis() - told_trouble_at_ms_ > kTroubleIntervalMs;
+  const bool is_new = trouble != logged_trouble_ && hal_.millis() - logged_trouble_at_ms_ > kTroubleIntervalMs;
   if (!is_new || !node_.is_configured()) return;
-  told_trouble_ = trouble;
-  told_trouble_at_ms_ = hal_.millis();
+  logged_trouble_ = trouble;
+  logged_trouble_at_ms_ = hal_.millis();
   Text text;
   text.add("link: false starts of frames ").add(node_.dropped_from_host());
   text.add(", frames refused ").add(node_.refused()).add(", not sent ").add(node_.dropped_to_host());
   node_.log(kWarn, text.chars());
 }
 
-void Robot::take_parameter(void* self, const float* values, size_t count) {
+void Robot::receive_parameter(void* self, const float* values, size_t count) {
   static_cast<Robot*>(self)->use_parameter(values, count);
 }
 

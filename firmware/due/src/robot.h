@@ -28,16 +28,16 @@ class Robot {
   NodeHandle& node() { return node_; }
 
  private:
-  static void take_velocity(void* self, const uint8_t* payload, size_t size);
-  static void take_reset(void* self, const uint8_t* payload, size_t size);
-  static void take_left_gains(void* self, const uint8_t* payload, size_t size);
-  static void take_right_gains(void* self, const uint8_t* payload, size_t size);
-  static void take_parameter(void* self, const float* values, size_t count);
+  static void receive_velocity(void* self, const uint8_t* payload, size_t size);
+  static void receive_reset(void* self, const uint8_t* payload, size_t size);
+  static void receive_left_gains(void* self, const uint8_t* payload, size_t size);
+  static void receive_right_gains(void* self, const uint8_t* payload, size_t size);
+  static void receive_parameter(void* self, const float* values, size_t count);
 
   void guard();
   void turn(float dt_s);
   void watch();
-  bool tell_fault(const Wheel& wheel, const char* side);
+  bool log_fault(const Wheel& wheel, const char* side);
   void raise(Error error) { report_.raise(error, hal_.millis()); }
   void raise_faults();
   void stop();
@@ -48,7 +48,7 @@ class Robot {
   void log_geometry();
   void publish();
   void tune(Wheel& wheel, const Gains& gains);
-  void tell_trouble();
+  void log_trouble();
 
   Hal& hal_;
   const char* ns_;
@@ -71,11 +71,11 @@ class Robot {
   uint8_t turns_ = 0;
   bool was_configured_ = false;
   bool was_hung_logged_ = false;
-  uint8_t asking_ = 0;  // the parameter that is requested, 0: none
-  uint32_t asked_at_ms_ = 0;
+  uint8_t requested_ = 0;  // the parameter that is requested, 0: none
+  uint32_t requested_at_ms_ = 0;
   bool has_new_geometry_ = false;  // of the wheels, since it was logged
-  uint32_t told_trouble_ = 0;
-  uint32_t told_trouble_at_ms_ = 0;
+  uint32_t logged_trouble_ = 0;
+  uint32_t logged_trouble_at_ms_ = 0;
 };
 
 }  // namespace hostlink

@@ -113,7 +113,7 @@ float Wheel::step(uint32_t edges, float dt_s) {
 
 bool Wheel::stands() const { return has_lasted(still_s_, kStandingS); }
 
-float Wheel::asked_ticks_s() const {
+float Wheel::requested_ticks_s() const {
   const float value = magnitude(set_point_.value());
   const float target = magnitude(set_point_.target());
   return value > target ? value : target;
@@ -121,7 +121,7 @@ float Wheel::asked_ticks_s() const {
 
 // Nearly an edge more: so much the count of a window may be off.
 bool Wheel::is_too_fast() const {
-  return recent_.ticks() > kTooFastFactor * asked_ticks_s() * recent_.seconds() + 0.49f;
+  return recent_.ticks() > kTooFastFactor * requested_ticks_s() * recent_.seconds() + 0.49f;
 }
 
 // The PWM of the motor, by the table of the class.
@@ -162,9 +162,9 @@ bool Wheel::is_stalled(bool has_edges, float dt_s) {
 // A wheel that coasts or has a lower set-point slows down; one that is driven from outside does not.
 bool Wheel::runs_away(float dt_s) {
   if (has_lasted(waited_s_, kRestS)) return true;
-  const float asked = asked_ticks_s();
+  const float requested = requested_ticks_s();
   const float speed = recent_.ticks() / recent_.seconds();
-  if (has_stood_ || speed <= asked + kRunawayTicksS || speed <= asked * kRunawayFactor) {
+  if (has_stood_ || speed <= requested + kRunawayTicksS || speed <= requested * kRunawayFactor) {
     over_s_ = peak_ticks_s_ = 0.0f;
     return false;
   }

@@ -101,7 +101,7 @@ class Wheel {
   Pid& pid() { return pid_; }
 
  private:
-  float asked_ticks_s() const;
+  float requested_ticks_s() const;
   bool is_too_fast() const;
   float regulate(float dt_s);
   void watch(bool has_edges, float dt_s);
