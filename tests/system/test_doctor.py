@@ -57,7 +57,7 @@ async def test_a_healthy_daemon_is_status_0() -> None:
         status, out, err = await run("doctor", "--url", daemon.url)
     assert (status, err) == (0, "")
     assert out.startswith("link 1  127.0.0.1:")
-    assert out.endswith("6 topics)  healthy\n")
+    assert out.endswith("8 topics)  healthy\n")
 
 
 async def test_a_daemon_without_a_device_has_advice() -> None:
