@@ -235,20 +235,25 @@ void Robot::refuse_parameter() {
   node_.log(kWarn, text.chars());
 }
 
-// Two lines: the host's own log cuts one at 64 characters.
+// In two lines, because the host's own log cuts one at 64 characters; each in a function, for the stack's sake.
 void Robot::log_geometry() {
   if (!has_new_geometry_) return;
   has_new_geometry_ = false;
-  Text wheels;
-  wheels.add("wheel radius ").add(drive_.left().radius_m * 1000.0f, 3).add(" and ");
-  wheels.add(drive_.right().radius_m * 1000.0f, 3)
-      .add(" mm, ")
-      .add(drive_.separation_m() * 1000.0f, 2)
-      .add(" mm apart");
-  node_.log(kInfo, wheels.chars());
-  Text ticks;
-  ticks.add("ticks a turn ").add(drive_.left().ticks_per_turn, 3).add(" and ").add(drive_.right().ticks_per_turn, 3);
-  node_.log(kInfo, ticks.chars());
+  log_radii();
+  log_ticks();
+}
+
+void Robot::log_radii() {
+  Text text;
+  text.add("wheel radius ").add(drive_.left().radius_m * 1000.0f, 3).add(" and ");
+  text.add(drive_.right().radius_m * 1000.0f, 3).add(" mm, ").add(drive_.separation_m() * 1000.0f, 2).add(" mm apart");
+  node_.log(kInfo, text.chars());
+}
+
+void Robot::log_ticks() {
+  Text text;
+  text.add("ticks a turn ").add(drive_.left().ticks_per_turn, 3).add(" and ").add(drive_.right().ticks_per_turn, 3);
+  node_.log(kInfo, text.chars());
 }
 
 void Robot::publish() {

@@ -46,6 +46,8 @@ class Robot {
   bool apply_values(const float* values, size_t count);
   void refuse_parameter();
   void log_geometry();
+  void log_radii();
+  void log_ticks();
   void publish();
   void tune(Wheel& wheel, const Gains& gains);
   void log_trouble();
