@@ -1,105 +1,142 @@
-"""DriveTrain: a motor on the shield, its gear, its wheel and a single-channel encoder. Pure.
+"""DriveTrain: a motor on the shield, its gear, its wheel, its grip on the floor and its single-channel encoder. Pure.
 
-The twin of firmware/host/motor.cpp; what differs from motor to motor is in MotorWorld.
+The twin of firmware/host/drive_train.cpp, operation by operation.
 """
 
 import math
-from dataclasses import dataclass
+
+from hostlink.sim.random_numbers import RandomNumbers
+from hostlink.sim.world_parameters import WheelParameters
 
 FULL_PWM = 4095
 EDGES_PER_TICK = 2  # a rising and a falling one
 FULL_SPEED_TICKS_S = 280.0  # docs/robot.md#numbers: the top speed
-CASTER_TICKS = 40.0  # 5 cm: the caster has swung round
-
-
-@dataclass(frozen=True, slots=True)
-class MotorWorld:
-    """What a motor is like; the defaults are the robot's, tests draw others."""
-
-    full_speed_ticks_s: float = FULL_SPEED_TICKS_S
-    time_constant_s: float = 0.1  # while its PWM pushes it: a geared 12 V motor under a small robot
-    coast_constant_s: float = 0.3  # while nothing pushes it and it runs free
-    brake_constant_s: float = 0.04  # while it is short-circuited, behind its 75:1 gear
-    friction_ticks_s: float = 24.0  # ends a coasting: the speed lost to friction in one time constant
-    dead_zone_pwm: float = 350.0  # less does not turn it; well under the firmware's dead band of 700
-    has_jump: bool = True  # above the dead zone it turns as if there were none; else beginning with nothing
-    caster_pwm: float = 0.0  # the load of the caster while it swings round after a reversal
+_NOISE_M = 0.01  # rolled between two numbers of the slip's noise
 
 
 class DriveTrain:
-    """One wheel. It turns at `speed_ticks_s`, signed; its encoder counts edges, two a tick, without a sign."""
+    """One wheel. It turns at `speed_rad_s`, signed; its encoder counts `edges`, two a tick, without a sign."""
 
-    def __init__(self, world: MotorWorld | None = None) -> None:
-        self.world = MotorWorld() if world is None else world
-        self.speed_ticks_s = 0.0
-        self.rolled_ticks = 0.0  # signed, exact: the truth that odometry estimates
-        self._is_blocked = False
-        self._is_broken = False
-        self._is_stuck = False
-        self._sense = 0  # of the last roll
-        self._since_turn_ticks = 0.0  # rolled since its sense changed
+    def __init__(self, wheel: WheelParameters | None = None, *, seed: int = 1, stream: int = 1) -> None:
+        self.wheel = WheelParameters() if wheel is None else wheel
+        self.speed_rad_s = 0.0
+        self.rolled_rad = 0.0  # signed: the truth of the encoder
+        self.moved_m = 0.0  # in the last step, signed: over the floor, slip included
+        self.edges = 0
+        self.is_deaf = False  # its encoder is dead
+        self._random = RandomNumbers(seed, stream)
+        self._is_gripped = self._is_broken = self._is_stuck = False
+        self._part_ticks = 0.0  # behind the last edge, seen forwards: the edges lie half a tick apart
+        self._part_noise_m = 0.0  # rolled since the last noise
 
-    def block(self) -> None:
-        """Nothing turns the wheel any more."""
-        self._is_blocked = True
+    @property
+    def speed_m_s(self) -> float:
+        """How fast it rolls."""
+        return self.speed_rad_s * self.wheel.radius_m
+
+    @property
+    def speed_ticks_s(self) -> float:
+        """How fast its encoder counts, with the sign that the encoder has not."""
+        return self.speed_rad_s * self.wheel.ticks_per_turn / math.tau
+
+    @property
+    def rolled_ticks(self) -> float:
+        """How far it has rolled, signed, exact: the truth that odometry estimates."""
+        return self.rolled_rad * self.wheel.ticks_per_turn / math.tau
+
+    def grip(self, ticks_s: float) -> None:
+        """Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does."""
+        self._is_gripped = True
+        self.speed_rad_s = ticks_s * math.tau / self.wheel.ticks_per_turn
+
+    def release(self) -> None:
+        """The hand lets it go."""
+        self._is_gripped = False
 
     def break_driver(self) -> None:
         """The motor runs on at full speed once it was driven, whatever it is given then."""
         self._is_broken = True
 
-    def step(self, pwm: float, dt_s: float) -> int:
-        """Drive with a signed PWM for `dt_s`, 0 brakes; returns the edges that the encoder counted."""
+    def step(self, pwm: float, dt_s: float, *, brake: float | None = None, load_pwm: float = 0.0) -> int:
+        """Drive with a signed PWM for `dt_s`; returns the edges that its encoder counted.
+
+        `brake`: for which share of the time it is shorted; None: with a PWM of 0 always, else never. `load_pwm`: counts
+        of PWM that floor and caster cost.
+        """
+        if brake is None:
+            brake = 1.0 if pwm == 0 else 0.0
         self._is_stuck |= self._is_broken and pwm != 0
-        if self._is_blocked or (pwm == self.speed_ticks_s == 0 and not self._is_stuck):
-            return 0
         if self._is_stuck:
-            pwm = FULL_PWM
-        target_ticks_s = self._aimed_ticks_s(pwm)
-        if target_ticks_s:
-            is_too_fast = self.speed_ticks_s * target_ticks_s > target_ticks_s**2  # a PWM pushes, it does not brake
-            constant_s = self.world.coast_constant_s if is_too_fast else self.world.time_constant_s
-            rolled_ticks = self._approach(target_ticks_s, constant_s, dt_s)
-        else:
-            constant_s = self.world.coast_constant_s if pwm else self.world.brake_constant_s
-            rolled_ticks = self._slow_down(constant_s, dt_s)
-        return self._count(rolled_ticks)
+            pwm, brake = float(FULL_PWM), 0.0
+        before, before_m_s = self.edges, self.speed_m_s
+        rolled_rad = self._roll(pwm, brake, load_pwm, dt_s)
+        self.moved_m = 0.0
+        if rolled_rad != 0.0:
+            self._count(rolled_rad)
+            self.moved_m = self._over_floor(rolled_rad * self.wheel.radius_m, before_m_s)
+        return self.edges - before
 
-    def _aimed_ticks_s(self, pwm: float) -> float:
-        world = self.world
-        sense = 1 if pwm > 0 else -1
-        swings = self._since_turn_ticks < CASTER_TICKS or self._sense != sense
-        duty = abs(pwm) - (world.caster_pwm if swings else 0.0)
-        if duty < world.dead_zone_pwm or duty <= 0:
+    def _roll(self, pwm: float, brake: float, load_pwm: float, dt_s: float) -> float:
+        wheel = self.wheel
+        if self._is_gripped:
+            return self.speed_rad_s * dt_s
+        if pwm == 0.0 and self.speed_rad_s == 0.0:
             return 0.0
-        dead_pwm = world.dead_zone_pwm
-        share = duty / FULL_PWM if world.has_jump else (duty - dead_pwm) / (FULL_PWM - dead_pwm)
-        return sense * share * world.full_speed_ticks_s
+        target_rad_s = self._aimed_rad_s(pwm, load_pwm)
+        if target_rad_s != 0.0:
+            is_too_fast = (
+                self.speed_rad_s * target_rad_s > target_rad_s * target_rad_s
+            )  # a PWM pushes, it does not brake
+            return self._approach(target_rad_s, wheel.coast_constant_s if is_too_fast else wheel.rise_constant_s, dt_s)
+        constant_s = 1.0 / (brake / wheel.brake_constant_s + (1.0 - brake) / wheel.coast_constant_s)
+        return self._slow_down(constant_s, load_pwm / FULL_PWM * wheel.full_speed_rad_s + wheel.friction_rad_s, dt_s)
 
-    def _approach(self, target_ticks_s: float, constant_s: float, dt_s: float) -> float:
+    def _aimed_rad_s(self, pwm: float, load_pwm: float) -> float:
+        wheel = self.wheel
+        duty = abs(pwm) - load_pwm
+        dead_pwm = wheel.dead_zone_pwm
+        if duty < dead_pwm or duty <= 0.0:
+            return 0.0
+        share = duty / FULL_PWM if wheel.has_jump != 0.0 else (duty - dead_pwm) / (FULL_PWM - dead_pwm)
+        return (1.0 if pwm > 0.0 else -1.0) * share * wheel.full_speed_rad_s
+
+    def _approach(self, target_rad_s: float, constant_s: float, dt_s: float) -> float:
         """The exact solution of the first-order lag, so that the result does not depend on the length of the step."""
         decay = math.exp(-dt_s / constant_s)
-        ahead_ticks_s = self.speed_ticks_s - target_ticks_s
-        self.speed_ticks_s = target_ticks_s + ahead_ticks_s * decay
-        return target_ticks_s * dt_s + ahead_ticks_s * constant_s * (1 - decay)
+        ahead_rad_s = self.speed_rad_s - target_rad_s
+        self.speed_rad_s = target_rad_s + ahead_rad_s * decay
+        return target_rad_s * dt_s + ahead_rad_s * constant_s * (1.0 - decay)
 
-    def _slow_down(self, constant_s: float, dt_s: float) -> float:
+    def _slow_down(self, constant_s: float, friction_rad_s: float, dt_s: float) -> float:
         """As if friction drove it backwards, until it stands."""
-        friction_ticks_s = self.world.friction_ticks_s
-        backwards_ticks_s = -math.copysign(friction_ticks_s, self.speed_ticks_s)
-        if friction_ticks_s == 0:
+        if friction_rad_s == 0.0:
             return self._approach(0.0, constant_s, dt_s)
-        until_stand_s = constant_s * math.log((abs(self.speed_ticks_s) + friction_ticks_s) / friction_ticks_s)
+        backwards_rad_s = friction_rad_s if self.speed_rad_s < 0.0 else -friction_rad_s
+        until_stand_s = constant_s * math.log((abs(self.speed_rad_s) + friction_rad_s) / friction_rad_s)
         if until_stand_s > dt_s:
-            return self._approach(backwards_ticks_s, constant_s, dt_s)
-        rolled_ticks = self._approach(backwards_ticks_s, constant_s, until_stand_s)
-        self.speed_ticks_s = 0.0
-        return rolled_ticks
+            return self._approach(backwards_rad_s, constant_s, dt_s)
+        rolled_rad = self._approach(backwards_rad_s, constant_s, until_stand_s)
+        self.speed_rad_s = 0.0
+        return rolled_rad
 
-    def _count(self, rolled_ticks: float) -> int:
-        sense = (rolled_ticks > 0) - (rolled_ticks < 0)
-        if sense and sense != self._sense:
-            self._sense, self._since_turn_ticks = sense, 0.0
-        before = math.floor(EDGES_PER_TICK * self.rolled_ticks)
-        self._since_turn_ticks += abs(rolled_ticks)
-        self.rolled_ticks += rolled_ticks
-        return abs(math.floor(EDGES_PER_TICK * self.rolled_ticks) - before)
+    def _count(self, rolled_rad: float) -> None:
+        self.rolled_rad += rolled_rad
+        self._part_ticks += rolled_rad * self.wheel.ticks_per_turn / math.tau
+        passed = math.floor(self._part_ticks * EDGES_PER_TICK)
+        self._part_ticks -= passed / EDGES_PER_TICK
+        if not self.is_deaf:
+            self.edges += abs(passed)
+
+    def _over_floor(self, rolled_m: float, before_m_s: float) -> float:
+        """How far the robot moved for what the wheel rolled: less while it speeds up, more while it slows down."""
+        wheel = self.wheel
+        gained = (self.speed_m_s * self.speed_m_s - before_m_s * before_m_s) / 2.0
+        share_s2_m = wheel.slip_accelerating_s2_m if gained > 0.0 else wheel.slip_braking_s2_m
+        moved_m = rolled_m - share_s2_m * gained * (1.0 if rolled_m > 0.0 else -1.0)
+        if wheel.slip_noise_m == 0.0:
+            return moved_m
+        self._part_noise_m += abs(rolled_m)
+        while self._part_noise_m >= _NOISE_M:
+            self._part_noise_m -= _NOISE_M
+            moved_m += wheel.slip_noise_m * math.sqrt(_NOISE_M) * self._random.normal()
+        return moved_m

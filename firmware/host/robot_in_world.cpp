@@ -1,0 +1,66 @@
+#include "robot_in_world.h"
+
+namespace hostlink {
+
+namespace {
+
+const char* const kColumnNames[RobotInWorld::kColumns] = {
+    "t_s",            "x_m",                "y_m",           "theta_rad",      "odometry_x_m",
+    "odometry_y_m",   "odometry_theta_rad", "left_ticks_s",  "right_ticks_s",  "left_measured_ticks_s",
+    "right_measured_ticks_s", "left_set_ticks_s", "right_set_ticks_s", "left_pwm", "right_pwm",
+    "left_edges",     "right_edges",        "rolled_m",      "battery_v",      "caster_rad",
+};
+
+}  // namespace
+
+void VirtualBoard::step_us(uint32_t us) {
+  now_us_ += us;
+  ring_.run_until(micros());
+  world_.run_until(micros());
+}
+
+RobotInWorld::RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry)
+    : board_(baud), robot_(board_, name, retry) {
+  world().be(parameters);
+  board_.step_us(0);
+  robot_.setup();
+}
+
+void RobotInWorld::pass() {
+  board_.step_us(kPassUs);
+  if (wait_ms_ > 0) --wait_ms_;
+  if (wait_ms_ == 0) wait_ms_ = robot_.loop();
+}
+
+void RobotInWorld::report(double* row) const {
+  const World& world = board_.world();
+  const Wheel& left = robot_.left();
+  const Wheel& right = robot_.right();
+  const double values[kColumns] = {
+      static_cast<double>(board_.now_us()) * 1e-6,
+      world.pose().x_m,
+      world.pose().y_m,
+      world.pose().theta_rad,
+      robot_.pose().x_m,
+      robot_.pose().y_m,
+      robot_.pose().theta_rad,
+      world.left().speed_ticks_s(),
+      world.right().speed_ticks_s(),
+      static_cast<double>(left.speed_ticks_s()),
+      static_cast<double>(right.speed_ticks_s()),
+      static_cast<double>(left.set_point_ticks_s()),
+      static_cast<double>(right.set_point_ticks_s()),
+      static_cast<double>(left.pwm()),
+      static_cast<double>(right.pwm()),
+      static_cast<double>(world.left().edges()),
+      static_cast<double>(world.right().edges()),
+      world.rolled_m(),
+      world.battery_v(),
+      world.caster_rad(),
+  };
+  for (size_t i = 0; i < kColumns; ++i) row[i] = values[i];
+}
+
+const char* RobotInWorld::column(size_t index) { return kColumnNames[index]; }
+
+}  // namespace hostlink
