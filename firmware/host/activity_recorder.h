@@ -3,26 +3,26 @@
 
 #include <stdint.h>
 
-#include "plant.h"
+#include "world.h"
 
 namespace hostlink {
 
 class ActivityRecorder {
  public:
   // On each pass of the loop; `delivered` counts the messages that the firmware got.
-  void see(const Plant& plant, uint32_t delivered, uint32_t now_ms) {
+  void update(const World& world, uint32_t delivered, uint32_t now_ms) {
     if (delivered != delivered_) got_at_ms_ = now_ms;
     delivered_ = delivered;
-    if (rolls(plant.left()) || rolls(plant.right())) rolled_at_ms_ = now_ms;
+    if (rolls(world.left()) || rolls(world.right())) rolled_at_ms_ = now_ms;
   }
 
   uint32_t got_at_ms() const { return got_at_ms_; }
   uint32_t rolled_at_ms() const { return rolled_at_ms_; }
 
  private:
-  static bool rolls(const Motor& motor) {
-    const float standing_ticks_s = 2.0f;  // 2.5 mm/s
-    return motor.speed_ticks_s() > standing_ticks_s || motor.speed_ticks_s() < -standing_ticks_s;
+  static bool rolls(const DriveTrain& wheel) {
+    const double standing_ticks_s = 2.0;  // 2.5 mm/s
+    return wheel.speed_ticks_s() > standing_ticks_s || wheel.speed_ticks_s() < -standing_ticks_s;
   }
 
   uint32_t delivered_ = 0;

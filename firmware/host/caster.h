@@ -1,9 +1,9 @@
-// Caster: the swivel wheel behind the axle. It swings round until it trails, and twists the robot on the way. The twin of
-// hostlink/sim/caster.py.
+// Caster: the swivel wheel behind the axle. It swings round until it trails, and twists the robot on the way. The twin
+// of hostlink/sim/caster.py.
 //
-// Its wheel rolls freely along its heading b and scrubs across it, so its pivot pulls the tail sideways by cos(b) while it
-// swings: over a swing that sums up to the change of sin(b). Wheels that turn the robot on the spot hold it against that;
-// wheels that roll straight do not (the paper's "overturning"): cos2 of the pivot's course is the share.
+// Its wheel rolls freely along its heading b and scrubs across it, so its pivot pulls the tail sideways by cos(b) while
+// it swings: over a swing that sums up to the change of sin(b). Wheels that turn the robot on the spot hold it against
+// that; wheels that roll straight do not (the paper's "overturning"): cos2 of the pivot's course is the share.
 #pragma once
 
 #include "random_numbers.h"

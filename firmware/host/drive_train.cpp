@@ -39,10 +39,12 @@ double DriveTrain::roll(double pwm, double brake_share, double load_pwm, double 
   if (pwm == 0.0 && speed_rad_s_ == 0.0) return 0.0;
   const double target_rad_s = aimed_rad_s(pwm, load_pwm);
   if (target_rad_s != 0.0) {
-    const bool is_too_fast = speed_rad_s_ * target_rad_s > target_rad_s * target_rad_s;  // a PWM pushes, it does not brake
+    const bool is_too_fast =
+        speed_rad_s_ * target_rad_s > target_rad_s * target_rad_s;  // a PWM pushes, it does not brake
     return approach(target_rad_s, is_too_fast ? wheel_.coast_constant_s : wheel_.rise_constant_s, dt_s);
   }
-  const double constant_s = 1.0 / (brake_share / wheel_.brake_constant_s + (1.0 - brake_share) / wheel_.coast_constant_s);
+  const double constant_s =
+      1.0 / (brake_share / wheel_.brake_constant_s + (1.0 - brake_share) / wheel_.coast_constant_s);
   return slow_down(constant_s, load_pwm / kFullPwm * wheel_.full_speed_rad_s + wheel_.friction_rad_s, dt_s);
 }
 

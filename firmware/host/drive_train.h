@@ -1,5 +1,5 @@
-// DriveTrain: a motor on the shield, its gear, its wheel, its grip on the floor and its single-channel encoder. The twin
-// of hostlink/sim/drive_train.py.
+// DriveTrain: a motor on the shield, its gear, its wheel, its grip on the floor and its single-channel encoder. The
+// twin of hostlink/sim/drive_train.py.
 #pragma once
 
 #include <stdint.h>
@@ -17,18 +17,19 @@ class DriveTrain {
   // Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does.
   void grip(double ticks_s);
   void release() { is_gripped_ = false; }
-  void deafen(bool is_so) { is_deaf_ = is_so; }    // its encoder is dead
-  void break_driver() { is_broken_ = true; }       // once driven, it runs on at full speed, whatever it is given then
+  void deafen(bool is_so) { is_deaf_ = is_so; }  // its encoder is dead
+  void break_driver() { is_broken_ = true; }     // once driven, it runs on at full speed, whatever it is given then
 
-  // Lets time pass with a signed PWM (forwards positive, at the rated voltage; below 0 backwards), shorted for this share
-  // of the time, against a load. Returns how far it moved the robot over the floor, in metres.
+  // Lets time pass with a signed PWM (forwards positive, at the rated voltage; below 0 backwards), shorted for this
+  // share of the time, against a load. Returns how far it moved the robot over the floor, in metres.
   double step(double pwm, double brake_share, double load_pwm, double dt_s);
 
   uint32_t edges() const { return edges_; }  // rising and falling: two a tick; wraps
   double speed_rad_s() const { return speed_rad_s_; }
   double speed_m_s() const { return speed_rad_s_ * wheel_.radius_m; }
   double speed_ticks_s() const { return speed_rad_s_ * wheel_.ticks_per_turn / kTurnRad; }
-  double rolled_rad() const { return rolled_rad_; }      // signed: the truth of the encoder
+  double rolled_ticks() const { return rolled_rad_ * wheel_.ticks_per_turn / kTurnRad; }
+  double rolled_rad() const { return rolled_rad_; }  // signed: the truth of the encoder
 
  private:
   double aimed_rad_s(double pwm, double load_pwm) const;
@@ -48,7 +49,7 @@ class DriveTrain {
   double speed_rad_s_ = 0.0;
   double rolled_rad_ = 0.0;
   double part_ticks_ = 0.0;  // behind the last edge, seen forwards: the edges lie half a tick apart
-  double part_noise_m_ = 0.0; // rolled since the last noise
+  double part_noise_m_ = 0.0;  // rolled since the last noise
   uint32_t edges_ = 0;
 };
 

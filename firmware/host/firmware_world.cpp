@@ -33,8 +33,7 @@ struct FirmwareWorld {
   std::string to_host;            // through the line
 
   FirmwareWorld(const double* values, uint32_t baud, const char* name_text, int retry)
-      : name(name_text),
-        robot(parameters_of(values), baud, name.c_str(), static_cast<hostlink::Retry>(retry)) {}
+      : name(name_text), robot(parameters_of(values), baud, name.c_str(), static_cast<hostlink::Retry>(retry)) {}
 
   void pass() {
     hostlink::UartRing& line = robot.board().from_host();
@@ -68,7 +67,8 @@ uint32_t world_parameters_read(const char* text, double* values) {
   return wrong;
 }
 
-// -- the firmware in a world --------------------------------------------------------------------------------------------
+// -- the firmware in a world
+// --------------------------------------------------------------------------------------------
 
 // `baud` 0: bytes are through at once; `retry`: a policy of node_handle.h.
 FirmwareWorld* firmware_world_new(const double* values, uint32_t baud, const char* name, int retry) {
@@ -101,7 +101,8 @@ size_t firmware_world_run(FirmwareWorld* self, uint32_t ms, uint32_t every_ms, d
 }
 uint32_t firmware_world_lost_bytes(FirmwareWorld* self) { return self->robot.board().from_host().lost(); }
 
-// -- the world alone ----------------------------------------------------------------------------------------------------
+// -- the world alone
+// ----------------------------------------------------------------------------------------------------
 
 World* world_new(const double* values) { return new World(parameters_of(values)); }
 void world_delete(World* world) { delete world; }
@@ -110,8 +111,8 @@ void world_drive(World* world, int16_t left_pwm, int16_t right_pwm) { world->dri
 void world_step(World* world, double dt_s) { world->step(dt_s); }
 // x, y, theta, rolled, battery, caster; left speed (rad/s) and way (rad), the same right.
 void world_state(const World* world, double* out) {
-  const double values[] = {world->pose().x_m,          world->pose().y_m,          world->pose().theta_rad,
-                           world->rolled_m(),          world->battery_v(),         world->caster_rad(),
+  const double values[] = {world->pose().x_m,           world->pose().y_m,          world->pose().theta_rad,
+                           world->rolled_m(),           world->battery_v(),         world->caster_rad(),
                            world->left().speed_rad_s(), world->left().rolled_rad(), world->right().speed_rad_s(),
                            world->right().rolled_rad()};
   memcpy(out, values, sizeof values);

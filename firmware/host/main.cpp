@@ -20,10 +20,10 @@
 
 #include "../due/src/hal.h"
 #include "../due/src/robot.h"
-#include "plant.h"
+#include "activity_recorder.h"
 #include "uart_out.h"
 #include "uart_ring.h"
-#include "activity_recorder.h"
+#include "world.h"
 
 namespace {
 
@@ -47,14 +47,14 @@ class PosixHal : public hostlink::Hal {
     return taken;
   }
 
-  void drive(int16_t left_pwm, int16_t right_pwm) override { plant_.drive(left_pwm, right_pwm); }
+  void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
 
   void edges(uint32_t& left, uint32_t& right) override {
-    left = plant_.left().edges();
-    right = plant_.right().edges();
+    left = world_.left().edges();
+    right = world_.right().edges();
   }
 
-  float battery_v() override { return 12.0f; }
+  float battery_v() override { return static_cast<float>(world_.battery_v()); }
 
   // What the hardware does by itself between two turns of the loop.
   void run() {
@@ -70,7 +70,7 @@ class PosixHal : public hostlink::Hal {
     }
     ring_.run_until(micros());
     send();
-    plant_.run_until(micros());
+    world_.run_until(micros());
   }
 
   void wait() {
@@ -78,7 +78,7 @@ class PosixHal : public hostlink::Hal {
     ::poll(&wanted, socket_ >= 0 ? 1 : 0, kTurnMs);
   }
 
-  const hostlink::Plant& plant() const { return plant_; }
+  hostlink::World& world() { return world_; }
   uint32_t lost() const { return ring_.lost(); }
 
  private:
@@ -125,7 +125,7 @@ class PosixHal : public hostlink::Hal {
   uint32_t baud_;
   hostlink::UartRing ring_;
   hostlink::UartOut out_;
-  hostlink::Plant plant_;
+  hostlink::World world_;
   sockaddr_in host_;
   int socket_ = -1;
   uint32_t tried_at_ms_ = 0;
@@ -154,21 +154,20 @@ int main(int count, char** words) {
   for (;;) {
     hal.run();
     robot.loop();
-    activity.see(hal.plant(), robot.node().delivered(), hal.millis());
+    activity.update(hal.world(), robot.node().delivered(), hal.millis());
     ++loops;
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
-      const hostlink::Plant& plant = hal.plant();
+      const hostlink::World& world = hal.world();
       const hostlink::NodeHandle& node = robot.node();
       printf(
           "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f "
           "got_ms %lu rolled_ms %lu rolled_mm %.0f\n",
-          loops, static_cast<double>(plant.left().speed_ticks_s()), static_cast<double>(plant.right().speed_ticks_s()),
-          static_cast<unsigned long>(hal.lost()), static_cast<unsigned long>(node.delivered()),
-          static_cast<unsigned long>(node.published()),
-          static_cast<unsigned long>(node.dropped_from_host() + node.dropped_to_host()), plant.x_m() * 1000.0,
-          plant.y_m() * 1000.0, static_cast<unsigned long>(activity.got_at_ms()),
-          static_cast<unsigned long>(activity.rolled_at_ms()), plant.rolled_m() * 1000.0);
+          loops, world.left().speed_ticks_s(), world.right().speed_ticks_s(), static_cast<unsigned long>(hal.lost()),
+          static_cast<unsigned long>(node.delivered()), static_cast<unsigned long>(node.published()),
+          static_cast<unsigned long>(node.dropped_from_host() + node.dropped_to_host()), world.pose().x_m * 1000.0,
+          world.pose().y_m * 1000.0, static_cast<unsigned long>(activity.got_at_ms()),
+          static_cast<unsigned long>(activity.rolled_at_ms()), world.rolled_m() * 1000.0);
       fflush(stdout);
     }
     hal.wait();

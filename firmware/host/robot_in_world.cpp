@@ -5,10 +5,26 @@ namespace hostlink {
 namespace {
 
 const char* const kColumnNames[RobotInWorld::kColumns] = {
-    "t_s",            "x_m",                "y_m",           "theta_rad",      "odometry_x_m",
-    "odometry_y_m",   "odometry_theta_rad", "left_ticks_s",  "right_ticks_s",  "left_measured_ticks_s",
-    "right_measured_ticks_s", "left_set_ticks_s", "right_set_ticks_s", "left_pwm", "right_pwm",
-    "left_edges",     "right_edges",        "rolled_m",      "battery_v",      "caster_rad",
+    "t_s",
+    "x_m",
+    "y_m",
+    "theta_rad",
+    "odometry_x_m",
+    "odometry_y_m",
+    "odometry_theta_rad",
+    "left_ticks_s",
+    "right_ticks_s",
+    "left_measured_ticks_s",
+    "right_measured_ticks_s",
+    "left_set_ticks_s",
+    "right_set_ticks_s",
+    "left_pwm",
+    "right_pwm",
+    "left_edges",
+    "right_edges",
+    "rolled_m",
+    "battery_v",
+    "caster_rad",
 };
 
 }  // namespace

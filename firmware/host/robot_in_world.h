@@ -27,6 +27,8 @@ class VirtualBoard : public Hal {
     right = world_.right().edges();
   }
 
+  float battery_v() override { return static_cast<float>(world_.battery_v()); }
+
   void step_us(uint32_t us);  // what the hardware does between two passes of the loop
   uint64_t now_us() const { return now_us_; }
   World& world() { return world_; }

@@ -6,9 +6,9 @@ namespace hostlink {
 
 namespace {
 
-const double kBits = 12.0;         // of the firmware's duties
-const double kSmallRad = 1e-8;     // below it an arc is as long as its chord
-const double kStandingM = 0.001;   // the motion that a standing wheel's PWM stands for
+const double kBits = 12.0;        // of the firmware's duties
+const double kSmallRad = 1e-8;    // below it an arc is as long as its chord
+const double kStandingM = 0.001;  // the motion that a standing wheel's PWM stands for
 const uint32_t kStepUs = 1000;
 const uint32_t kMostUs = 1000000;  // a board that was stopped does not roll on for what it missed
 

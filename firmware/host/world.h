@@ -1,6 +1,6 @@
-// World: the paper's robot on a floor: battery, motors, wheels, encoders, caster, and where it truly is. Pure: time comes
-// in. The native board, the emulated board, the tests and the laboratory drive this one; hostlink/sim/world.py is its
-// twin, operation by operation, so that both compute the same digits.
+// World: the paper's robot on a floor: battery, motors, wheels, encoders, caster, and where it truly is. Pure: time
+// comes in. The native board, the emulated board, the tests and the laboratory drive this one; hostlink/sim/world.py is
+// its twin, operation by operation, so that both compute the same digits.
 #pragma once
 
 #include <stddef.h>
@@ -21,7 +21,7 @@ struct TruePose {
 
 class World {
  public:
-  World() : World(WorldParameters()) {}
+  World() { be(parameters_); }
   explicit World(const WorldParameters& parameters) { be(parameters); }
   void be(const WorldParameters& parameters);  // another world from now on; pose and edges stay
 
@@ -31,8 +31,8 @@ class World {
   }
   void set(const MotorLevels& left, const MotorLevels& right);
 
-  void step(double dt_s);              // lets time pass
-  void run_until(uint32_t now_us);     // the same in steps of a millisecond, by a clock that wraps
+  void step(double dt_s);           // lets time pass
+  void run_until(uint32_t now_us);  // the same in steps of a millisecond, by a clock that wraps
   // The robot is pushed over the floor: neither wheel nor encoder notices.
   void shove(double forward_m, double sideways_m, double turned_rad);
 
@@ -42,9 +42,9 @@ class World {
   const DriveTrain& left() const { return left_; }
   const DriveTrain& right() const { return right_; }
 
-  const TruePose& pose() const { return pose_; }     // of the middle between the wheels
-  double rolled_m() const { return rolled_m_; }      // by that middle, forwards and backwards
-  double battery_v() const;                          // at the motors, now
+  const TruePose& pose() const { return pose_; }               // of the middle between the wheels
+  double rolled_m() const { return rolled_m_; }                // by that middle, forwards and backwards
+  double battery_v() const;                                    // at the motors, now
   double caster_rad() const { return caster_.heading_rad(); }  // where its wheel rolls to, 0: forwards
 
  private:

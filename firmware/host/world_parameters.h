@@ -20,11 +20,11 @@ struct WheelParameters {
   double brake_constant_s = 0.04;                      // while it is shorted, behind its 75:1 gear; estimated
   double friction_rad_s = 24.0 * kTurnRad / 230.4;     // speed lost to friction in one time constant: ends a coasting
 
-  double radius_m = 0.045;             // where it rolls; docs/robot.md#numbers
+  double radius_m = 0.045;        // where it rolls; docs/robot.md#numbers
   double ticks_per_turn = 230.4;  // periods of its encoder, two edges each; docs/robot.md#numbers
-  double slip_noise_m = 0.0;           // standard deviation after 1 m, grows with the root; 0.001..0.005 on hard floors
-  double slip_accelerating_s2_m = 0.0; // share of the way lost for each m/s2 of acceleration; 0..0.02
-  double slip_braking_s2_m = 0.0;      // share of the way slid on for each m/s2 of deceleration; 0..0.02
+  double slip_noise_m = 0.0;      // standard deviation after 1 m, grows with the root; 0.001..0.005 on hard floors
+  double slip_accelerating_s2_m = 0.0;  // share of the way lost for each m/s2 of acceleration; 0..0.02
+  double slip_braking_s2_m = 0.0;       // share of the way slid on for each m/s2 of deceleration; 0..0.02
 };
 
 // All are doubles, so that they pass through the C interface as one array, in this order.

@@ -1,11 +1,11 @@
 // The Due's firmware on an emulated Cortex-M3. UART0 is the line to the host, UART1 a line of text for people; the
-// motors are the model of host/plant.h. QEMU has no baud rate, so host/uart_ring.h makes one, with the Due's 127 bytes
-// behind it.
+// motors and the floor are host/world.h's. QEMU has no baud rate, so host/uart_ring.h makes one, with the Due's 127
+// bytes behind it.
 #include "../due/src/hal.h"
 #include "../due/src/robot.h"
-#include "../host/plant.h"
-#include "../host/uart_ring.h"
 #include "../host/activity_recorder.h"
+#include "../host/uart_ring.h"
+#include "../host/world.h"
 #include "mps2.h"
 
 namespace {
@@ -63,14 +63,14 @@ class QemuHal : public hostlink::Hal {
     return taken;
   }
 
-  void drive(int16_t left_pwm, int16_t right_pwm) override { plant_.drive(left_pwm, right_pwm); }
+  void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
 
   void edges(uint32_t& left, uint32_t& right) override {
-    left = plant_.left().edges();
-    right = plant_.right().edges();
+    left = world_.left().edges();
+    right = world_.right().edges();
   }
 
-  float battery_v() override { return 12.0f; }
+  float battery_v() override { return static_cast<float>(world_.battery_v()); }
 
   // What the hardware does by itself between two turns of the loop.
   void run() {
@@ -82,10 +82,10 @@ class QemuHal : public hostlink::Hal {
       inbox_read = inbox_read + 1;
     }
     ring_.run_until(micros());
-    plant_.run_until(micros());
+    world_.run_until(micros());
   }
 
-  const hostlink::Plant& plant() const { return plant_; }
+  hostlink::World& world() { return world_; }
   uint32_t lost() const { return ring_.lost(); }
 
  private:
@@ -109,7 +109,7 @@ class QemuHal : public hostlink::Hal {
   }
 
   hostlink::UartRing ring_{kBaud};
-  hostlink::Plant plant_;
+  hostlink::World world_;
   uint64_t cycles_ = 0;
   uint32_t last_count_ = 0;
   uint32_t sent_at_us_ = 0;
@@ -155,21 +155,21 @@ extern "C" int main() {
   for (;;) {
     hal.run();
     robot.loop();
-    activity.see(hal.plant(), robot.node().delivered(), hal.millis());
+    activity.update(hal.world(), robot.node().delivered(), hal.millis());
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
       say_number("ms ", static_cast<int32_t>(hal.millis()));
-      say_number(" left ", static_cast<int32_t>(hal.plant().left().speed_ticks_s()));
-      say_number(" right ", static_cast<int32_t>(hal.plant().right().speed_ticks_s()));
+      say_number(" left ", static_cast<int32_t>(hal.world().left().speed_ticks_s()));
+      say_number(" right ", static_cast<int32_t>(hal.world().right().speed_ticks_s()));
       say_number(" lost ", static_cast<int32_t>(hal.lost()));
       say_number(" got ", static_cast<int32_t>(robot.node().delivered()));
       say_number(" sent ", static_cast<int32_t>(robot.node().published()));
       say_number(" dropped ", static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
-      say_number(" x_mm ", static_cast<int32_t>(hal.plant().x_m() * 1000.0));
-      say_number(" y_mm ", static_cast<int32_t>(hal.plant().y_m() * 1000.0));
+      say_number(" x_mm ", static_cast<int32_t>(hal.world().pose().x_m * 1000.0));
+      say_number(" y_mm ", static_cast<int32_t>(hal.world().pose().y_m * 1000.0));
       say_number(" got_ms ", static_cast<int32_t>(activity.got_at_ms()));
       say_number(" rolled_ms ", static_cast<int32_t>(activity.rolled_at_ms()));
-      say_number(" rolled_mm ", static_cast<int32_t>(hal.plant().rolled_m() * 1000.0));
+      say_number(" rolled_mm ", static_cast<int32_t>(hal.world().rolled_m() * 1000.0));
       say("\r\n");
     }
     hal.sleep();

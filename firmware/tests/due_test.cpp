@@ -10,9 +10,9 @@
 #include "../due/src/node_handle.h"
 #include "../due/src/robot.h"
 #include "../due/src/wheel.h"
-#include "../host/plant.h"
 #include "../host/uart_out.h"
 #include "../host/uart_ring.h"
+#include "../host/world.h"
 
 using namespace hostlink;
 
@@ -87,7 +87,7 @@ void test_float64() {
 struct BenchHal : public Hal {
   uint64_t now_us = 0xFFF00000u;  // micros() wraps within a second
   UartRing ring{0};
-  Plant plant;
+  World world;
   uint32_t sent = 0;
   uint32_t millis() override { return static_cast<uint32_t>(now_us / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us); }
@@ -96,10 +96,10 @@ struct BenchHal : public Hal {
     sent += static_cast<uint32_t>(size);
     return size;
   }
-  void drive(int16_t left, int16_t right) override { plant.drive(left, right); }
+  void drive(int16_t left, int16_t right) override { world.drive(left, right); }
   void edges(uint32_t& left, uint32_t& right) override {
-    left = plant.left().edges();
-    right = plant.right().edges();
+    left = world.left().edges();
+    right = world.right().edges();
   }
 };
 
@@ -127,7 +127,7 @@ void run_ms(int ms, bool commands) {
   for (int i = 0; i < ms; ++i) {
     if (commands && i % 100 == 0) put_frame(100, twist, sizeof twist);
     hal.now_us += 1000;
-    hal.plant.run_until(hal.micros());
+    hal.world.run_until(hal.micros());
     robot.loop();
   }
 }
@@ -139,12 +139,12 @@ void test_robot() {
   CHECK(robot.node().is_configured());
   CHECK(hal.sent > 600);  // six TopicInfos
   run_ms(5000, true);
-  CHECK(hal.plant.left().speed_ticks_s() > 100.0f);
+  CHECK(hal.world.left().speed_ticks_s() > 100.0);
   CHECK(robot.pose().x_m > 0.3);
   run_ms(600, false);
-  CHECK(hal.plant.left().speed_ticks_s() < 100.0f);
+  CHECK(hal.world.left().speed_ticks_s() < 100.0);
   run_ms(500, false);
-  CHECK(hal.plant.left().speed_ticks_s() < 2.0f);
+  CHECK(hal.world.left().speed_ticks_s() < 2.0);
 }
 
 void test_ring() {
@@ -182,15 +182,30 @@ void test_motor_levels() {
 
 // On the shield's L298 the PWM is the enable: without it BRAKE does nothing.
 void test_brake() {
-  float rolled[2] = {0.0f, 0.0f};
+  double rolled_m[2] = {0.0, 0.0};
   for (int is_enabled = 0; is_enabled < 2; ++is_enabled) {
-    Motor motor(false);
+    World world;
     const MotorLevels braked = {true, true, static_cast<int16_t>(is_enabled * kPwmMax)};
-    for (int ms = 0; ms < 1000; ++ms) motor.step(motor_levels(kPwmMax, false), 0.001f);
-    for (int ms = 0; ms < 1000; ++ms) rolled[is_enabled] += motor.step(braked, 0.001f);
-    CHECK(motor.speed_ticks_s() == 0.0f);
+    world.drive(kPwmMax, kPwmMax);
+    for (int ms = 0; ms < 1000; ++ms) world.step(0.001);
+    const double before_m = world.rolled_m();
+    world.set(braked, braked);
+    for (int ms = 0; ms < 1000; ++ms) world.step(0.001);
+    CHECK(world.left().speed_rad_s() == 0.0);
+    rolled_m[is_enabled] = world.rolled_m() - before_m;
   }
-  CHECK(rolled[0] > 5.0f * rolled[1]);
+  CHECK(rolled_m[0] > 5.0 * rolled_m[1]);
+}
+
+void test_world_parameters() {
+  WorldParameters world;
+  CHECK(read_world("# a comment\n\ntrack_m=0.2125\nleft.radius_m=4.52e-2\r\nright.slip_noise_m=.003\n", world) == 0);
+  CHECK(is_near(world.track_m, 0.2125, 1e-15) && is_near(world.left.radius_m, 0.0452, 1e-15));
+  CHECK(is_near(world.right.slip_noise_m, 0.003, 1e-15) && is_near(world.right.radius_m, 0.045, 0.0));
+  CHECK(read_world("track_m=0.2\nradius_m=0.045\n", world) == 2);
+  CHECK(read_world("track_m=0.2 m", world) == 1);
+  CHECK(read_world("track_m=", world) == 1);
+  CHECK(read_world("left.radius_m=-1e", world) == 1);
 }
 
 }  // namespace
@@ -205,6 +220,7 @@ int main() {
   test_out();
   test_motor_levels();
   test_brake();
+  test_world_parameters();
   test_robot();
   printf("%d checks, %d failed\n", checks, failures);
   return failures == 0 ? 0 : 1;

@@ -1,9 +1,9 @@
 """Caster: the swivel wheel behind the axle, which twists the robot while it swings round. Pure.
 
-The twin of firmware/host/caster.cpp, operation by operation. Its wheel rolls freely along its heading b and scrubs across
-it, so its pivot pulls the tail sideways by cos(b) while it swings: over a swing that sums up to the change of sin(b).
-Wheels that turn the robot on the spot hold it against that; wheels that roll straight do not (the paper's "overturning"):
-cos2 of the pivot's course is the share.
+The twin of firmware/host/caster.cpp, operation by operation. Its wheel rolls freely along its heading b and scrubs
+across it, so its pivot pulls the tail sideways by cos(b) while it swings: over a swing that sums up to the change of
+sin(b). Wheels that turn the robot on the spot hold it against that; wheels that roll straight do not (the paper's
+"overturning"): cos2 of the pivot's course is the share.
 """
 
 import math
@@ -15,6 +15,7 @@ STREAM = 3
 _TRAILS_RAD = 0.1  # nearer to its course it trails
 _SWINGS_RAD = 0.5  # farther from it a new swing has begun
 _LEAST_OFF_RAD = 0.05  # no caster stands exactly against its course
+_HALF = 0.5
 
 
 class Caster:
@@ -53,7 +54,7 @@ class Caster:
         return (1.0 - math.cos(math.atan2(side_m, forward_m) - self.heading_rad)) / 2.0
 
     def _begin(self, off_rad: float) -> float:
-        """Draw the strength of a swing that begins, or that passes the right angle; and the side, where that is open."""
+        """Draw the strength of a swing that begins or passes the right angle; and the side, where that is open."""
         size_rad = abs(off_rad)
         is_ahead = math.cos(self.heading_rad) >= 0.0
         begins = not self._is_swinging and size_rad > _SWINGS_RAD
@@ -66,7 +67,7 @@ class Caster:
         self._is_ahead = is_ahead
         if math.pi - size_rad >= _LEAST_OFF_RAD:
             return off_rad
-        return (math.pi - _LEAST_OFF_RAD) * (1.0 if self._random.uniform() < 0.5 else -1.0)
+        return (math.pi - _LEAST_OFF_RAD) * (1.0 if self._random.uniform() < _HALF else -1.0)
 
 
 def _half_turn(angle_rad: float) -> float:

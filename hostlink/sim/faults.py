@@ -7,7 +7,7 @@ from hostlink.protocol.control import decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, byte_sum, encode
 from hostlink.protocol.resampling import resample
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.drive_train import DriveTrain
+from hostlink.sim.worlds import AnyWheel
 
 RUN_S = 3.0  # how long a board that starts anew again and again stays up
 _TEXT = b"left 12 right 13 battery 11.8 V\r\n"
@@ -70,7 +70,7 @@ class Fault:
     at_power_up: bytes = b""  # what comes before the first of them
     clock_rate: float = 1.0  # seconds of the device's in one of the world's
     runs_s: float | None = None  # it starts anew so often; None: never
-    break_wheel: Callable[[DriveTrain], None] = lambda _: None  # what is wrong with its left wheel
+    break_wheel: Callable[[AnyWheel], None] = lambda _: None  # what is wrong with its left wheel
 
 
 HEALTHY = Fault(text="none")
@@ -86,8 +86,8 @@ FAULTS = {
     "reboots": Fault(text=f"starts anew every {RUN_S:g} s", runs_s=RUN_S),
     "boot_noise": Fault(text="an ESP8266's boot message", at_power_up=resample(_BOOT_TEXT, ratio=_BOOT_RATIO)),
     "clock": Fault(text="its clock is a quarter too fast", clock_rate=1.25),
-    "stalled_wheel": Fault(text="its left wheel is blocked", break_wheel=DriveTrain.block),
-    "runaway_wheel": Fault(text="its left motor's driver is broken", break_wheel=DriveTrain.break_driver),
+    "stalled_wheel": Fault(text="its left wheel is blocked", break_wheel=lambda wheel: wheel.grip(0.0)),
+    "runaway_wheel": Fault(text="its left motor's driver is broken", break_wheel=lambda wheel: wheel.break_driver()),
 }
 
 

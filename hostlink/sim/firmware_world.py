@@ -1,7 +1,7 @@
 """FirmwareWorld: the Due's real firmware in a world, in virtual time: a minute of the robot takes milliseconds. Pure.
 
-It is the host's end of the robot's UART, too: it requests the topics, answers time and parameters, and drives. One object
-is one robot; use it from one thread, and as many of them as you like.
+It is the host's end of the robot's UART, too: it requests the topics, answers time and parameters, and drives. One
+object is one robot; use it from one thread, and as many of them as you like.
 """
 
 import ctypes

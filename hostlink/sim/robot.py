@@ -7,17 +7,19 @@ from typing import Any
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import Parameter
-from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.robot.kinematics import Pose
 from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Gains, WheelController, WheelFault
 from hostlink.sim.device import SimulatedDevice
-from hostlink.sim.drive_train import FULL_SPEED_TICKS_S, DriveTrain
+from hostlink.sim.drive_train import FULL_SPEED_TICKS_S
 from hostlink.sim.geometry import PARAMETERS, Geometry
 from hostlink.sim.self_report import Battery, Error, Errors
+from hostlink.sim.worlds import AnyWheel, AnyWorld, open_world
 
 PUBLISH_EVERY = 3
 REPORT_EVERY = 10  # of what it publishes: once a second
 BATTERY_V = 12.0
 WATCHDOG_S = 0.5
+_EDGES = 1 << 32  # a board's counter wraps
 _INFO = 1
 _WARN = 2
 _ERROR = 3
@@ -38,12 +40,15 @@ _WHEEL_ERRORS = (
 class SimulatedRobot:
     """Call `turn` thirty times a second; what it sends is in `device.to_host`."""
 
-    def __init__(self, name: str, catalog: Catalog, *, device: SimulatedDevice | None = None) -> None:
+    def __init__(
+        self, name: str, catalog: Catalog, *, device: SimulatedDevice | None = None, world: AnyWorld | None = None
+    ) -> None:
         self.name = name
         self.device = SimulatedDevice() if device is None else device
         self.pose = Pose()  # as the robot believes
         self.geometry = Geometry()  # as the robot believes
-        self.wheels = (DriveTrain(), DriveTrain())
+        self.world = open_world() if world is None else world
+        self._edges = (0, 0)  # as the encoders showed last
         self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
         self._turns = 0
         self._commanded_at_s: float | None = None
@@ -65,9 +70,13 @@ class SimulatedRobot:
     @property
     def speed_m_s(self) -> float:
         """How fast the robot truly moves forward."""
-        truth = DifferentialDrive()
-        left, right = (wheel.speed_ticks_s * truth.metres_per_tick for wheel in self.wheels)
-        return truth.body_velocity(left, right)[0]
+        left, right = self.wheels
+        return (left.speed_m_s + right.speed_m_s) / 2
+
+    @property
+    def wheels(self) -> tuple[AnyWheel, AnyWheel]:
+        """Left and right."""
+        return self.world.left, self.world.right
 
     def turn(self, now_s: float) -> float | None:
         """One turn of the loop; None when it is done, else call again after so many seconds (the retry clause)."""
@@ -82,7 +91,7 @@ class SimulatedRobot:
         if is_stale or not self.device.is_configured:
             self._command(0.0, 0.0)
             self._commanded_at_s = None
-        edges = [wheel.step(control.pwm, LOOP_S) for wheel, control in zip(self.wheels, self.controllers, strict=True)]
+        edges = self._pass_time()
         rolled = [control.step(count, LOOP_S) for control, count in zip(self.controllers, edges, strict=True)]
         self._watch()
         self.pose = self.geometry.integrate(self.pose, *rolled)
@@ -91,6 +100,16 @@ class SimulatedRobot:
             self._publish()
             self._report()
         return None
+
+    def _pass_time(self) -> tuple[int, int]:
+        """Let the world go on for a turn of the loop; returns the edges that each encoder counted."""
+        left, right = self.controllers
+        self.world.drive(left.pwm, right.pwm)
+        self.world.step(LOOP_S)
+        edges = self.world.left.edges, self.world.right.edges
+        counted = (edges[0] - self._edges[0]) % _EDGES, (edges[1] - self._edges[1]) % _EDGES
+        self._edges = edges
+        return counted
 
     def reboot(self) -> None:
         """Power off and on: it stands at the origin of a new odometry."""

@@ -26,8 +26,8 @@ class World:
         self.rolled_m = 0.0  # by the robot's middle, forwards and backwards
         self._caster = Caster(world)
         self._pwm = (0, 0)
-        self._step_pwm = 2.0 ** max(0.0, _PWM_BITS - world.pwm_bits)
-        self._top = 2.0 ** min(float(_PWM_BITS), world.pwm_bits) - 1.0
+        self._step_pwm: float = 2.0 ** max(0.0, _PWM_BITS - world.pwm_bits)
+        self._top: float = 2.0 ** min(float(_PWM_BITS), world.pwm_bits) - 1.0
 
     @property
     def caster_rad(self) -> float:

@@ -58,7 +58,10 @@ def load_library(path: Path = LIBRARY) -> ctypes.CDLL:
     """
     if not path.exists():
         raise WorldLibraryMissing(f"{path} is not built: run  make world  in hostlink's sources")
-    loaded = ctypes.CDLL(str(path))
+    try:
+        loaded = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise WorldLibraryMissing(f"{path} cannot be loaded: {error}: run  make world") from None
     if not hasattr(loaded, "firmware_world_version") or loaded.firmware_world_version() != VERSION:
         raise WorldLibraryMissing(f"{path} is of another version: run  make world")
     for name, (result, *arguments) in _SIGNATURES.items():

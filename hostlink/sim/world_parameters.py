@@ -60,12 +60,13 @@ class WorldParameters:
 
     def values(self) -> list[float]:
         """All numbers, in the order of the C++ struct."""
-        return list(self._items().values())
+        own = [float(getattr(self, name)) for name in _own_names()]
+        return own + [float(getattr(getattr(self, side), name)) for side, name in _wheel_names()]
 
     def text(self) -> str:
         """Lines `name=value`, as the native and the emulated board read them; those that are not the default."""
-        usual = WorldParameters()._items()
-        return "".join(f"{name}={value!r}\n" for name, value in self._items().items() if value != usual[name])
+        items = zip(names(), self.values(), WorldParameters().values(), strict=True)
+        return "".join(f"{name}={value!r}\n" for name, value, usual in items if value != usual)
 
     def changed(self, values: Mapping[str, float]) -> Self:
         """The same world with other numbers, by name: `track_m`, `left.radius_m`.
@@ -84,11 +85,6 @@ class WorldParameters:
             left=_changed(self.left, values, "left."),
             right=_changed(self.right, values, "right."),
         )
-
-    def _items(self) -> dict[str, float]:
-        own = {name: float(getattr(self, name)) for name in _own_names()}
-        wheels = {f"{side}.{name}": float(getattr(getattr(self, side), name)) for side, name in _wheel_names()}
-        return own | wheels
 
 
 def names() -> list[str]:

@@ -18,21 +18,21 @@ FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 BUILD = FIRMWARE.parent / "build" / "firmware"
 
 
-def _build(preset: str, target: str) -> Path:
-    once_a_run(f"firmware_{preset}", partial(_compile, preset, target))
+def _build(preset: str, *targets: str) -> Path:
+    once_a_run(f"firmware_{preset}", partial(_compile, preset, *targets))
     return BUILD / preset
 
 
-def _compile(preset: str, target: str) -> None:
-    for command in (["cmake", "--preset", preset], ["cmake", "--build", "--preset", preset, "--target", target]):
+def _compile(preset: str, *targets: str) -> None:
+    for command in (["cmake", "--preset", preset], ["cmake", "--build", "--preset", preset, "--target", *targets]):
         done = subprocess.run(command, cwd=FIRMWARE, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
 
 
 @cache
 def build_native() -> Path:
-    """The folder with due_native."""
-    return _build("native", "due_native")
+    """The folder with due_native and libfirmware_world.so."""
+    return _build("native", "due_native", "firmware_world")
 
 
 @cache

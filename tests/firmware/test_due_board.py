@@ -1,11 +1,10 @@
-"""The Due's pins and what is behind them: shield, mirrored motor, brake; and the model of the motors."""
+"""The Due's pins and what is behind them: shield, mirrored motor, brake."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.drive_train import DriveTrain, MotorWorld
-from tests.firmware.worlds import LEFT, RIGHT, World, library, model, motors, world
+from tests.firmware.worlds import LEFT, RIGHT, World, world
 
 HIGH, LOW, FULL = 1, 0, 4095
 DIRECTION, BRAKE, PWM = {LEFT: 2, RIGHT: 5}, {LEFT: 9, RIGHT: 8}, {LEFT: 3, RIGHT: 6}
@@ -68,31 +67,3 @@ def test_a_loop_that_does_not_turn_for_half_a_second_meets_the_watchdog(hang_s: 
         made.hang(hang_s)
         made.drive(0.2, 0.0, 1.0)
         assert made.restarts == restarts
-
-
-def test_a_board_that_brakes_with_the_enable_off_would_coast() -> None:
-    """What the model makes of the mistake."""
-    motor = MotorWorld(friction_ticks_s=0.0)
-    rolled = {}
-    for duty in (0, FULL):
-        with model(motor) as handle:
-            for _ in range(1000):
-                library().motor_step(handle, HIGH, LOW, FULL, 0.001)
-            rolled[duty] = sum(library().motor_step(handle, HIGH, HIGH, duty, 0.001) for _ in range(600))
-    assert rolled[0] > 5 * rolled[FULL]
-
-
-@given(pair=motors(), story=st.lists(st.tuples(st.integers(-4095, 4095) | st.just(0), st.integers(1, 20)), max_size=8))
-def test_the_model_of_a_motor_is_that_of_the_simulator(
-    pair: tuple[MotorWorld, MotorWorld], story: list[tuple[int, int]]
-) -> None:
-    twin = DriveTrain(pair[0])
-    counted = 0
-    with model(pair[0]) as handle:
-        for pwm, turns in story:
-            for _ in range(turns):
-                duty = abs(pwm) if pwm else FULL
-                library().motor_step(handle, int(pwm >= 0), int(pwm == 0), duty, 0.01)
-                counted += twin.step(pwm, 0.01)
-                assert library().motor_speed(handle) == pytest.approx(twin.speed_ticks_s, abs=0.05)
-        assert abs(library().motor_edges(handle) - counted) <= 1

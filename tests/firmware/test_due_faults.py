@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.sim.drive_train import MotorWorld
-from tests.firmware.worlds import LEFT, RIGHT, World, motors, world
+from hostlink.sim.world_parameters import WorldParameters
+from tests.firmware.worlds import LEFT, RIGHT, World, world, worlds
 
 SIDES = pytest.mark.parametrize(("side", "name"), [(LEFT, "left"), (RIGHT, "right")], ids=["left", "right"])
 HIGH_PWM = 2048
@@ -47,10 +47,10 @@ def test_a_dead_encoder_is_a_stalled_wheel(side: int, name: str) -> None:
         assert [line.partition(":")[0] for line in made.errors] == [f"{name} wheel stalled"]
 
 
-@given(speed=st.floats(0.002, 0.34), side=st.sampled_from([LEFT, RIGHT]), pair=motors())
-def test_a_dead_encoder_ends_a_drive_at_any_speed(speed: float, side: int, pair: tuple[MotorWorld, MotorWorld]) -> None:
+@given(speed=st.floats(0.002, 0.34), side=st.sampled_from([LEFT, RIGHT]), drawn=worlds())
+def test_a_dead_encoder_ends_a_drive_at_any_speed(speed: float, side: int, drawn: WorldParameters) -> None:
     """Also at one so low that the PWM never gets high: after five seconds without an edge."""
-    with world(*pair) as made:
+    with world(drawn) as made:
         made.deafen(side)
         made.drive(speed, 0.0, 7.0)
         assert not drives_at(made)[-50:].any()

@@ -5,7 +5,7 @@ import struct
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 
 import numpy as np
@@ -14,16 +14,18 @@ from hypothesis import strategies as st
 from hostlink.protocol.control import decode_log
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.sim.drive_train import FULL_PWM, MotorWorld
+from hostlink.sim.drive_train import FULL_PWM
+from hostlink.sim.world_library import array_of
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
 from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, SANITIZER
 from tests.support.once import once_a_run
 
 FIRMWARE = ROOT / "firmware"
+WORLD = ("world", "world_parameters", "drive_train", "caster", "random_numbers")
 SOURCES = [
     *sorted((FIRMWARE / "due" / "src").glob("*.cpp")),
     FIRMWARE / "due" / "src" / "board" / "due_board.cpp",
-    FIRMWARE / "host" / "motor.cpp",
-    FIRMWARE / "host" / "plant.cpp",
+    *(FIRMWARE / "host" / f"{name}.cpp" for name in WORLD),
 ]
 WORLD_LIBRARY = LIBRARY.parent.parent / "due_world" / "libdue_world.so"
 SHIM = FIRMWARE / "host" / "due_arduino"
@@ -33,7 +35,7 @@ LEFT, RIGHT = 0, 1
 SEPARATION_M = 0.210
 METRES_PER_TICK = 2 * np.pi * 0.045 / 230.4
 FULL_TICKS_S = 280.0
-_COLUMNS = 13
+_COLUMNS = 15
 _P, _SIZE = ctypes.c_void_p, ctypes.c_size_t
 
 
@@ -56,12 +58,11 @@ def library() -> ctypes.CDLL:
     once_a_run("due_world", _compile)
     loaded = ctypes.CDLL(str(WORLD_LIBRARY))
     signatures = {
-        "world_new": (_P, ctypes.c_uint32, ctypes.c_uint32),
+        "world_new": (_P, ctypes.POINTER(ctypes.c_double), ctypes.c_uint32, ctypes.c_uint32),
         "world_hang": (None, _P, ctypes.c_uint32),
         "world_restarts": (ctypes.c_uint32, _P),
         "world_delete": (None, _P),
-        "world_motor": (None, _P, ctypes.c_int, ctypes.POINTER(ctypes.c_float)),
-        "world_grip": (None, _P, ctypes.c_int, ctypes.c_float),
+        "world_grip": (None, _P, ctypes.c_int, ctypes.c_double),
         "world_release": (None, _P, ctypes.c_int),
         "world_deafen": (None, _P, ctypes.c_int, ctypes.c_int),
         "world_stick": (None, _P, ctypes.c_int, ctypes.c_int),
@@ -71,11 +72,6 @@ def library() -> ctypes.CDLL:
         "world_writes": (_SIZE, _P, ctypes.POINTER(ctypes.c_uint16), _SIZE),
         "world_pin": (ctypes.c_int, _P, ctypes.c_uint32),
         "world_resolution_bits": (ctypes.c_int, _P),
-        "motor_new": (_P, ctypes.POINTER(ctypes.c_float)),
-        "motor_delete": (None, _P),
-        "motor_step": (ctypes.c_float, _P, ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_float),
-        "motor_speed": (ctypes.c_float, _P),
-        "motor_edges": (ctypes.c_uint32, _P),
     }
     for name, (result, *arguments) in signatures.items():
         function = getattr(loaded, name)
@@ -105,15 +101,21 @@ class Trace:
     odom_theta_rad: np.ndarray
     left_drive: np.ndarray  # the duty that its motor is given, with the sign of the way; 0 while it brakes
     right_drive: np.ndarray
+    left_rolled: np.ndarray  # how far the wheels have truly rolled, in ticks of their encoders
+    right_rolled: np.ndarray
 
-    def rolled(self, *, is_truth: bool) -> tuple[np.ndarray, np.ndarray]:
-        """How far the wheels have rolled, in ticks: truly, or as the odometry says."""
-        x_m, y_m, theta_rad = (
-            (self.x_m, self.y_m, self.theta_rad) if is_truth else (self.odom_x_m, self.odom_y_m, self.odom_theta_rad)
-        )
-        turned_rad = np.diff(np.unwrap(theta_rad), prepend=theta_rad[0])
-        heading_rad = np.unwrap(theta_rad) - turned_rad / 2
-        step_m = np.diff(x_m, prepend=x_m[0]) * np.cos(heading_rad) + np.diff(y_m, prepend=y_m[0]) * np.sin(heading_rad)
+    def since(self, row: int) -> "Trace":
+        """The rows from this one on."""
+        return Trace(*(getattr(self, item.name)[row:] for item in fields(self)))
+
+    def rolled(self) -> tuple[np.ndarray, np.ndarray]:
+        """How far the odometry believes that the wheels have rolled, in ticks."""
+        theta_rad = np.unwrap(self.odom_theta_rad)
+        turned_rad = np.diff(theta_rad, prepend=theta_rad[0])
+        heading_rad = theta_rad - turned_rad / 2
+        x_m, y_m = np.diff(self.odom_x_m, prepend=0.0), np.diff(self.odom_y_m, prepend=0.0)
+        step_m = x_m * np.cos(heading_rad) + y_m * np.sin(heading_rad)
+        step_m[0] = 0.0
         forward, turning = np.cumsum(step_m), np.cumsum(turned_rad) * SEPARATION_M / 2
         return (forward - turning) / METRES_PER_TICK, (forward + turning) / METRES_PER_TICK
 
@@ -191,6 +193,11 @@ class World:
         return Trace(*np.concatenate(self.rows).T)
 
     @property
+    def requested(self) -> np.ndarray:
+        """A row to each of the trace: what was asked of the wheels, left and right, in ticks/s."""
+        return np.concatenate(self.commanded)
+
+    @property
     def errors(self) -> list[str]:
         """The lines of the device's log that are errors."""
         logs = [decode_log(frame.payload) for frame in self.frames if frame.topic_id == Id.LOG]
@@ -206,17 +213,14 @@ def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
 
 
 @contextmanager
-def world(
-    left: MotorWorld | None = None, right: MotorWorld | None = None, *, setup_s: float = 0.0, reset_type: int = 0
-) -> Iterator[World]:
+def world(parameters: WorldParameters | None = None, *, setup_s: float = 0.0, reset_type: int = 0) -> Iterator[World]:
     """A robot that has just got its topics, for the length of the block; its setup() lasts `setup_s`.
 
     `reset_type`: why its processor started, RSTTYP of the SAM3X; 2 is the watchdog.
     """
-    handle = library().world_new(round(setup_s * 1000), reset_type)
+    values = array_of(WorldParameters() if parameters is None else parameters)
+    handle = library().world_new(values, round(setup_s * 1000), reset_type)
     try:
-        for side, motor in ((LEFT, left or MotorWorld()), (RIGHT, right or MotorWorld())):
-            library().world_motor(handle, side, _values(motor))
         made = World(handle)
         made.run(QUIET_S)
         made.feed(TOPICS_REQUEST)
@@ -226,35 +230,38 @@ def world(
         library().world_delete(handle)
 
 
-def _values(motor: MotorWorld) -> ctypes.Array[ctypes.c_float]:
-    return (ctypes.c_float * 8)(*map(float, astuple(motor)))
-
-
-@contextmanager
-def model(motor: MotorWorld) -> Iterator[int]:
-    """The firmware's model of a motor by its handle, for the length of the block."""
-    handle = library().motor_new(_values(motor))
-    try:
-        yield handle
-    finally:
-        library().motor_delete(handle)
-
-
 @st.composite
-def motors(draw: st.DrawFn) -> tuple[MotorWorld, MotorWorld]:
-    """Two motors of one make, each with its own gain: what nobody has tuned the firmware for."""
+def worlds(draw: st.DrawFn) -> WorldParameters:
+    """A world that nobody has tuned the firmware for: two motors of one make, each with its own gain and wheel."""
     dead_zone_pwm = draw(st.floats(0.0, 800.0))
-    friction_ticks_s = draw(st.floats(0.0, 1.0)) * dead_zone_pwm / FULL_PWM * 280.0
     time_constant_s = draw(st.floats(0.02, 0.2))
-    make = {
-        "time_constant_s": time_constant_s,
-        "coast_constant_s": draw(st.floats(max(0.05, time_constant_s), 1.0)),
-        "brake_constant_s": time_constant_s,  # the same motor against the same resistance, without a voltage
-        "friction_ticks_s": friction_ticks_s,
-        "dead_zone_pwm": dead_zone_pwm,
-        "has_jump": draw(st.booleans()),
-        "caster_pwm": draw(st.sampled_from([0.0, 100.0, 300.0])),
-    }
-    gains = draw(st.tuples(st.floats(0.9, 1.1), st.floats(0.9, 1.1)))
-    left, right = (MotorWorld(full_speed_ticks_s=280.0 * gain, **make) for gain in gains)
-    return left, right
+    has_jump = float(draw(st.booleans()))
+    friction = draw(st.floats(0.0, 1.0)) * dead_zone_pwm / FULL_PWM
+    coast_constant_s = draw(st.floats(max(0.05, time_constant_s), 1.0))
+
+    def wheel() -> WheelParameters:
+        full_speed_rad_s = draw(st.floats(0.9, 1.1)) * WheelParameters().full_speed_rad_s
+        return WheelParameters(
+            full_speed_rad_s=full_speed_rad_s,
+            dead_zone_pwm=dead_zone_pwm,
+            has_jump=has_jump,
+            rise_constant_s=time_constant_s,
+            coast_constant_s=coast_constant_s,
+            brake_constant_s=time_constant_s,  # the same motor against the same resistance, without a voltage
+            friction_rad_s=friction * WheelParameters().full_speed_rad_s,
+            radius_m=draw(st.floats(0.044, 0.046)),
+            slip_noise_m=draw(st.sampled_from([0.0, 0.003])),
+        )
+
+    return WorldParameters(
+        seed=draw(st.integers(0, 2**32 - 1)),
+        track_m=draw(st.floats(0.2, 0.22)),
+        caster_pwm=draw(st.sampled_from([0.0, 100.0, 300.0])),
+        caster_twist_rad=draw(st.sampled_from([0.0, 0.055])),
+        caster_random=0.4,
+        floor_pwm=draw(st.sampled_from([0.0, 0.0, 200.0])),
+        battery_v=draw(st.floats(10.5, 13.0)),
+        battery_sag_v=draw(st.floats(0.0, 1.0)),
+        left=wheel(),
+        right=wheel(),
+    )

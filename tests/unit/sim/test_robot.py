@@ -13,10 +13,12 @@ from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.controller import LEFT_GAINS, MinimumJerk, WheelController, motor_output
 from hostlink.sim.device import SimulatedDevice
-from hostlink.sim.drive_train import FULL_PWM, DriveTrain, MotorWorld
+from hostlink.sim.drive_train import DriveTrain
 from hostlink.sim.faults import FAULTS
 from hostlink.sim.geometry import Geometry
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
+from hostlink.sim.world import World
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
 
 CATALOG = Catalog()
 METRES_PER_TICK = math.tau * 0.045 / 230.4
@@ -25,8 +27,8 @@ METRES_PER_TICK = math.tau * 0.045 / 230.4
 class Track:
     """A robot on a line without delay, driven for a while."""
 
-    def __init__(self) -> None:
-        self.robot = SimulatedRobot("robot_0", CATALOG, device=SimulatedDevice(baud=None))
+    def __init__(self, world: World | None = None) -> None:
+        self.robot = SimulatedRobot("robot_0", CATALOG, device=SimulatedDevice(baud=None), world=world)
         self.now_s = 0.0
         self.robot.device.from_host.send(TOPICS_REQUEST, 0.0)
         self.frames: list[Frame] = []
@@ -193,11 +195,11 @@ def pwms(track: Track) -> list[int]:
 
 def test_a_blocked_wheel_stops_both_is_logged_once_and_waits_for_a_zero() -> None:
     track = Track()
-    turned_by, track.robot.wheels[1].world = track.robot.wheels[1].world, MotorWorld(dead_zone_pwm=FULL_PWM + 1)
+    track.robot.wheels[1].grip(0.0)
     track.drive(0.2, 0.0, 4.0)
     assert pwms(track) == [0, 0]
     assert [text.partition(":")[0] for text in errors(track)] == ["right wheel stalled"]
-    track.robot.wheels[1].world = turned_by
+    track.robot.wheels[1].release()
     track.drive(0.2, 0.0, 2.0)
     assert pwms(track) == [0, 0]
     track.drive(0.0, 0.0, 0.5)
@@ -217,15 +219,19 @@ def test_the_faults_of_a_wheel_are_found_when_it_is_driven(fault: str, reported:
     assert pwms(track) == [0, 0]
 
 
-worlds = st.builds(
-    MotorWorld,
-    full_speed_ticks_s=st.floats(250.0, 310.0),
-    time_constant_s=st.floats(0.02, 0.2),
+wheels = st.builds(
+    WheelParameters,
+    full_speed_rad_s=st.floats(6.8, 8.5),
+    rise_constant_s=st.floats(0.02, 0.2),
     coast_constant_s=st.floats(0.2, 1.0),
     brake_constant_s=st.floats(0.02, 0.2),
     dead_zone_pwm=st.floats(0.0, 800.0),
-    has_jump=st.booleans(),
-    caster_pwm=st.sampled_from([0.0, 300.0]),
+    has_jump=st.sampled_from([0.0, 1.0]),
+)
+worlds = st.builds(
+    lambda wheel, caster_pwm: WorldParameters(left=wheel, right=wheel, caster_pwm=caster_pwm),
+    wheels,
+    st.sampled_from([0.0, 300.0]),
 )
 speeds = st.sampled_from([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])
 stories = st.lists(st.tuples(speeds, st.floats(0.1, 3.0), st.floats(0.0, 0.3)), min_size=1, max_size=6)
@@ -234,11 +240,9 @@ stories = st.lists(st.tuples(speeds, st.floats(0.1, 3.0), st.floats(0.0, 0.3)), 
 @settings(max_examples=settings.default.max_examples // 2)
 @given(worlds, stories)
 def test_its_odometry_shows_what_its_wheels_do_in_any_world(
-    motor: MotorWorld, story: list[tuple[float, float, float]]
+    drawn: WorldParameters, story: list[tuple[float, float, float]]
 ) -> None:
-    track = Track()
-    for wheel in track.robot.wheels:
-        wheel.world = motor
+    track = Track(World(drawn))
     for linear, seconds, pause_s in story:
         track.drive(linear, 0.0, seconds)
         track.drive(0.0, 0.0, pause_s)

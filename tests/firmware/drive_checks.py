@@ -1,0 +1,83 @@
+"""What every drive must keep in any world: odometry as the wheels rolled, never too fast, standing after a zero."""
+
+import numpy as np
+
+from hostlink.sim.drive_train import FULL_PWM
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from tests.firmware.worlds import LEFT, RIGHT, Trace
+
+STANDING_TICKS_S = 5.0  # 6 mm/s
+CREEP_TICKS_S = 15.0  # 18 mm/s: what the least PWM gives to a wheel without friction before the encoder has two edges
+ROW_S = 0.01
+STOP_S = 0.6
+QUICK_BRAKE_S = 0.14  # time constant of a motor that the brake stops within STOP_S from any speed
+OVER_S = 0.3
+LATE_TICKS = 12.0  # odometry is a turn of the loop late: 9.3 ticks at full speed; and a wheel has parts of a tick
+REVERSAL_TICKS = 1.0  # what rolls on unseen, under 5 ticks/s, while the sign changes
+AGAINST_TICKS_S = 15.0
+
+Wheel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def wheels(trace: Trace, requested: np.ndarray) -> list[Wheel]:
+    """Of each wheel: its true speed, its set-point, what was asked of it, what its motor is given."""
+    return [
+        (trace.left, trace.left_set, requested[:, LEFT], trace.left_drive),
+        (trace.right, trace.right_set, requested[:, RIGHT], trace.right_drive),
+    ]
+
+
+def check_odometry(trace: Trace, reversals: int) -> None:
+    """It counts what each wheel did: on the way but for what it is late, at the end but for the reversals."""
+    true = (trace.left_rolled, trace.right_rolled)
+    for rolled, counted in zip(true, trace.rolled(), strict=True):
+        off = np.abs((rolled - rolled[0]) - (counted - counted[0]))
+        assert float(np.max(off)) <= LATE_TICKS + REVERSAL_TICKS * reversals
+        assert float(off[-1]) <= 1.0 + REVERSAL_TICKS * reversals
+
+
+def check_speed(trace: Trace, requested: np.ndarray) -> None:
+    """No wheel is faster than 1.1 times what was asked for longer than 0.3 s, none is driven against its motion."""
+    for wheel in wheels(trace, requested):
+        speed, _, _, drive = wheel
+        assert too_fast_s(wheel) <= OVER_S
+        against_ticks_s = float(np.max(-speed * np.sign(drive), initial=0.0))
+        assert against_ticks_s <= AGAINST_TICKS_S, "a motor was driven against its wheel"
+
+
+def check_standstill(trace: Trace, drawn: WorldParameters) -> None:
+    """Rows from a zero on: it stands as soon as the brake allows, within 0.6 s for a constant of 0.14 s or less."""
+    for wheel, speed in ((drawn.left, trace.left), (drawn.right, trace.right)):
+        after = np.abs(speed)
+        stood_s = float(np.max(np.flatnonzero(after > STANDING_TICKS_S), initial=-1) + 1) * ROW_S
+        assert stood_s <= brake_s(drawn, wheel, float(after[0])) + 2 * ROW_S
+        assert stood_s <= STOP_S + ROW_S or wheel.brake_constant_s > QUICK_BRAKE_S
+
+
+def longest_s(is_so: np.ndarray) -> float:
+    """How long something was so without a break."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_so.astype(int), [0]])))
+    return float(np.max(edges[1::2] - edges[::2], initial=0)) * ROW_S
+
+
+def recent_most(values: np.ndarray) -> np.ndarray:
+    """The most in the last 0.3 s: a wheel that is to go slower has to brake first."""
+    rows = round(OVER_S / ROW_S)
+    padded = np.concatenate([np.full(rows - 1, values[0]), values])
+    return np.max(np.lib.stride_tricks.sliding_window_view(padded, rows), axis=1)
+
+
+def too_fast_s(wheel: Wheel) -> float:
+    """How long it was faster than 1.1 times what was asked for and a tick in 0.2 s, while it was driven."""
+    speed, set_point, requested, _ = wheel
+    most = recent_most(np.maximum(np.abs(requested), np.abs(set_point)))
+    allowed = np.maximum(1.1 * most + STANDING_TICKS_S, CREEP_TICKS_S)
+    return longest_s((np.abs(speed) > allowed) & (requested != 0))
+
+
+def brake_s(drawn: WorldParameters, wheel: WheelParameters, speed_ticks_s: float) -> float:
+    """How long the shorted motor takes by itself."""
+    friction_rad_s = wheel.friction_rad_s + drawn.floor_pwm / FULL_PWM * wheel.full_speed_rad_s
+    friction_ticks_s = friction_rad_s * wheel.ticks_per_turn / (2 * np.pi)
+    ratio = (speed_ticks_s + friction_ticks_s) / (STANDING_TICKS_S + friction_ticks_s)
+    return wheel.brake_constant_s * float(np.log(max(ratio, 1.0)))

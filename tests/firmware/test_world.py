@@ -1,0 +1,94 @@
+"""The world in C++ and its Python twin: the same names, the same numbers, the same digits after each step."""
+
+import ctypes
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.sim.world import World
+from hostlink.sim.world_library import NativeWorld, load_library
+from hostlink.sim.world_parameters import WorldParameters, names, read
+from tests.firmware.boards import build_native
+from tests.firmware.worlds import worlds
+
+STEPS_S = (0.001, 0.002, 0.01, 1 / 30)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built() -> None:
+    """The library, compiled before the clock of the first test runs."""
+    build_native()
+
+
+def state(world: World | NativeWorld) -> list[float]:
+    pose = [world.x_m, world.y_m, world.theta_rad, world.rolled_m, world.battery_v, world.caster_rad]
+    wheels = [(wheel.speed_rad_s, wheel.rolled_rad, wheel.edges) for wheel in (world.left, world.right)]
+    return [*pose, *wheels[0], *wheels[1]]
+
+
+def read_natively(text: str) -> tuple[int, list[float]]:
+    values = (ctypes.c_double * len(names()))()
+    wrong = load_library().world_parameters_read(text.encode(), values)
+    return int(wrong), list(values)
+
+
+def test_the_parameters_have_the_same_names_order_and_defaults() -> None:
+    library = load_library()
+    values = (ctypes.c_double * len(names()))()
+    library.world_parameters_defaults(values)
+    assert [library.world_parameters_name(i).decode() for i in range(library.world_parameters_count())] == names()
+    assert list(values) == WorldParameters().values()
+
+
+@given(drawn=worlds())
+def test_a_world_s_text_is_read_by_both(drawn: WorldParameters) -> None:
+    assert read(drawn.text()) == drawn
+    wrong, values = read_natively(drawn.text())
+    assert wrong == 0
+    assert values == pytest.approx(drawn.values(), rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["track=0.2\n", "track_m\n", "track_m=\n", "track_m=wide\n", "track_m=0.2 m\n"])
+def test_a_line_that_is_none_is_named_by_both(text: str) -> None:
+    assert read_natively("# wide\n\n" + text)[0] == 3
+    with pytest.raises(ValueError, match="track"):
+        read("# wide\n\n" + text)
+
+
+pwms = st.one_of(st.just(0), st.integers(-4095, 4095))
+pieces = st.tuples(pwms, pwms, st.sampled_from(STEPS_S), st.integers(1, 80), st.sampled_from(["", "grip", "shove"]))
+
+
+@given(drawn=worlds(), story=st.lists(pieces, min_size=1, max_size=12))
+def test_the_twin_computes_the_same_digits(
+    drawn: WorldParameters, story: list[tuple[int, int, float, int, str]]
+) -> None:
+    native, twin = NativeWorld(drawn), World(drawn)
+    for left, right, dt_s, steps, hand in story:
+        for world in (native, twin):
+            world.drive(left, right)
+            if hand == "grip":
+                world.left.grip(left / 20)
+            elif hand == "shove":
+                world.shove(0.01, -0.02, 0.3)
+            else:
+                world.left.release()
+        for _ in range(steps):
+            native.step(dt_s)
+            twin.step(dt_s)
+            assert state(native) == state(twin)
+
+
+def test_a_minute_in_coarse_steps_is_a_minute_in_fine_ones() -> None:
+    """What a simulated robot's thirty steps a second make of the same PWMs: within 1 mm and 1 mrad."""
+    fine, coarse = NativeWorld(), World()
+    for piece in range(12):
+        for world, steps in ((fine, 5000), (coarse, 150)):
+            world.drive(2000 + 150 * piece, 3800 - 120 * piece)
+            for _ in range(steps):
+                world.step(5.0 / steps)
+    assert math.hypot(fine.x_m - coarse.x_m, fine.y_m - coarse.y_m) <= 0.001
+    assert fine.theta_rad == pytest.approx(coarse.theta_rad, abs=0.001)
+    assert fine.rolled_m > 8.0
