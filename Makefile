@@ -39,7 +39,7 @@ help:
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC)"
-	@echo "make soak    ten minutes of driving on the chain, ten over a link that fails, every message counted, and ten of"
+	@echo "make soak    ten minutes of driving on the chain, 5000 drives in drawn worlds, ten over a link that fails, every message counted, and ten of"
 	@echo "             chaos against the daemon (CHAOS_S=3600: an hour, CHAOS_SEED=7: the steps of that seed again)"
 	@echo "make netns   host and robot in two network namespaces: loss, delay, a black-out, another address (as root)"
 	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris on each reader of bytes"
@@ -142,6 +142,7 @@ chain: $(VENV)/.hostlink
 soak: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)
 	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
+	HOSTLINK_DRIVES=5000 HOSTLINK_DRIVES_M3=100 $(BIN)/python -m pytest tests/firmware/test_due_sweep.py
 	$(BIN)/python tools/soak_link.py --seconds 600
 	$(BIN)/python tools/chaos_daemon.py --seconds $(CHAOS_S) $(if $(CHAOS_SEED),--seed $(CHAOS_SEED))
 	$(BIN)/python tools/measure_damage.py --frames 10000000

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "robot_in_world.h"
+#include "world_script.h"
 
 using hostlink::DriveTrain;
 using hostlink::RobotInWorld;
@@ -23,6 +24,19 @@ WorldParameters parameters_of(const double* values) {
 }
 
 DriveTrain& wheel(World& world, int side) { return side == 0 ? world.left() : world.right(); }
+
+struct Rows {
+  double* next;
+  size_t room;
+};
+
+void add_row(void* context, const double* row) {
+  Rows& rows = *static_cast<Rows*>(context);
+  if (rows.room == 0) return;
+  memcpy(rows.next, row, RobotInWorld::kColumns * sizeof(double));
+  rows.next += RobotInWorld::kColumns;
+  --rows.room;
+}
 
 }  // namespace
 
@@ -100,6 +114,16 @@ size_t firmware_world_run(FirmwareWorld* self, uint32_t ms, uint32_t every_ms, d
   return count;
 }
 uint32_t firmware_world_lost_bytes(FirmwareWorld* self) { return self->robot.board().from_host().lost(); }
+
+// Runs a script (world_script.h) in a robot of its own. Returns 0, or the number of the line that is wrong; `capacity`
+// is the number of rows, and how many there were.
+uint32_t firmware_world_script(const char* text, double* rows, size_t* capacity) {
+  RobotInWorld robot(WorldParameters(), 0, "/robot_0/", hostlink::Retry::kKeepState);
+  Rows found = {rows, *capacity};
+  const uint32_t wrong = hostlink::run_script(robot, text, add_row, &found);
+  *capacity -= found.room;
+  return wrong;
+}
 
 // -- the world alone
 // ----------------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ class VirtualBoard : public Hal {
 class RobotInWorld {
  public:
   static const uint32_t kPassUs = 1000;
-  static const size_t kColumns = 20;
+  static const size_t kColumns = 24;
 
   // `baud` 0: bytes are through at once. `name` stays the caller's.
   RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry);

@@ -42,12 +42,19 @@ class World {
   const DriveTrain& left() const { return left_; }
   const DriveTrain& right() const { return right_; }
 
+  // What a motor is given, forwards positive; 0 while it brakes or runs free.
+  int16_t left_pwm() const { return signed_pwm(left_levels_, kIsReversedLeft); }
+  int16_t right_pwm() const { return signed_pwm(right_levels_, kIsReversedRight); }
   const TruePose& pose() const { return pose_; }               // of the middle between the wheels
   double rolled_m() const { return rolled_m_; }                // by that middle, forwards and backwards
   double battery_v() const;                                    // at the motors, now
   double caster_rad() const { return caster_.heading_rad(); }  // where its wheel rolls to, 0: forwards
 
  private:
+  static int16_t signed_pwm(const MotorLevels& levels, bool is_mirrored) {
+    if (levels.brake) return 0;
+    return levels.direction != is_mirrored ? levels.duty : static_cast<int16_t>(-levels.duty);
+  }
   static double pushed_pwm(const MotorLevels& levels, double duty, bool is_mirrored);
   double load_pwm(double left_pwm, double right_pwm) const;
   void move(double left_m, double right_m);

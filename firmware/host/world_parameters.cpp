@@ -51,6 +51,21 @@ const uint64_t kMostDigits = 900000000000000000u;  // one more digit fits
 
 bool is_digit(char letter) { return letter >= '0' && letter <= '9'; }
 
+bool read_line(const char* line, size_t size, WorldParameters& parameters) {
+  for (size_t i = 0; i < kCount; ++i) {
+    const size_t length = strlen(kNames[i]);
+    if (size <= length || strncmp(line, kNames[i], length) != 0 || line[length] != '=') continue;
+    double value = 0.0;
+    const char* end = read_number(line + length + 1, value);
+    if (end == nullptr || end != line + size) return false;
+    world_parameter(parameters, i) = value;
+    return true;
+  }
+  return false;
+}
+
+}  // namespace
+
 // strtod without its heap: digits, a point, an exponent. Exact where a double is; else right to its last digits.
 const char* read_number(const char* at, double& value) {
   const bool is_negative = *at == '-';
@@ -86,21 +101,6 @@ const char* read_number(const char* at, double& value) {
   value = (is_negative ? -1.0 : 1.0) * (exponent < 0 ? size / power : size * power);
   return at;
 }
-
-bool read_line(const char* line, size_t size, WorldParameters& parameters) {
-  for (size_t i = 0; i < kCount; ++i) {
-    const size_t length = strlen(kNames[i]);
-    if (size <= length || strncmp(line, kNames[i], length) != 0 || line[length] != '=') continue;
-    double value = 0.0;
-    const char* end = read_number(line + length + 1, value);
-    if (end == nullptr || end != line + size) return false;
-    world_parameter(parameters, i) = value;
-    return true;
-  }
-  return false;
-}
-
-}  // namespace
 
 size_t world_parameter_count() { return kCount; }
 

@@ -57,4 +57,7 @@ double& world_parameter(WorldParameters& parameters, size_t index);
 // line that names no parameter or whose value is no number.
 uint32_t read_world(const char* text, WorldParameters& parameters);
 
+// Reads a decimal number: digits, a point, an exponent. Returns where it ends, or nullptr where there is none.
+const char* read_number(const char* at, double& value);
+
 }  // namespace hostlink

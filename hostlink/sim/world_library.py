@@ -29,6 +29,7 @@ _SIGNATURES = {
     "firmware_world_row": (None, _P, _DOUBLES),
     "firmware_world_run": (_SIZE, _P, _U32, _U32, _DOUBLES, _SIZE),
     "firmware_world_lost_bytes": (_U32, _P),
+    "firmware_world_script": (_U32, ctypes.c_char_p, _DOUBLES, ctypes.POINTER(_SIZE)),
     "world_new": (_P, _DOUBLES),
     "world_delete": (None, _P),
     "world_be": (None, _P, _DOUBLES),

@@ -1,0 +1,137 @@
+"""Drives as scripts (firmware/host/world_script.h) that the firmware runs in virtual time, natively or emulated."""
+
+import ctypes
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hostlink.sim.firmware_world import columns
+from hostlink.sim.world_library import load_library
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from tests.firmware.boards import build_m3
+from tests.firmware.worlds import Trace, wheel_speeds
+
+ROW_MS = 10
+CONNECT_MS = 500
+STANDS_MS = 1200  # at the end of each story
+TEXT_AT = 0x21000000  # firmware/qemu/mps2.h
+QEMU_S = 120.0
+# The columns of worlds.Trace.
+_SIDES = [f"{side}_{name}" for name in ("ticks_s", "set_ticks_s") for side in ("left", "right")]
+_POSES = [f"{prefix}{name}" for prefix in ("", "odometry_") for name in ("x_m", "y_m", "theta_rad")]
+_MOTORS = [f"{side}_{name}" for name in ("pwm", "rolled_ticks") for side in ("left", "right")]
+_TRACE = ["t_s", *_SIDES, *_POSES, *_MOTORS]
+
+
+@dataclass(frozen=True)
+class Script:
+    """A world and a story in it: pieces of m/s, rad/s and milliseconds."""
+
+    world: WorldParameters
+    pieces: tuple[tuple[float, float, int], ...]
+
+    @property
+    def text(self) -> str:
+        lines = (f"drive {linear!r} {angular!r} {ms}\n" for linear, angular, ms in self.pieces)
+        return self.world.text() + "".join(lines)
+
+    @property
+    def rows(self) -> int:
+        """How many it gives."""
+        return (CONNECT_MS + sum(ms for _, _, ms in self.pieces)) // ROW_MS
+
+    @property
+    def requested(self) -> np.ndarray:
+        """A row to each of the trace: what was asked of the wheels, left and right, in ticks/s."""
+        silent = np.zeros((CONNECT_MS // ROW_MS, 2))
+        return np.concatenate([silent, *(np.tile(wheel_speeds(v, w), (ms // ROW_MS, 1)) for v, w, ms in self.pieces)])
+
+
+def run_native(text: str, rows: int) -> np.ndarray:
+    """The rows of the native firmware."""
+    found = np.zeros((rows, len(columns())))
+    count = ctypes.c_size_t(rows)
+    pointer = found.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+    wrong = load_library().firmware_world_script(text.encode(), pointer, ctypes.byref(count))
+    assert wrong == 0, f"line {wrong}: {text.splitlines()[wrong - 1]}"
+    assert count.value == rows
+    return found
+
+
+def start_m3(text: str, folder: Path) -> "subprocess.Popen[bytes]":
+    """Emulate a Cortex-M3 that runs the script in this folder."""
+    (folder / "script.txt").write_bytes(text.encode() + b"\0")
+    machine = ["qemu-system-arm", "-M", "mps2-an385", "-semihosting", "-display", "none", "-monitor", "none"]
+    loader = ["-device", f"loader,force-raw=on,addr={TEXT_AT:#x},file=script.txt"]
+    kernel = ["-serial", "none", "-kernel", str(build_m3() / "due_script_m3.elf")]
+    return subprocess.Popen([*machine, *loader, *kernel], cwd=folder)
+
+
+def run_m3(text: str, folder: Path) -> np.ndarray:
+    """The rows of the firmware on the emulated Cortex-M3."""
+    with start_m3(text, folder) as process:
+        try:
+            status = process.wait(QEMU_S)
+        finally:
+            process.kill()
+    assert status == 0
+    return np.fromfile(folder / "rows.bin").reshape(-1, len(columns()))
+
+
+def column(rows: np.ndarray, name: str) -> np.ndarray:
+    return rows[:, columns().index(name)]
+
+
+def trace(rows: np.ndarray) -> Trace:
+    """The rows as the checks of a drive read them."""
+    return Trace(*(column(rows, name) for name in _TRACE))
+
+
+def draw(seed: int) -> Script:
+    """A world that nobody has tuned the firmware for, and a story of drives and pauses that ends in a zero."""
+    random = np.random.default_rng(seed)
+    dead_zone_pwm, time_constant_s = random.uniform(0.0, 800.0), random.uniform(0.02, 0.2)
+    make = {
+        "dead_zone_pwm": dead_zone_pwm,
+        "has_jump": float(random.integers(2)),
+        "rise_constant_s": time_constant_s,
+        "coast_constant_s": random.uniform(max(0.05, time_constant_s), 1.0),
+        "brake_constant_s": time_constant_s,  # the same motor against the same resistance, without a voltage
+        "friction_rad_s": random.uniform() * dead_zone_pwm / 4095 * WheelParameters().full_speed_rad_s,
+    }
+    left, right = (
+        WheelParameters(
+            full_speed_rad_s=random.uniform(0.9, 1.1) * WheelParameters().full_speed_rad_s,
+            radius_m=random.uniform(0.044, 0.046),
+            slip_noise_m=random.choice([0.0, 0.003]),
+            slip_accelerating_s2_m=random.choice([0.0, 0.02]),
+            slip_braking_s2_m=random.choice([0.0, 0.02]),
+            **make,
+        )
+        for _ in range(2)
+    )
+    world = WorldParameters(
+        seed=float(seed),
+        track_m=random.uniform(0.2, 0.22),
+        caster_pwm=random.choice([0.0, 100.0, 300.0]),
+        caster_twist_rad=random.choice([0.0, 0.055]),
+        caster_random=0.4,
+        floor_pwm=random.choice([0.0, 0.0, 200.0]),
+        battery_v=random.uniform(10.5, 13.0),
+        battery_sag_v=random.uniform(0.0, 1.0),
+        left=left,
+        right=right,
+    )
+    return Script(world.changed({}), tuple(_story(random)))
+
+
+def _story(random: np.random.Generator) -> list[tuple[float, float, int]]:
+    pieces = []
+    for _ in range(random.integers(1, 9)):
+        linear = random.uniform(0.02, 0.34) * random.choice([-1.0, 1.0])
+        angular = random.choice([0.0, random.uniform(-1.5, 1.5)])
+        pieces.append((float(linear), float(angular), 10 * int(random.integers(10, 301))))
+        pieces.append((0.0, 0.0, int(random.choice([0, 0, 40, 70, 100, 200, 600, 1000]))))
+    return [*pieces, (0.0, 0.0, STANDS_MS)]
