@@ -25,6 +25,7 @@ def main() -> int:
     parser.add_argument("--native", action="store_true", help="the Due's firmware as a process instead of on QEMU")
     parser.add_argument("--listen", default="127.0.0.1:11411", help="where devices connect")
     parser.add_argument("--api", default="127.0.0.1:9090", help="where programs connect")
+    parser.add_argument("--world", type=Path, help="a file of lines name=value: the numbers of the robot's world")
     arguments = parser.parse_args()
     build("native", "due_native", "esp8266_native")
     if not arguments.native:
@@ -38,7 +39,7 @@ def main() -> int:
             running(BUILD / "native" / "esp8266" / "esp8266_native", "--server", arguments.listen, "--wait-for-device")
         )
         port = uart_port(esp)
-        due = parts.enter_context(running(*due_command(port, is_native=arguments.native)))
+        due = parts.enter_context(running(*due_command(port, arguments.world, is_native=arguments.native)))
         where = "this PC" if arguments.native else "an emulated Cortex-M3"
         print(f"hostlink <- TCP {arguments.listen} <- ESP8266 sketch <- UART 38400 <- Due firmware on {where}")
         print(f"page: http://{arguments.api}   drive: hostlink teleop --url http://{arguments.api}   Ctrl-C ends it")
@@ -56,12 +57,14 @@ def build(preset: str, *targets: str) -> None:
             sys.exit(done.stdout + done.stderr)
 
 
-def due_command(port: int, *, is_native: bool) -> list[str | Path]:
+def due_command(port: int, world: Path | None, *, is_native: bool) -> list[str | Path]:
     if is_native:
-        return [BUILD / "native" / "due_native", "127.0.0.1", str(port)]
+        return [BUILD / "native" / "due_native", "127.0.0.1", str(port), *(["38400", world] if world else [])]
     line = f"tcp:127.0.0.1:{port},nodelay=on"
     machine = ["qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none"]
-    return [*machine, "-kernel", BUILD / "cortex-m3" / "due_m3.elf", "-serial", line, "-serial", "null"]
+    # Text in a memory that is zero: the last line needs no end of its own.
+    loader = ["-device", f"loader,force-raw=on,addr=0x21000000,file={world}"] if world else []
+    return [*machine, *loader, "-kernel", BUILD / "cortex-m3" / "due_m3.elf", "-serial", line, "-serial", "null"]
 
 
 class Part:

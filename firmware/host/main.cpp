@@ -1,7 +1,10 @@
 // due_native: the Due's firmware as a process: its UART is a TCP connection, as slow as the line in both directions,
 // its motors are a model.
 //
-//   due_native HOST PORT [BAUD]     connects (and connects again), runs until it is killed; BAUD 0: as fast as TCP
+//   due_native HOST PORT [BAUD [WORLD]]
+//
+// It connects (and connects again) and runs until it is killed. BAUD 0: as fast as TCP. WORLD: a file of lines name=value
+// (world_parameters.h).
 //
 // Twice a second it writes a line: loops, wheel speeds (ticks/s), bytes lost in the UART, messages got, sent and
 // dropped, where the robot truly is, and when it last got a message and last rolled.
@@ -14,6 +17,7 @@
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/socket.h>
 #include <time.h>
 #include <unistd.h>
@@ -131,11 +135,33 @@ class PosixHal : public hostlink::Hal {
   uint32_t tried_at_ms_ = 0;
 };
 
+const char* const kUsage = "usage: due_native HOST PORT [BAUD [WORLD]]";
+const size_t kMostWorldBytes = 65536;
+
+// Returns whether it could; else it has written why not.
+bool read_world_file(const char* path, hostlink::WorldParameters& parameters) {
+  static char text[kMostWorldBytes];
+  FILE* file = fopen(path, "r");
+  if (file == nullptr) {
+    fprintf(stderr, "due_native: %s: %s\n", path, strerror(errno));
+    return false;
+  }
+  const size_t size = fread(text, 1, sizeof text - 1, file);
+  fclose(file);
+  text[size] = '\0';
+  const uint32_t wrong = hostlink::read_world(text, parameters);
+  if (wrong == 0) return true;
+  fprintf(stderr,
+          "due_native: %s: line %lu is no number of a world: its names are in firmware/host/world_parameters.h\n", path,
+          static_cast<unsigned long>(wrong));
+  return false;
+}
+
 }  // namespace
 
 int main(int count, char** words) {
   if (count < 3) {
-    fprintf(stderr, "usage: due_native HOST PORT [BAUD]\n");
+    fprintf(stderr, "%s\n", kUsage);
     return 2;
   }
   sockaddr_in host = {};
@@ -146,6 +172,9 @@ int main(int count, char** words) {
     return 2;
   }
   PosixHal hal(host, count > 3 ? static_cast<uint32_t>(atoi(words[3])) : kPaperBaud);
+  hostlink::WorldParameters parameters;
+  if (count > 4 && !read_world_file(words[4], parameters)) return 2;
+  hal.world().be(parameters);
   hostlink::Robot robot(hal);
   robot.setup();
   hostlink::ActivityRecorder activity;
@@ -161,13 +190,15 @@ int main(int count, char** words) {
       const hostlink::World& world = hal.world();
       const hostlink::NodeHandle& node = robot.node();
       printf(
-          "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f "
+          "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f theta_mrad %.0f "
+          "battery_mv %.0f "
           "got_ms %lu rolled_ms %lu rolled_mm %.0f\n",
           loops, world.left().speed_ticks_s(), world.right().speed_ticks_s(), static_cast<unsigned long>(hal.lost()),
           static_cast<unsigned long>(node.delivered()), static_cast<unsigned long>(node.published()),
           static_cast<unsigned long>(node.dropped_from_host() + node.dropped_to_host()), world.pose().x_m * 1000.0,
-          world.pose().y_m * 1000.0, static_cast<unsigned long>(activity.got_at_ms()),
-          static_cast<unsigned long>(activity.rolled_at_ms()), world.rolled_m() * 1000.0);
+          world.pose().y_m * 1000.0, world.pose().theta_rad * 1000.0, world.battery_v() * 1000.0,
+          static_cast<unsigned long>(activity.got_at_ms()), static_cast<unsigned long>(activity.rolled_at_ms()),
+          world.rolled_m() * 1000.0);
       fflush(stdout);
     }
     hal.wait();

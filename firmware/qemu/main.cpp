@@ -1,12 +1,14 @@
 // The Due's firmware on an emulated Cortex-M3. UART0 is the line to the host, UART1 a line of text for people; the
-// motors and the floor are host/world.h's. QEMU has no baud rate, so host/uart_ring.h makes one, with the Due's 127
-// bytes behind it.
+// motors and the floor are host/world.h's, with the numbers that mps2::loaded_text() has. QEMU has no baud rate, so
+// host/uart_ring.h makes one, with the Due's 127 bytes behind it.
 #include "../due/src/hal.h"
 #include "../due/src/robot.h"
 #include "../host/activity_recorder.h"
 #include "../host/uart_ring.h"
 #include "../host/world.h"
 #include "mps2.h"
+
+extern "C" void leave(int status);
 
 namespace {
 
@@ -118,6 +120,7 @@ class QemuHal : public hostlink::Hal {
 QemuHal hal;
 hostlink::Robot robot(hal);
 hostlink::ActivityRecorder activity;
+hostlink::WorldParameters parameters;
 
 void say(const char* text) {
   for (; *text != '\0'; ++text) {
@@ -150,6 +153,13 @@ extern "C" void uart_interrupt() {
 
 extern "C" int main() {
   hal.begin();
+  const uint32_t wrong = hostlink::read_world(mps2::loaded_text(), parameters);
+  if (wrong != 0) {
+    say_number("world: no number of a world in line ", static_cast<int32_t>(wrong));
+    say("\r\n");
+    leave(1);
+  }
+  hal.world().be(parameters);
   robot.setup();
   uint32_t reported_at_ms = hal.millis();
   for (;;) {
@@ -167,6 +177,8 @@ extern "C" int main() {
       say_number(" dropped ", static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
       say_number(" x_mm ", static_cast<int32_t>(hal.world().pose().x_m * 1000.0));
       say_number(" y_mm ", static_cast<int32_t>(hal.world().pose().y_m * 1000.0));
+      say_number(" theta_mrad ", static_cast<int32_t>(hal.world().pose().theta_rad * 1000.0));
+      say_number(" battery_mv ", static_cast<int32_t>(hal.world().battery_v() * 1000.0));
       say_number(" got_ms ", static_cast<int32_t>(activity.got_at_ms()));
       say_number(" rolled_ms ", static_cast<int32_t>(activity.rolled_at_ms()));
       say_number(" rolled_mm ", static_cast<int32_t>(hal.world().rolled_m() * 1000.0));

@@ -60,10 +60,11 @@ def columns() -> tuple[str, ...]:
 class Trace:
     """What was, a row each sample; `trace["x_m"]` is a column. The columns are `columns()`:
 
-    t_s; x_m, y_m, theta_rad: the truth (theta not wrapped); odometry_x_m, ...: what the firmware believes; left_ticks_s:
-    the true speed; left_measured_ticks_s: what the PID uses; left_set_ticks_s: its set-point; left_pwm: what the motor is
-    given (0: brakes); left_edges; left_rolled_ticks: signed, the truth; left_fault: a WheelFault of wheel.h; the same
-    right; rolled_m: by the middle, forwards and backwards; battery_v; caster_rad.
+    t_s; x_m, y_m, theta_rad: the truth (theta not wrapped); odometry_x_m, ...: what the firmware believes;
+    left_ticks_s: the true speed; left_measured_ticks_s: what the PID uses; left_set_ticks_s: its set-point;
+    left_pwm: what the motor is given (0: brakes); left_edges; left_rolled_ticks: signed, the truth;
+    left_fault: a WheelFault of wheel.h; the same right; rolled_m: by the middle, forwards and backwards; battery_v;
+    caster_rad.
     """
 
     rows: NDArray[np.float64]

@@ -42,6 +42,7 @@ def build_m3() -> Path:
 
 
 DRIVE_S = 20.0
+TEXT_AT = 0x21000000  # where the emulated board reads a text: firmware/qemu/mps2.h
 FACT = re.compile(r"(\w+) (-?[\d.]+)")
 
 
@@ -71,19 +72,21 @@ class Board:
                 await asyncio.sleep(0.05)
 
 
-def command(kind: str, port: int) -> list[str | Path]:
+def command(kind: str, port: int, world: Path | None = None) -> list[str | Path]:
+    """`world`: a file of lines name=value; the emulated board finds it in a memory that is zero behind it."""
     if kind == "native":
-        return [build_native() / "due_native", "127.0.0.1", str(port)]
+        return [build_native() / "due_native", "127.0.0.1", str(port), *(["38400", world] if world else [])]
     line = f"socket,id=line,host=127.0.0.1,port={port},nodelay=on,reconnect=1"  # to a passthrough that was restarted
     machine = ["qemu-system-arm", "-M", "mps2-an385", "-display", "none", "-monitor", "none"]
     serials = ["-chardev", line, "-serial", "chardev:line", "-serial", "stdio"]
-    return [*machine, "-kernel", build_m3() / "due_m3.elf", *serials]
+    loader = ["-device", f"loader,force-raw=on,addr={TEXT_AT:#x},file={world}"] if world else []
+    return [*machine, *loader, "-kernel", build_m3() / "due_m3.elf", *serials]
 
 
 @contextlib.asynccontextmanager
-async def board(kind: str, port: int) -> AsyncIterator[Board]:
+async def board(kind: str, port: int, world: Path | None = None) -> AsyncIterator[Board]:
     process = await asyncio.create_subprocess_exec(
-        *command(kind, port), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE
+        *command(kind, port, world), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE
     )
     made = Board(process)
     try:
@@ -108,13 +111,15 @@ async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: f
 
 
 @contextlib.asynccontextmanager
-async def chain(kind: str, *arguments: str, with_esp: bool) -> AsyncIterator[tuple[Process, Board]]:
+async def chain(
+    kind: str, *arguments: str, with_esp: bool, world: Path | None = None
+) -> AsyncIterator[tuple[Process, Board]]:
     command(kind, 0)  # built before the clock of the daemon runs
     async with serve(*arguments) as daemon:
         if with_esp:
             with esp8266.running("esp8266_native", daemon.tcp[1]) as sketch:
-                async with board(kind, sketch.uart_port) as made:
+                async with board(kind, sketch.uart_port, world) as made:
                     yield daemon, made
         else:
-            async with board(kind, daemon.tcp[1]) as made:
+            async with board(kind, daemon.tcp[1], world) as made:
                 yield daemon, made

@@ -10,13 +10,12 @@ import numpy as np
 from hostlink.sim.firmware_world import columns
 from hostlink.sim.world_library import load_library
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters
-from tests.firmware.boards import build_m3
+from tests.firmware.boards import TEXT_AT, build_m3
 from tests.firmware.worlds import Trace, wheel_speeds
 
 ROW_MS = 10
 CONNECT_MS = 500
 STANDS_MS = 1200  # at the end of each story
-TEXT_AT = 0x21000000  # firmware/qemu/mps2.h
 QEMU_S = 120.0
 # The columns of worlds.Trace.
 _SIDES = [f"{side}_{name}" for name in ("ticks_s", "set_ticks_s") for side in ("left", "right")]
@@ -62,7 +61,7 @@ def run_native(text: str, rows: int) -> np.ndarray:
 
 def start_m3(text: str, folder: Path) -> "subprocess.Popen[bytes]":
     """Emulate a Cortex-M3 that runs the script in this folder."""
-    (folder / "script.txt").write_bytes(text.encode() + b"\0")
+    (folder / "script.txt").write_text(text)
     machine = ["qemu-system-arm", "-M", "mps2-an385", "-semihosting", "-display", "none", "-monitor", "none"]
     loader = ["-device", f"loader,force-raw=on,addr={TEXT_AT:#x},file=script.txt"]
     kernel = ["-serial", "none", "-kernel", str(build_m3() / "due_script_m3.elf")]

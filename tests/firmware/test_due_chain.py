@@ -13,6 +13,7 @@ from typing import Any
 import aiohttp
 import pytest
 
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
 from tests.firmware import esp8266
 from tests.firmware.boards import Board, board, chain, drive
 from tests.support.process import serve
@@ -45,6 +46,22 @@ async def test_the_chain_negotiates_drives_reads_back_and_stops(kind: str, with_
         assert await daemon.end(signal.SIGTERM) == 0
     closed = [line for line in daemon.log if line["event"] == "link.trouble"]
     assert closed == []
+
+
+@pytest.mark.parametrize("kind", ["native", "cortex-m3"])
+async def test_the_board_runs_in_the_world_that_it_is_given(kind: str, tmp_path: Path) -> None:
+    """A left wheel a tenth larger: straight by the odometry is a curve to the right."""
+    world = WorldParameters(battery_v=11.5, left=WheelParameters(radius_m=0.0495))
+    file = tmp_path / "world.txt"
+    file.write_text(world.text())
+    async with chain(kind, with_esp=False, world=file) as (daemon, made):
+        await daemon.read_log("robot.appeared")
+        await drive(daemon, made, 0.3, until_ticks_s=150.0)
+        async with aiohttp.ClientSession() as session, session.get(f"{daemon.url}/api/robots/robot_0") as response:
+            believed = (await response.json())["odometry"]["pose"]
+        assert made.facts["battery_mv"] == 11500
+        assert made.facts["theta_mrad"] < -0.3 * made.facts["rolled_mm"]  # 0.1 / 0.21 m, less what began slowly
+        assert abs(believed["theta_rad"]) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["native", "cortex-m3"])

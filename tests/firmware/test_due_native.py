@@ -5,6 +5,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -60,3 +61,13 @@ def test_the_topics_last_as_long_as_their_bytes_on_the_line(words: tuple[str, ..
 def test_a_line_without_a_speed_is_as_fast_as_tcp() -> None:
     with board("0") as connection:
         assert min(answer(connection)[1] for _ in range(5)) < 0.1  # on the line it would be 0.17 s
+
+
+@pytest.mark.parametrize(("text", "line"), [("track_m=0.2\ntrack=0.2\n", 2), ("track_m=wide\n", 1)])
+def test_a_world_that_is_none_is_refused_with_its_line(tmp_path: Path, text: str, line: int) -> None:
+    world = tmp_path / "world.txt"
+    world.write_text(text)
+    command = [build_native() / "due_native", "127.0.0.1", "1", "38400", world]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"due_native: {world}: line {line} is no number of a world")
