@@ -38,10 +38,11 @@ help:
 	@echo "make world   build the firmware in its world for Python, in virtual time (hostlink/sim/firmware_world.py)"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make screenshots  pictures of the page, into build/screenshots"
-	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC;
+	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC;"
 	@echo "             WORLD=FILE: in that world)"
-	@echo "make soak    ten minutes of driving on the chain, 5000 drives in drawn worlds, ten over a link that fails, every message counted, and ten of"
-	@echo "             chaos against the daemon (CHAOS_S=3600: an hour, CHAOS_SEED=7: the steps of that seed again)"
+	@echo "make soak    ten minutes of driving on the chain, 5000 drives in drawn worlds, ten minutes over a link that fails, every"
+	@echo "             message counted, and ten of chaos against the daemon (CHAOS_S=3600: an hour, CHAOS_SEED=7: the steps of"
+	@echo "             that seed again)"
 	@echo "make netns   host and robot in two network namespaces: loss, delay, a black-out, another address (as root)"
 	@echo "make fuzz    the property tests with 50 times the examples, then a minute of atheris on each reader of bytes"
 
