@@ -7,7 +7,7 @@ namespace hostlink {
 namespace {
 
 const double kEdgesPerTick = 2.0;  // a rising and a falling one
-const double kNoiseM = 0.01;  // rolled between two numbers of the slip's noise
+const double kNoiseM = 0.01;       // rolled between two numbers of the slip's noise
 
 }  // namespace
 

@@ -48,7 +48,7 @@ class DriveTrain {
   bool is_stuck_ = false;
   double speed_rad_s_ = 0.0;
   double rolled_rad_ = 0.0;
-  double part_ticks_ = 0.0;  // behind the last edge, seen forwards: the edges lie half a tick apart
+  double part_ticks_ = 0.0;    // behind the last edge, seen forwards: the edges lie half a tick apart
   double part_noise_m_ = 0.0;  // rolled since the last noise
   uint32_t edges_ = 0;
 };

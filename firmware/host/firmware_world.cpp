@@ -103,12 +103,13 @@ size_t firmware_world_receive(FirmwareWorld* self, uint8_t* out, size_t capacity
   return size;
 }
 void firmware_world_row(FirmwareWorld* self, double* row) { self->robot.report(row); }
-// Lets so many milliseconds pass, and writes a row after each `every_ms` of them (0: none). Returns the number of rows.
+// Lets so many milliseconds pass, and writes a row at each multiple of `every_ms` (0: none). Returns the number of
+// rows.
 size_t firmware_world_run(FirmwareWorld* self, uint32_t ms, uint32_t every_ms, double* rows, size_t capacity) {
   size_t count = 0;
   for (uint32_t i = 1; i <= ms; ++i) {
     self->pass();
-    if (every_ms == 0 || i % every_ms != 0 || count == capacity) continue;
+    if (every_ms == 0 || self->robot.board().now_us() / 1000 % every_ms != 0 || count == capacity) continue;
     self->robot.report(rows + RobotInWorld::kColumns * count++);
   }
   return count;

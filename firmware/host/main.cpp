@@ -3,8 +3,8 @@
 //
 //   due_native HOST PORT [BAUD [WORLD]]
 //
-// It connects (and connects again) and runs until it is killed. BAUD 0: as fast as TCP. WORLD: a file of lines name=value
-// (world_parameters.h).
+// It connects (and connects again) and runs until it is killed. BAUD 0: as fast as TCP. WORLD: a file of lines
+// name=value (world_parameters.h).
 //
 // Twice a second it writes a line: loops, wheel speeds (ticks/s), bytes lost in the UART, messages got, sent and
 // dropped, where the robot truly is, and when it last got a message and last rolled.

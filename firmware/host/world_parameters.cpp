@@ -6,46 +6,55 @@ namespace hostlink {
 
 namespace {
 
-const char* const kNames[] = {
-    "seed",
-    "track_m",
-    "caster_arm_m",
-    "caster_trail_m",
-    "caster_pwm",
-    "caster_twist_rad",
-    "caster_random",
-    "floor_pwm",
-    "pwm_bits",
-    "battery_v",
-    "rated_v",
-    "battery_sag_v",
-    "left.full_speed_rad_s",
-    "left.dead_zone_pwm",
-    "left.has_jump",
-    "left.rise_constant_s",
-    "left.coast_constant_s",
-    "left.brake_constant_s",
-    "left.friction_rad_s",
-    "left.radius_m",
-    "left.ticks_per_turn",
-    "left.slip_noise_m",
-    "left.slip_accelerating_s2_m",
-    "left.slip_braking_s2_m",
-    "right.full_speed_rad_s",
-    "right.dead_zone_pwm",
-    "right.has_jump",
-    "right.rise_constant_s",
-    "right.coast_constant_s",
-    "right.brake_constant_s",
-    "right.friction_rad_s",
-    "right.radius_m",
-    "right.ticks_per_turn",
-    "right.slip_noise_m",
-    "right.slip_accelerating_s2_m",
-    "right.slip_braking_s2_m",
+const double kSmall = 1e-6;
+const double kLarge = 1e6;
+
+struct Number {
+  const char* name;
+  double least;
+  double most;
 };
-const size_t kCount = sizeof kNames / sizeof kNames[0];
-static_assert(sizeof(WorldParameters) == kCount * sizeof(double), "each number has its name");
+
+const Number kNumbers[] = {
+    {"seed", 0.0, 4294967295.0},
+    {"track_m", kSmall, kLarge},
+    {"caster_arm_m", 0.0, kLarge},
+    {"caster_trail_m", kSmall, kLarge},
+    {"caster_pwm", 0.0, kLarge},
+    {"caster_twist_rad", -kLarge, kLarge},
+    {"caster_random", 0.0, kLarge},
+    {"floor_pwm", 0.0, kLarge},
+    {"pwm_bits", 1.0, 12.0},
+    {"battery_v", 0.0, kLarge},
+    {"rated_v", kSmall, kLarge},
+    {"battery_sag_v", 0.0, kLarge},
+    {"left.full_speed_rad_s", kSmall, kLarge},
+    {"left.dead_zone_pwm", 0.0, 4094.0},
+    {"left.has_jump", 0.0, kLarge},
+    {"left.rise_constant_s", kSmall, kLarge},
+    {"left.coast_constant_s", kSmall, kLarge},
+    {"left.brake_constant_s", kSmall, kLarge},
+    {"left.friction_rad_s", 0.0, kLarge},
+    {"left.radius_m", kSmall, kLarge},
+    {"left.ticks_per_turn", kSmall, kLarge},
+    {"left.slip_noise_m", 0.0, kLarge},
+    {"left.slip_accelerating_s2_m", -kLarge, kLarge},
+    {"left.slip_braking_s2_m", -kLarge, kLarge},
+    {"right.full_speed_rad_s", kSmall, kLarge},
+    {"right.dead_zone_pwm", 0.0, 4094.0},
+    {"right.has_jump", 0.0, kLarge},
+    {"right.rise_constant_s", kSmall, kLarge},
+    {"right.coast_constant_s", kSmall, kLarge},
+    {"right.brake_constant_s", kSmall, kLarge},
+    {"right.friction_rad_s", 0.0, kLarge},
+    {"right.radius_m", kSmall, kLarge},
+    {"right.ticks_per_turn", kSmall, kLarge},
+    {"right.slip_noise_m", 0.0, kLarge},
+    {"right.slip_accelerating_s2_m", -kLarge, kLarge},
+    {"right.slip_braking_s2_m", -kLarge, kLarge},
+};
+const size_t kCount = sizeof kNumbers / sizeof kNumbers[0];
+static_assert(sizeof(WorldParameters) == kCount * sizeof(double), "each number has its name and range");
 
 const uint64_t kMostDigits = 900000000000000000u;  // one more digit fits
 
@@ -53,11 +62,12 @@ bool is_digit(char letter) { return letter >= '0' && letter <= '9'; }
 
 bool read_line(const char* line, size_t size, WorldParameters& parameters) {
   for (size_t i = 0; i < kCount; ++i) {
-    const size_t length = strlen(kNames[i]);
-    if (size <= length || strncmp(line, kNames[i], length) != 0 || line[length] != '=') continue;
+    const size_t length = strlen(kNumbers[i].name);
+    if (size <= length || strncmp(line, kNumbers[i].name, length) != 0 || line[length] != '=') continue;
     double value = 0.0;
     const char* end = read_number(line + length + 1, value);
     if (end == nullptr || end != line + size) return false;
+    if (!(value >= kNumbers[i].least && value <= kNumbers[i].most)) return false;
     world_parameter(parameters, i) = value;
     return true;
   }
@@ -104,7 +114,7 @@ const char* read_number(const char* at, double& value) {
 
 size_t world_parameter_count() { return kCount; }
 
-const char* world_parameter_name(size_t index) { return kNames[index]; }
+const char* world_parameter_name(size_t index) { return kNumbers[index].name; }
 
 double& world_parameter(WorldParameters& parameters, size_t index) {
   return reinterpret_cast<double*>(&parameters)[index];

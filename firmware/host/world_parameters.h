@@ -54,7 +54,7 @@ const char* world_parameter_name(size_t index);
 double& world_parameter(WorldParameters& parameters, size_t index);
 
 // Reads lines "name=value"; empty lines and those that begin with # are ignored. Returns 0, or the number of the first
-// line that names no parameter or whose value is no number.
+// line that names no parameter, or whose value is no number or out of its range.
 uint32_t read_world(const char* text, WorldParameters& parameters);
 
 // Reads a decimal number: digits, a point, an exponent. Returns where it ends, or nullptr where there is none.

@@ -7,6 +7,7 @@ object is one robot; use it from one thread, and as many of them as you like.
 import ctypes
 import struct
 import weakref
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -32,9 +33,10 @@ from hostlink.sim.world_library import NativeWorld, array_of, load_library
 from hostlink.sim.world_parameters import WorldParameters
 
 COMMAND_S = 0.1  # between two velocities; the firmware stops after 0.5 s without one
-ANSWER_MS = 1  # how often the robot's questions are answered
 CONNECT_S = 2.0  # for topics and parameters: at 38400 baud they take half of it
+_ANSWER_MS = 100  # how often the robot's questions are answered
 _RECEIVE_BYTES = 1 << 16
+_FRAMES = 100_000  # an hour of them
 
 
 class Retry(IntEnum):
@@ -99,12 +101,13 @@ class FirmwareWorld:
         self.name = name
         self.device_parameters = dict(device_parameters or {})
         self.topics: dict[str, int] = {}  # name without the robot's: id
-        self.frames: list[Frame] = []  # all that the firmware sent and that was no question
+        self.frames: deque[Frame] = deque(maxlen=_FRAMES)  # what the firmware sent and was no question; the newest
         self._library = load_library()
         self._handle = self._library.firmware_world_new(array_of(self.parameters), baud, f"/{name}/".encode(), retry)
         weakref.finalize(self, self._library.firmware_world_delete, self._handle)
-        self.world = NativeWorld(self.parameters, handle=self._library.firmware_world_world(self._handle))
+        self.world = NativeWorld(self.parameters, handle=self._library.firmware_world_world(self._handle), owner=self)
         self._stream = FrameStream()
+        self._received = ctypes.create_string_buffer(_RECEIVE_BYTES)
         self._traces: list[NDArray[np.float64]] = []
 
     # -- where it is --------------------------------------------------------------------------------------------------
@@ -198,26 +201,22 @@ class FirmwareWorld:
             left_ms -= now_ms
 
     def run(self, seconds: float, *, sample_s: float = 0.0) -> None:
-        """Let time pass, in whole milliseconds; samples go to `trace`, none with 0."""
+        """Let time pass, in whole milliseconds; each multiple of `sample_s` gives `trace` a row, 0 none."""
         left_ms, sample_ms = round(seconds * 1000), round(sample_s * 1000)
-        piece_ms = max(sample_ms, round(COMMAND_S * 1000) // max(sample_ms, 1) * sample_ms, ANSWER_MS)
-        if sample_ms == 0:
-            piece_ms = round(COMMAND_S * 1000)
         while left_ms > 0:
-            now_ms = min(left_ms, piece_ms)
+            now_ms = min(left_ms, _ANSWER_MS)
             self._pass(now_ms, sample_ms)
             left_ms -= now_ms
 
     def _pass(self, ms: int, sample_ms: int) -> None:
-        most = ms // sample_ms if sample_ms else 0
+        most = ms // sample_ms + 1 if sample_ms else 0
         rows = np.zeros((most, len(columns())))
         pointer = rows.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
         count = self._library.firmware_world_run(self._handle, ms, sample_ms, pointer, most)
         if count:
             self._traces.append(rows[:count])
-        data = ctypes.create_string_buffer(_RECEIVE_BYTES)
-        size = self._library.firmware_world_receive(self._handle, data, _RECEIVE_BYTES)
-        for item in self._stream.feed(data.raw[:size]):
+        size = self._library.firmware_world_receive(self._handle, self._received, _RECEIVE_BYTES)
+        for item in self._stream.feed(ctypes.string_at(self._received, size)):
             if isinstance(item, Frame):
                 self._receive(item)
 

@@ -138,8 +138,10 @@ class NativeWheel:
 class NativeWorld:
     """The C++ World, with the names of hostlink.sim.world.World."""
 
-    def __init__(self, parameters: WorldParameters | None = None, *, handle: int | None = None) -> None:
-        """`handle`: of a world that somebody else made and deletes.
+    def __init__(
+        self, parameters: WorldParameters | None = None, *, handle: int | None = None, owner: object = None
+    ) -> None:
+        """`handle`: of a world that is a part of its `owner`, which deletes it.
 
         Raises:
             WorldLibraryMissing: the library is not built, or not from these sources.
@@ -150,6 +152,7 @@ class NativeWorld:
             handle = self.library.world_new(array_of(self.parameters))
             weakref.finalize(self, self.library.world_delete, handle)
         self.handle = handle
+        self._owner = owner  # lives as long as this
         self.left = NativeWheel(self, 0)
         self.right = NativeWheel(self, 1)
 

@@ -58,6 +58,17 @@ class WorldParameters:
     left: WheelParameters = field(default_factory=WheelParameters)
     right: WheelParameters = field(default_factory=WheelParameters)
 
+    def __post_init__(self) -> None:
+        """Refuse a world that no robot can be in.
+
+        Raises:
+            ValueError: a number is out of its range; the text has its name and range.
+        """
+        for name, value in zip(names(), self.values(), strict=True):
+            low, high = bounds(name)
+            if not low <= value <= high:
+                raise ValueError(f"{name}: {value:g} is not in {low:g}..{high:g}")
+
     def values(self) -> list[float]:
         """All numbers, in the order of the C++ struct."""
         own = [float(getattr(self, name)) for name in _own_names()]
@@ -72,7 +83,7 @@ class WorldParameters:
         """The same world with other numbers, by name: `track_m`, `left.radius_m`.
 
         Raises:
-            ValueError: a name is no parameter's; the text names the nearest one.
+            ValueError: a name is no parameter's, then the text names the nearest one; or a number is out of its range.
         """
         known = names()
         for name in values:
@@ -87,6 +98,32 @@ class WorldParameters:
         )
 
 
+# What a robot can be in; whatever is not named: 0..LARGE. firmware/host/world_parameters.cpp has the same.
+_SMALL, LARGE = 1e-6, 1e6
+_BOUNDS = {
+    "seed": (0.0, 4294967295.0),
+    "track_m": (_SMALL, LARGE),
+    "caster_trail_m": (_SMALL, LARGE),
+    "caster_twist_rad": (-LARGE, LARGE),
+    "pwm_bits": (1.0, 12.0),
+    "rated_v": (_SMALL, LARGE),
+    "full_speed_rad_s": (_SMALL, LARGE),
+    "dead_zone_pwm": (0.0, 4094.0),
+    "rise_constant_s": (_SMALL, LARGE),
+    "coast_constant_s": (_SMALL, LARGE),
+    "brake_constant_s": (_SMALL, LARGE),
+    "radius_m": (_SMALL, LARGE),
+    "ticks_per_turn": (_SMALL, LARGE),
+    "slip_accelerating_s2_m": (-LARGE, LARGE),
+    "slip_braking_s2_m": (-LARGE, LARGE),
+}
+
+
+def bounds(name: str) -> tuple[float, float]:
+    """The range of a parameter; a wheel's with or without its side."""
+    return _BOUNDS.get(name.rpartition(".")[2], (0.0, LARGE))
+
+
 def names() -> list[str]:
     """Of all parameters, in the order of the C++ struct."""
     return [*_own_names(), *(f"{side}.{name}" for side, name in _wheel_names())]
@@ -96,7 +133,8 @@ def read(text: str) -> WorldParameters:
     """A world from lines `name=value`; empty lines and those that begin with # are ignored.
 
     Raises:
-        ValueError: a line names no parameter or its value is no number; the text has the line's number.
+        ValueError: a value is no number, then the text has its line; a name is no parameter's, or a number is out of
+            its range.
     """
     values: dict[str, float] = {}
     for number, line in enumerate(text.splitlines(), start=1):

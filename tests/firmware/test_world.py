@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hostlink.sim.world import World
 from hostlink.sim.world_library import NativeWorld, load_library
-from hostlink.sim.world_parameters import WorldParameters, names, read
+from hostlink.sim.world_parameters import WorldParameters, bounds, names, read
 from tests.firmware.boards import build_native
 from tests.firmware.worlds import worlds
 
@@ -55,6 +55,24 @@ def test_a_line_that_is_none_is_named_by_both(text: str) -> None:
     assert read_natively("# wide\n\n" + text)[0] == 3
     with pytest.raises(ValueError, match="track"):
         read("# wide\n\n" + text)
+
+
+@pytest.mark.parametrize("name", names())
+def test_both_refuse_a_number_that_is_out_of_its_range(name: str) -> None:
+    low, high = bounds(name)
+    for value in (low, high):
+        assert read_natively(f"{name}={value!r}\n")[0] == 0
+        assert read(f"{name}={value!r}\n").changed({name: value}) is not None
+    for value in (low - 0.5, high * 1.5, 1e300):
+        assert read_natively(f"{name}={value!r}\n")[0] == 1
+        with pytest.raises(ValueError, match=name):
+            read(f"{name}={value!r}\n")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_world_has_only_numbers(value: float) -> None:
+    with pytest.raises(ValueError, match="track_m"):
+        WorldParameters(track_m=value)
 
 
 pwms = st.one_of(st.just(0), st.integers(-4095, 4095))

@@ -1,0 +1,130 @@
+"""The firmware in virtual time, from Python: repeatable, independent of each other, and true to its parameters."""
+
+import gc
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hostlink.sim.firmware_world import FirmwareWorld, Retry, columns
+from hostlink.sim.world_library import WorldLibraryMissing, load_library
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from tests.firmware.boards import build_native
+
+SLIPPERY = WorldParameters(
+    seed=3.0,
+    caster_twist_rad=0.055,
+    caster_random=0.4,
+    left=WheelParameters(slip_noise_m=0.003),
+    right=WheelParameters(slip_noise_m=0.003),
+)
+SQUARE = ((0.25, 0.0, 4.0), (0.0, 0.0, 0.5), (0.0, 0.6, 2.6), (0.0, 0.0, 0.5)) * 2
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built() -> None:
+    """The library, compiled before the clock of the first test runs."""
+    build_native()
+    load_library.cache_clear()
+
+
+def connected(parameters: WorldParameters | None = None, name: str = "robot_0") -> FirmwareWorld:
+    made = FirmwareWorld(parameters, name=name)
+    made.connect()
+    return made
+
+
+def drive(made: FirmwareWorld, sample_s: float = 0.0) -> FirmwareWorld:
+    for linear, angular, seconds in SQUARE:
+        made.drive(linear, angular, seconds, sample_s=sample_s)
+    return made
+
+
+def test_it_connects_and_drives_as_commanded() -> None:
+    made = connected()
+    assert set(made.topics) >= {"odometry", "plot_data", "velocity_commands", "reset_odometry"}
+    assert "robot is ready" in [log.text for log in made.logs]
+    made.drive(0.2, 0.0, 10.0)
+    made.drive(0.0, 0.0, 1.0)
+    assert made.pose.x_m > 1.5
+    assert made.odometry.x_m == pytest.approx(made.pose.x_m, rel=0.002)
+    assert made.row["left_ticks_s"] == 0.0
+
+
+def test_the_same_seed_repeats_and_another_does_not() -> None:
+    first, again = drive(connected(SLIPPERY)), drive(connected(SLIPPERY))
+    other = drive(connected(replace(SLIPPERY, seed=4.0)))
+    assert first.row == again.row
+    assert math.hypot(first.pose.x_m - other.pose.x_m, first.pose.y_m - other.pose.y_m) > 0.001
+    assert first.odometry != first.pose
+
+
+def test_samples_do_not_change_what_happens() -> None:
+    plain, sampled = drive(connected(SLIPPERY)), drive(connected(SLIPPERY), sample_s=0.03)
+    assert plain.row == sampled.row
+    assert np.allclose(np.diff(sampled.trace["t_s"]), 0.03)
+    assert sampled.trace.rows.shape[1] == len(columns())
+    sampled.forget()
+    assert len(sampled.trace) == len(sampled.frames) == 0
+
+
+def test_two_robots_do_not_know_of_each_other() -> None:
+    alone = drive(connected(SLIPPERY))
+    left, right = connected(SLIPPERY), connected(WorldParameters(), name="robot_1")
+    for linear, angular, seconds in SQUARE:
+        left.drive(linear, angular, seconds)
+        right.drive(-linear, angular, seconds)
+    assert left.row == alone.row
+    assert right.pose.x_m < -0.5
+
+
+def test_the_host_s_parameters_reach_the_firmware() -> None:
+    made = FirmwareWorld(device_parameters={"wheel_radius": (0.09,)})
+    made.connect()
+    made.drive(0.2, 0.0, 5.0)
+    made.drive(0.0, 0.0, 1.0)
+    assert made.odometry.x_m == pytest.approx(2 * made.pose.x_m, rel=0.01)
+
+
+def test_without_commands_it_stands_within_0_6_s() -> None:
+    made = connected()
+    made.drive(0.3, 0.0, 5.0)
+    made.run(0.6)
+    assert made.row["left_ticks_s"] == pytest.approx(0.0, abs=2.0)
+    assert made.row["left_pwm"] == made.row["right_pwm"] == 0.0
+
+
+@pytest.mark.parametrize("retry", [Retry.PAPER, Retry.KEEP_STATE])
+def test_at_the_paper_s_baud_rate_nothing_is_lost(retry: Retry) -> None:
+    made = FirmwareWorld(baud=38400, retry=retry)
+    made.connect()
+    made.drive(0.2, 0.3, 20.0)
+    assert made.lost_bytes == 0
+    assert made.pose.theta_rad > 3.0
+
+
+def test_a_hand_at_the_wheels_and_at_the_robot() -> None:
+    made = connected()
+    made.world.left.grip(100.0)
+    made.run(1.0)
+    assert made.world.left.rolled_ticks == pytest.approx(100.0, rel=0.01)
+    assert made.world.left.edges == pytest.approx(200, abs=1)
+    made.world.left.release()
+    made.run(1.0)
+    before = made.pose
+    made.world.shove(0.1, 0.0, 0.5)
+    assert made.pose.theta_rad == pytest.approx(before.theta_rad + 0.5)
+    assert math.hypot(made.pose.x_m - before.x_m, made.pose.y_m - before.y_m) == pytest.approx(0.1)
+
+
+def test_its_world_lives_as_long_as_somebody_has_it() -> None:
+    world = connected(WorldParameters(battery_v=11.0)).world
+    gc.collect()
+    assert world.battery_v == 11.0
+
+
+def test_a_library_that_is_not_built_is_named_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(WorldLibraryMissing, match="make world"):
+        load_library(tmp_path / "libfirmware_world.so")
