@@ -15,7 +15,7 @@ using hostlink::WorldParameters;
 
 namespace {
 
-const uint32_t kVersion = 1;  // of this interface: the binding refuses another
+const uint32_t kVersion = 2;  // of this interface: the binding refuses another
 
 WorldParameters parameters_of(const double* values) {
   WorldParameters parameters;
@@ -46,8 +46,10 @@ struct FirmwareWorld {
   std::deque<uint8_t> from_host;  // not on the line yet
   std::string to_host;            // through the line
 
-  FirmwareWorld(const double* values, uint32_t baud, const char* name_text, int retry)
-      : name(name_text), robot(parameters_of(values), baud, name.c_str(), static_cast<hostlink::Retry>(retry)) {}
+  FirmwareWorld(const double* values, uint32_t baud, const char* name_text, int retry, int feedback)
+      : name(name_text),
+        robot(parameters_of(values), baud, name.c_str(), static_cast<hostlink::Retry>(retry),
+              static_cast<hostlink::Feedback>(feedback)) {}
 
   void pass() {
     hostlink::UartRing& line = robot.board().from_host();
@@ -84,9 +86,9 @@ uint32_t world_parameters_read(const char* text, double* values) {
 // -- the firmware in a world
 // --------------------------------------------------------------------------------------------
 
-// `baud` 0: bytes are through at once; `retry`: a policy of node_handle.h.
-FirmwareWorld* firmware_world_new(const double* values, uint32_t baud, const char* name, int retry) {
-  return new FirmwareWorld(values, baud, name, retry);
+// `baud` 0: bytes are through at once; `retry`: a policy of node_handle.h; `feedback`: one of constants.h.
+FirmwareWorld* firmware_world_new(const double* values, uint32_t baud, const char* name, int retry, int feedback) {
+  return new FirmwareWorld(values, baud, name, retry, feedback);
 }
 void firmware_world_delete(FirmwareWorld* self) { delete self; }
 World* firmware_world_world(FirmwareWorld* self) { return &self->robot.world(); }

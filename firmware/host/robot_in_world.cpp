@@ -39,8 +39,9 @@ void VirtualBoard::step_us(uint32_t us) {
   world_.run_until(micros());
 }
 
-RobotInWorld::RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry)
-    : board_(baud), robot_(board_, name, retry) {
+RobotInWorld::RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry,
+                           Feedback feedback)
+    : board_(baud), robot_(board_, name, retry, feedback) {
   world().be(parameters);
   board_.step_us(0);
   robot_.setup();

@@ -49,7 +49,8 @@ class RobotInWorld {
   static const size_t kColumns = 24;
 
   // `baud` 0: bytes are through at once. `name` stays the caller's.
-  RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry);
+  RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry,
+               Feedback feedback = Feedback::kWashedOut);
 
   void pass();  // a millisecond of the world, then a pass of the firmware's loop
   void report(double* row) const;

@@ -29,6 +29,7 @@ from hostlink.protocol.control import (
 from hostlink.protocol.frame import STOP_REQUEST, TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.kinematics import Pose
+from hostlink.sim.controller import Feedback
 from hostlink.sim.world_library import NativeWorld, array_of, load_library
 from hostlink.sim.world_parameters import WorldParameters
 
@@ -90,6 +91,7 @@ class FirmwareWorld:
         name: str = "robot_0",
         baud: int = 0,
         retry: Retry = Retry.KEEP_STATE,
+        feedback: Feedback = Feedback.WASHED_OUT,
         device_parameters: Mapping[str, Sequence[float]] | None = None,
     ) -> None:
         """`baud` 0: bytes are through at once; 38400 as the paper's. `device_parameters`: "wheel_radius" and so on.
@@ -103,7 +105,9 @@ class FirmwareWorld:
         self.topics: dict[str, int] = {}  # name without the robot's: id
         self.frames: deque[Frame] = deque(maxlen=_FRAMES)  # what the firmware sent and was no question; the newest
         self._library = load_library()
-        self._handle = self._library.firmware_world_new(array_of(self.parameters), baud, f"/{name}/".encode(), retry)
+        self._handle = self._library.firmware_world_new(
+            array_of(self.parameters), baud, f"/{name}/".encode(), retry, feedback.value
+        )
         weakref.finalize(self, self._library.firmware_world_delete, self._handle)
         self.world = NativeWorld(self.parameters, handle=self._library.firmware_world_world(self._handle), owner=self)
         self._stream = FrameStream()

@@ -10,7 +10,7 @@ from hostlink.sim.world_parameters import WorldParameters, names
 
 # Built from the sources beside the package, by `make world`; an installed hostlink has neither.
 LIBRARY = Path(__file__).resolve().parents[2] / "build" / "firmware" / "native" / "libfirmware_world.so"
-VERSION = 1  # of the C interface
+VERSION = 2  # of the C interface
 
 _P, _I, _SIZE, _D = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t, ctypes.c_double
 _U32, _DOUBLES = ctypes.c_uint32, ctypes.POINTER(ctypes.c_double)
@@ -19,7 +19,7 @@ _SIGNATURES = {
     "world_parameters_name": (ctypes.c_char_p, _SIZE),
     "world_parameters_defaults": (None, _DOUBLES),
     "world_parameters_read": (_U32, ctypes.c_char_p, _DOUBLES),
-    "firmware_world_new": (_P, _DOUBLES, _U32, ctypes.c_char_p, _I),
+    "firmware_world_new": (_P, _DOUBLES, _U32, ctypes.c_char_p, _I, _I),
     "firmware_world_delete": (None, _P),
     "firmware_world_world": (_P, _P),
     "firmware_world_columns": (_SIZE,),

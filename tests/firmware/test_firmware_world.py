@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hostlink.sim.controller import Feedback
 from hostlink.sim.firmware_world import FirmwareWorld, Retry, columns
 from hostlink.sim.world_library import WorldLibraryMissing, load_library
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters
@@ -86,6 +87,16 @@ def test_the_host_s_parameters_reach_the_firmware() -> None:
     made.drive(0.2, 0.0, 5.0)
     made.drive(0.0, 0.0, 1.0)
     assert made.odometry.x_m == pytest.approx(2 * made.pose.x_m, rel=0.01)
+
+
+@pytest.mark.parametrize(("feedback", "share"), [(Feedback.WASHED_OUT, 1.0), (Feedback.PAPER, 0.952)])
+def test_the_paper_s_feedback_makes_every_speed_low(feedback: Feedback, share: float) -> None:
+    made = FirmwareWorld(feedback=feedback)
+    made.connect()
+    made.drive(0.2, 0.0, 8.0)
+    made.drive(0.2, 0.0, 5.0, sample_s=0.01)
+    wanted = made.row["left_set_ticks_s"]
+    assert float(np.mean(made.trace["left_ticks_s"])) == pytest.approx(share * wanted, rel=0.005)
 
 
 def test_without_commands_it_stands_within_0_6_s() -> None:
