@@ -6,7 +6,7 @@ namespace hostlink {
 
 namespace {
 
-const double kBits = 12.0;        // of the firmware's duties
+const int kBits = 12;             // of the firmware's duties
 const double kSmallRad = 1e-8;    // below it an arc is as long as its chord
 const double kStandingM = 0.001;  // the motion that a standing wheel's PWM stands for
 const uint32_t kStepUs = 1000;
@@ -20,8 +20,9 @@ double course_m(const DriveTrain& wheel, double pwm) {
 
 // What the pin gives of a duty: the core drops the low bits.
 double on_pin(int16_t duty, double bits) {
-  const double step = pow(2.0, fmax(0.0, kBits - bits));
-  const double top = pow(2.0, fmin(kBits, bits)) - 1.0;
+  const int whole = static_cast<int>(bits);
+  const double step = ldexp(1.0, kBits - whole);
+  const double top = ldexp(1.0, whole) - 1.0;
   return floor(static_cast<double>(duty) / step) / top * kFullPwm;
 }
 

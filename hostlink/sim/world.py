@@ -26,8 +26,9 @@ class World:
         self.rolled_m = 0.0  # by the robot's middle, forwards and backwards
         self._caster = Caster(world)
         self._pwm = (0, 0)
-        self._step_pwm: float = 2.0 ** max(0.0, _PWM_BITS - world.pwm_bits)
-        self._top: float = 2.0 ** min(float(_PWM_BITS), world.pwm_bits) - 1.0
+        bits = int(world.pwm_bits)
+        self._step_pwm = float(1 << (_PWM_BITS - bits))
+        self._top = float((1 << bits) - 1)
 
     @property
     def caster_rad(self) -> float:
