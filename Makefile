@@ -136,6 +136,7 @@ firmware: $(VENV)/.dev
 world:
 	@tools/require.sh cmake g++
 	cd firmware && cmake --preset native >/dev/null && cmake --build --preset native --target firmware_world
+	@touch build/firmware/native/libfirmware_world.so # newer than each of its sources, whatever had to be compiled
 
 chain: $(VENV)/.hostlink
 	@tools/require.sh cmake g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm

@@ -10,6 +10,8 @@ from hostlink.sim.world_parameters import WorldParameters, names
 
 # Built from the sources beside the package, by `make world`; an installed hostlink has neither.
 LIBRARY = Path(__file__).resolve().parents[2] / "build" / "firmware" / "native" / "libfirmware_world.so"
+_FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+_PARTS = ("world*", "firmware_world", "robot_in_world", "drive_train", "caster", "random_numbers", "uart_*")
 VERSION = 2  # of the C interface
 
 _P, _I, _SIZE, _D = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t, ctypes.c_double
@@ -59,6 +61,8 @@ def load_library(path: Path = LIBRARY) -> ctypes.CDLL:
     """
     if not path.exists():
         raise WorldLibraryMissing(f"{path} is not built: run  make world  in hostlink's sources")
+    if any(source.stat().st_mtime > path.stat().st_mtime for source in _sources()):
+        raise WorldLibraryMissing(f"{path} is older than its sources: run  make world")
     try:
         loaded = ctypes.CDLL(str(path))
     except OSError as error:
@@ -72,6 +76,13 @@ def load_library(path: Path = LIBRARY) -> ctypes.CDLL:
     if known != names():
         raise WorldLibraryMissing(f"{path} has other parameters: run  make world")
     return loaded
+
+
+def _sources() -> list[Path]:
+    """Of the library; none where hostlink is installed without them."""
+    firmware = [path for suffix in ("h", "cpp") for path in (_FIRMWARE / "due" / "src").glob(f"*.{suffix}")]
+    own = [path for name in _PARTS for path in (_FIRMWARE / "host").glob(f"{name}.*")]
+    return firmware + own
 
 
 def array_of(parameters: WorldParameters) -> ctypes.Array[ctypes.c_double]:

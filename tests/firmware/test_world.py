@@ -2,17 +2,33 @@
 
 import ctypes
 import math
+import os
+import shutil
+import struct
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.frame import TOPICS_REQUEST, encode
+from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from hostlink.sim.world import World
-from hostlink.sim.world_library import NativeWorld, load_library
+from hostlink.sim.world_library import LIBRARY, NativeWorld, WorldLibraryMissing, load_library
 from hostlink.sim.world_parameters import WorldParameters, bounds, names, read
 from tests.firmware.boards import build_native
 from tests.firmware.worlds import worlds
 
+CATALOG = Catalog()
+SLIPPERY = WorldParameters(
+    seed=5.0,
+    caster_twist_rad=0.055,
+    caster_random=0.4,
+    left=replace(WorldParameters().left, slip_noise_m=0.003),
+)
 STEPS_S = (0.001, 0.002, 0.01, 1 / 30)
 
 
@@ -110,3 +126,27 @@ def test_a_minute_in_coarse_steps_is_a_minute_in_fine_ones() -> None:
     assert math.hypot(fine.x_m - coarse.x_m, fine.y_m - coarse.y_m) <= 0.001
     assert fine.theta_rad == pytest.approx(coarse.theta_rad, abs=0.001)
     assert fine.rolled_m > 8.0
+
+
+def test_a_simulated_robot_drives_the_same_way_in_either() -> None:
+    poses = []
+    for world in (NativeWorld(SLIPPERY), World(SLIPPERY)):
+        robot = SimulatedRobot("robot_0", CATALOG, device=SimulatedDevice(baud=None), world=world)
+        robot.device.from_host.send(TOPICS_REQUEST, 0.0)
+        for turn in range(600):
+            now_s = turn * LOOP_S
+            twist = struct.pack("<6d", 0.2 if turn < 500 else 0.0, 0, 0, 0, 0, 0.5 if turn > 200 else 0.0)
+            if turn % 3 == 0:
+                robot.device.from_host.send(encode(100, twist), now_s)
+            robot.turn(now_s)
+        poses.append((robot.pose, world.x_m, world.y_m, world.theta_rad))
+    assert poses[0] == poses[1]
+    assert poses[0][1] != poses[0][0].x_m
+
+
+def test_a_library_older_than_its_sources_is_refused(tmp_path: Path) -> None:
+    stale = tmp_path / LIBRARY.name
+    shutil.copy(LIBRARY, stale)
+    os.utime(stale, (1.0, 1.0))
+    with pytest.raises(WorldLibraryMissing, match="older than its sources: run  make world"):
+        load_library(stale)
