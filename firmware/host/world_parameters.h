@@ -35,8 +35,8 @@ struct WorldParameters {
   double caster_arm_m = 0.15;     // from the axle back to the caster's pivot; estimated from the paper's figure 2
   double caster_trail_m = 0.02;   // from the pivot to where the wheel touches; "almost as large as the wheel's radius"
   double caster_pwm = 0.0;        // counts of PWM that a caster costs that points the wrong way; estimated 0..300
-  double caster_twist_rad = 0.0;  // by which a caster that was at a right angle twists the robot; 0.055: ROBOT.md's fit
-  double caster_random = 0.0;     // standard deviation of that, as a share; 0.4: ROBOT.md's fit
+  double caster_twist_rad = 0.0;  // by which a caster at a right angle twists the robot; 0.055 fits the paper's tables
+  double caster_random = 0.0;     // standard deviation of that, as a share; 0.4 fits them
 
   double floor_pwm = 0.0;      // counts of PWM that the floor costs a rolling wheel: 0 hard, 100..300 carpet; estimated
   double pwm_bits = 8.0;       // that analogWrite puts on the pin, of 12: steps of 16; the Due core's variant.h

@@ -46,8 +46,8 @@ class WorldParameters:
     caster_arm_m: float = 0.15  # from the axle back to the caster's pivot; estimated from the paper's figure 2
     caster_trail_m: float = 0.02  # from the pivot to where the wheel touches; "almost as large as the wheel's radius"
     caster_pwm: float = 0.0  # counts of PWM that a caster costs that points the wrong way; estimated 0..300
-    caster_twist_rad: float = 0.0  # by which a caster that was at a right angle twists the robot; 0.055: docs/robot.md
-    caster_random: float = 0.0  # standard deviation of that, as a share; 0.4: docs/robot.md
+    caster_twist_rad: float = 0.0  # by which a caster at a right angle twists the robot; 0.055 fits the paper's tables
+    caster_random: float = 0.0  # standard deviation of that, as a share; 0.4 fits them
 
     floor_pwm: float = 0.0  # counts of PWM that the floor costs a rolling wheel: 0 hard, 100..300 carpet; estimated
     pwm_bits: float = 8.0  # that analogWrite puts on the pin, of 12: steps of 16; the Due core's variant.h

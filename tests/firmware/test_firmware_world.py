@@ -37,6 +37,11 @@ def connected(parameters: WorldParameters | None = None, name: str = "robot_0") 
     return made
 
 
+def unseen_rad(made: FirmwareWorld) -> float:
+    """What the robot has turned without its odometry."""
+    return math.remainder(made.pose.theta_rad - made.odometry.theta_rad, math.tau)
+
+
 def drive(made: FirmwareWorld, sample_s: float = 0.0) -> FirmwareWorld:
     for linear, angular, seconds in SQUARE:
         made.drive(linear, angular, seconds, sample_s=sample_s)
@@ -114,6 +119,31 @@ def test_at_the_paper_s_baud_rate_nothing_is_lost(retry: Retry) -> None:
     made.drive(0.2, 0.3, 20.0)
     assert made.lost_bytes == 0
     assert made.pose.theta_rad > 3.0
+
+
+@pytest.mark.parametrize(("turn", "onwards"), [(0.8, 0.2), (-0.8, 0.2), (0.8, -0.2), (-0.8, -0.2)])
+def test_a_caster_that_comes_back_from_a_turn_turns_the_robot_further(turn: float, onwards: float) -> None:
+    """The paper's overturning, which its odometry does not see; the way that it drives on does not matter."""
+    made = connected(WorldParameters(caster_twist_rad=0.055))
+    for linear, angular, seconds in ((0.2, 0.0, 4.0), (0.0, 0.0, 0.7), (0.0, turn, 4.0), (0.0, 0.0, 0.7)):
+        made.drive(linear, angular, seconds)
+    assert unseen_rad(made) == pytest.approx(0.0, abs=0.005)
+    made.drive(onwards, 0.0, 6.0)
+    assert unseen_rad(made) == pytest.approx(math.copysign(0.055, turn), abs=0.008)
+
+
+def test_a_straight_reversal_leaves_only_the_caster_s_random_share() -> None:
+    found = {}
+    for random in (0.0, 0.4):
+        turned = []
+        for seed in range(8):
+            made = connected(WorldParameters(seed=seed, caster_twist_rad=0.055, caster_random=random))
+            made.drive(0.2, 0.0, 4.0)
+            made.drive(-0.2, 0.0, 4.0)
+            turned.append(unseen_rad(made))
+        found[random] = float(np.std(turned))
+    assert found[0.0] < 0.002
+    assert 0.01 < found[0.4] < 0.06  # 0.055 times the difference of two numbers of 0.4: 0.031
 
 
 def test_a_hand_at_the_wheels_and_at_the_robot() -> None:
