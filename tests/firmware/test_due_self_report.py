@@ -137,7 +137,7 @@ def in_use(firmware: Robot, *, left: bool, right: bool) -> list[int]:
     track = Track(firmware)
     for motor, is_held in zip(track.motors, (left, right), strict=True):
         if is_held:
-            motor.block()
+            motor.grip(0.0)
     track.run(4.0, velocity(0.3, 0.0))
     return errors(track)[-1]
 
