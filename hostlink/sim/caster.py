@@ -21,13 +21,17 @@ _HALF = 0.5
 class Caster:
     """The caster of one world."""
 
-    def __init__(self, world: WorldParameters) -> None:
-        self._random = RandomNumbers(int(world.seed), STREAM)
-        self._world = world
+    def __init__(self) -> None:
         self.heading_rad = 0.0  # where it rolls to, in the robot's frame
         self._factor = 1.0  # of this swing's twist
         self._is_swinging = False
         self._is_ahead = True  # its heading has a part forwards
+        self.be(WorldParameters())
+
+    def be(self, world: WorldParameters) -> None:
+        """Another caster from now on, that points the same way."""
+        self._world = world
+        self._random = RandomNumbers(int(world.seed), STREAM)
 
     def step(self, forward_m: float, turned_rad: float) -> float:
         """The robot moved this far; returns by how much the caster twists it."""

@@ -17,17 +17,23 @@ _NOISE_M = 0.01  # rolled between two numbers of the slip's noise
 class DriveTrain:
     """One wheel. It turns at `speed_rad_s`, signed; its encoder counts `edges`, two a tick, without a sign."""
 
-    def __init__(self, wheel: WheelParameters | None = None, *, seed: int = 1, stream: int = 1) -> None:
-        self.wheel = WheelParameters() if wheel is None else wheel
+    def __init__(self, wheel: WheelParameters | None = None, *, stream: int = 1) -> None:
         self.speed_rad_s = 0.0
         self.rolled_rad = 0.0  # signed: the truth of the encoder
         self.moved_m = 0.0  # in the last step, signed: over the floor, slip included
         self.edges = 0
         self.is_deaf = False  # its encoder is dead
-        self._random = RandomNumbers(seed, stream)
+        self._stream = stream  # of its random numbers
         self._is_gripped = self._is_broken = self._is_stuck = False
         self._part_ticks = 0.0  # behind the last edge, seen forwards: the edges lie half a tick apart
         self._part_noise_m = 0.0  # rolled since the last noise
+
+        self.be(WheelParameters() if wheel is None else wheel, 1)
+
+    def be(self, wheel: WheelParameters, seed: int) -> None:
+        """Another wheel from now on, that has rolled as far."""
+        self.wheel = wheel
+        self._random = RandomNumbers(seed, self._stream)
 
     @property
     def speed_m_s(self) -> float:

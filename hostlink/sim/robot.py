@@ -17,7 +17,6 @@ from hostlink.sim.worlds import AnyWheel, AnyWorld, open_world
 
 PUBLISH_EVERY = 3
 REPORT_EVERY = 10  # of what it publishes: once a second
-BATTERY_V = 12.0
 WATCHDOG_S = 0.5
 _EDGES = 1 << 32  # a board's counter wraps
 _INFO = 1
@@ -57,7 +56,6 @@ class SimulatedRobot:
         self._now_s = 0.0
         self._is_greeted = False
         self._is_geometry_new = False  # since it was logged
-        self.battery_v = BATTERY_V  # as it truly is
         self.battery = Battery()
         self.errors = Errors()
         self._types = {name.split("/")[1]: _message_type(catalog, name) for name in _TYPES}
@@ -153,7 +151,7 @@ class SimulatedRobot:
         for control, known in zip(self.controllers, _WHEEL_ERRORS, strict=True):
             if control.watch.fault is not None:
                 self.errors.raise_(known[control.watch.fault], self._now_s)
-        if self.battery.add(self.battery_v):
+        if self.battery.add(self.world.battery_v):
             text = f"battery low: {self.battery.volts:.1f} V, below {self.battery.low_v:.1f} V"
             self.device.log(_ERROR, text, self._now_s)
         if self.battery.is_low:

@@ -18,15 +18,20 @@ class World:
     """Set the PWMs with `drive`, let time pass with `step`, read the rest."""
 
     def __init__(self, parameters: WorldParameters | None = None) -> None:
-        self.parameters = world = WorldParameters() if parameters is None else parameters
-        self.left = DriveTrain(world.left, seed=int(world.seed), stream=1)
-        self.right = DriveTrain(world.right, seed=int(world.seed), stream=2)
+        self.left, self.right, self._caster = DriveTrain(stream=1), DriveTrain(stream=2), Caster()
         self.x_m = self.y_m = 0.0
         self.theta_rad = 0.0  # not wrapped: whole turns stay in it
         self.rolled_m = 0.0  # by the robot's middle, forwards and backwards
-        self._caster = Caster(world)
         self._pwm = (0, 0)
-        bits = int(world.pwm_bits)
+        self.be(WorldParameters() if parameters is None else parameters)
+
+    def be(self, parameters: WorldParameters) -> None:
+        """Another world from now on; pose and edges stay."""
+        self.parameters = parameters
+        seed, bits = int(parameters.seed), int(parameters.pwm_bits)
+        self.left.be(parameters.left, seed)
+        self.right.be(parameters.right, seed)
+        self._caster.be(parameters)
         self._step_pwm = float(1 << (_PWM_BITS - bits))
         self._top = float((1 << bits) - 1)
 

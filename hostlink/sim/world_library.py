@@ -6,7 +6,7 @@ import weakref
 from functools import cache
 from pathlib import Path
 
-from hostlink.sim.world_parameters import WorldParameters, names
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters, names
 
 # Built from the sources beside the package, by `make world`; an installed hostlink has neither.
 LIBRARY = Path(__file__).resolve().parents[2] / "build" / "firmware" / "native" / "libfirmware_world.so"
@@ -97,7 +97,11 @@ class NativeWheel:
     def __init__(self, world: "NativeWorld", side: int) -> None:
         self._world = world
         self._side = side
-        self.wheel = world.parameters.right if side else world.parameters.left
+
+    @property
+    def wheel(self) -> WheelParameters:
+        """Its numbers."""
+        return self._world.parameters.right if self._side else self._world.parameters.left
 
     @property
     def edges(self) -> int:
@@ -166,6 +170,11 @@ class NativeWorld:
         self._owner = owner  # lives as long as this
         self.left = NativeWheel(self, 0)
         self.right = NativeWheel(self, 1)
+
+    def be(self, parameters: WorldParameters) -> None:
+        """Another world from now on; pose and edges stay."""
+        self.parameters = parameters
+        self.library.world_be(self.handle, array_of(parameters))
 
     @property
     def state(self) -> list[float]:

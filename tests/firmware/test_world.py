@@ -92,12 +92,14 @@ def test_a_world_has_only_numbers(value: float) -> None:
 
 
 pwms = st.one_of(st.just(0), st.integers(-4095, 4095))
-pieces = st.tuples(pwms, pwms, st.sampled_from(STEPS_S), st.integers(1, 80), st.sampled_from(["", "grip", "shove"]))
+pieces = st.tuples(
+    pwms, pwms, st.sampled_from(STEPS_S), st.integers(1, 80), st.sampled_from(["", "grip", "shove", "later"])
+)
 
 
-@given(drawn=worlds(), story=st.lists(pieces, min_size=1, max_size=12))
+@given(drawn=worlds(), later=worlds(), story=st.lists(pieces, min_size=1, max_size=12))
 def test_the_twin_computes_the_same_digits(
-    drawn: WorldParameters, story: list[tuple[int, int, float, int, str]]
+    drawn: WorldParameters, later: WorldParameters, story: list[tuple[int, int, float, int, str]]
 ) -> None:
     native, twin = NativeWorld(drawn), World(drawn)
     for left, right, dt_s, steps, hand in story:
@@ -107,6 +109,8 @@ def test_the_twin_computes_the_same_digits(
                 world.left.grip(left / 20)
             elif hand == "shove":
                 world.shove(0.01, -0.02, 0.3)
+            elif hand == "later":
+                world.be(later)
             else:
                 world.left.release()
         for _ in range(steps):

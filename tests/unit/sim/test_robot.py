@@ -294,7 +294,7 @@ def test_a_stalled_wheel_and_a_lost_driver_have_numbers() -> None:
     track.drive(0.2, 0.0, 1.0, is_commanded=False)
     assert numbers(track)[-1] == [31]
     track = Track()
-    track.robot.wheels[0].block()
+    track.robot.wheels[0].grip(0.0)
     track.drive(0.3, 0.0, 4.0)
     assert numbers(track)[-1] == [11]
 
@@ -308,10 +308,10 @@ def stand(track: Track, seconds: float) -> None:
 
 def test_a_battery_that_stays_low_is_logged_once() -> None:
     track = Track()
-    track.robot.battery_v = 10.2
+    track.robot.world.be(WorldParameters(battery_v=10.2))
     stand(track, 20.0)
     assert errors(track) == ["battery low: 10.2 V, below 10.5 V"]
     assert numbers(track)[-1] == [51]
-    track.robot.battery_v = 12.0
+    track.robot.world.be(WorldParameters())
     stand(track, 15.0)
     assert numbers(track)[-1] == []
