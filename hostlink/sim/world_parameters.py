@@ -4,6 +4,7 @@ Names, order and defaults are those of firmware/host/world.h and drive_train.h; 
 """
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
@@ -100,6 +101,8 @@ class WorldParameters:
 
 # What a robot can be in; whatever is not named: 0..LARGE. firmware/host/world_parameters.cpp has the same.
 _SMALL, LARGE = 1e-6, 1e6
+_LINE_END = re.compile(r"\r\n|\r|\n")
+_LINE = re.compile(r"(?P<name>[^=#][^=]*)=(?P<value>[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?)")
 _BOUNDS = {
     "seed": (0.0, 4294967295.0),
     "track_m": (_SMALL, LARGE),
@@ -130,22 +133,23 @@ def names() -> list[str]:
 
 
 def read(text: str) -> WorldParameters:
-    """A world from lines `name=value`; empty lines and those that begin with # are ignored.
+    """A world from lines `name=value`, without spaces; empty lines and those that begin with # are ignored.
 
     Raises:
-        ValueError: a value is no number, then the text has its line; a name is no parameter's, or a number is out of
-            its range.
+        ValueError: a line is not of this form, names no parameter, or is out of range; the text has its number.
     """
-    values: dict[str, float] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
-        name, _, value = line.partition("=")
-        if not line.strip() or line.startswith("#"):
+    world = WorldParameters()
+    for number, line in enumerate(_LINE_END.split(text), start=1):
+        if not line or line.startswith("#"):
             continue
+        found = _LINE.fullmatch(line)
+        if found is None:
+            raise ValueError(f"line {number}: {line!r} is not of the form name=number")
         try:
-            values[name.strip()] = float(value)
-        except ValueError:
-            raise ValueError(f"line {number}: {name.strip()}: {value.strip()!r} is no number") from None
-    return WorldParameters().changed(values)
+            world = world.changed({found["name"]: float(found["value"])})
+        except ValueError as error:
+            raise ValueError(f"line {number}: {error}") from None
+    return world
 
 
 def _own_names() -> Iterator[str]:

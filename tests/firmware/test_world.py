@@ -85,6 +85,27 @@ def test_both_refuse_a_number_that_is_out_of_its_range(name: str) -> None:
             read(f"{name}={value!r}\n")
 
 
+near_numbers = st.text("0123456789.+-eE x", max_size=8)
+near_lines = st.one_of(
+    st.builds("{}={}".format, st.sampled_from([*names(), "track", "left", "", "#"]), near_numbers),
+    st.builds("{}={!r}".format, st.sampled_from(names()), st.floats(0.0, 12.0)),
+    st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=12),
+)
+
+
+@given(lines=st.lists(near_lines, max_size=4), end=st.sampled_from(["\n", "\r\n", "\r"]))
+def test_both_accept_the_same_texts(lines: list[str], end: str) -> None:
+    text = end.join(lines)
+    wrong, values = read_natively(text)
+    try:
+        accepted = read(text).values()
+    except ValueError:
+        assert wrong != 0
+    else:
+        assert wrong == 0
+        assert values == pytest.approx(accepted, rel=1e-14)
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_world_has_only_numbers(value: float) -> None:
     with pytest.raises(ValueError, match="track_m"):
