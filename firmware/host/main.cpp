@@ -46,9 +46,9 @@ class PosixHal : public hostlink::Hal {
 
   size_t write(const uint8_t* data, size_t size) override {
     if (socket_ < 0) return size;  // a UART without a reader accepts everything
-    const size_t taken = out_.put(data, size, micros());
+    const size_t accepted = out_.put(data, size, micros());
     send();
-    return taken;
+    return accepted;
   }
 
   void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
@@ -96,9 +96,9 @@ class PosixHal : public hostlink::Hal {
   void send() {
     size_t size = 0;
     while (socket_ >= 0 && (size = out_.ready(micros())) > 0) {
-      const ssize_t taken = ::send(socket_, out_.data(), size, MSG_NOSIGNAL | MSG_DONTWAIT);
-      if (taken > 0) {
-        out_.drop(static_cast<size_t>(taken));
+      const ssize_t accepted = ::send(socket_, out_.data(), size, MSG_NOSIGNAL | MSG_DONTWAIT);
+      if (accepted > 0) {
+        out_.drop(static_cast<size_t>(accepted));
       } else {
         if (errno != EAGAIN && errno != EWOULDBLOCK) hang_up();
         return;

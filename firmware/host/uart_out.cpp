@@ -5,9 +5,9 @@ namespace hostlink {
 size_t UartOut::put(const uint8_t* data, size_t size, uint32_t now_us) {
   ready(now_us);
   if (through_ == size_) through_at_us_ = now_us;  // the line was idle: the byte begins now
-  size_t taken = 0;
-  while (taken < size && size_ < kRingBytes) ring_[(head_ + size_++) % kRingBytes] = data[taken++];
-  return taken;
+  size_t accepted = 0;
+  while (accepted < size && size_ < kRingBytes) ring_[(head_ + size_++) % kRingBytes] = data[accepted++];
+  return accepted;
 }
 
 size_t UartOut::ready(uint32_t now_us) {

@@ -24,7 +24,7 @@ volatile uint32_t inbox_read = 0;
 
 bool is_inbox_full() { return inbox_written - inbox_read == kInboxBytes; }
 
-void take_bytes() {
+void receive_bytes() {
   while (!is_inbox_full() && (mps2::uart0().state & mps2::kReceiveFull) != 0) {
     inbox[inbox_written % kInboxBytes] = static_cast<uint8_t>(mps2::uart0().data);
     inbox_written = inbox_written + 1;
@@ -57,12 +57,12 @@ class QemuHal : public hostlink::Hal {
 
   size_t write(const uint8_t* data, size_t size) override {
     // The line to the host has the same speed: what has not been earned waits.
-    size_t taken = 0;
-    while (taken < size && credit_bytes() > 0 && (mps2::uart0().state & mps2::kTransmitFull) == 0) {
-      mps2::uart0().data = data[taken++];
+    size_t accepted = 0;
+    while (accepted < size && credit_bytes() > 0 && (mps2::uart0().state & mps2::kTransmitFull) == 0) {
+      mps2::uart0().data = data[accepted++];
       sent_at_us_ += kByteUs;
     }
-    return taken;
+    return accepted;
   }
 
   void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
@@ -77,7 +77,7 @@ class QemuHal : public hostlink::Hal {
   // What the hardware does by itself between two turns of the loop.
   void run() {
     __asm__ volatile("cpsid i" ::: "memory");
-    take_bytes();  // what waited while the inbox was full: no interrupt comes for it again
+    receive_bytes();  // what waited while the inbox was full: no interrupt comes for it again
     __asm__ volatile("cpsie i" ::: "memory");
     while (inbox_read != inbox_written && ring_.line_room() > 0) {
       ring_.put_on_line(inbox[inbox_read % kInboxBytes], micros());
@@ -122,7 +122,7 @@ hostlink::Robot robot(hal);
 hostlink::ActivityRecorder activity;
 hostlink::WorldParameters parameters;
 
-void say(const char* text) {
+void print(const char* text) {
   for (; *text != '\0'; ++text) {
     while ((mps2::uart1().state & mps2::kTransmitFull) != 0) {
     }
@@ -130,7 +130,7 @@ void say(const char* text) {
   }
 }
 
-void say_number(const char* name, int32_t value) {
+void print_number(const char* name, int32_t value) {
   char digits[12];
   int at = 11;
   digits[at] = '\0';
@@ -140,23 +140,23 @@ void say_number(const char* name, int32_t value) {
     rest /= 10;
   } while (rest > 0);
   if (value < 0) digits[--at] = '-';
-  say(name);
-  say(digits + at);
+  print(name);
+  print(digits + at);
 }
 
 }  // namespace
 
 extern "C" void uart_interrupt() {
   mps2::uart0().interrupt = mps2::kReceiveFull;  // first clear, then drain: else the last byte's call is lost
-  take_bytes();
+  receive_bytes();
 }
 
 extern "C" int main() {
   hal.begin();
   const uint32_t wrong = hostlink::read_world(mps2::loaded_text(), parameters);
   if (wrong != 0) {
-    say_number("world: no number of a world in line ", static_cast<int32_t>(wrong));
-    say("\r\n");
+    print_number("world: no number of a world in line ", static_cast<int32_t>(wrong));
+    print("\r\n");
     leave(1);
   }
   hal.world().be(parameters);
@@ -168,21 +168,22 @@ extern "C" int main() {
     activity.update(hal.world(), robot.node().delivered(), hal.millis());
     if (hal.millis() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
-      say_number("ms ", static_cast<int32_t>(hal.millis()));
-      say_number(" left ", static_cast<int32_t>(hal.world().left().speed_ticks_s()));
-      say_number(" right ", static_cast<int32_t>(hal.world().right().speed_ticks_s()));
-      say_number(" lost ", static_cast<int32_t>(hal.lost()));
-      say_number(" got ", static_cast<int32_t>(robot.node().delivered()));
-      say_number(" sent ", static_cast<int32_t>(robot.node().published()));
-      say_number(" dropped ", static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
-      say_number(" x_mm ", static_cast<int32_t>(hal.world().pose().x_m * 1000.0));
-      say_number(" y_mm ", static_cast<int32_t>(hal.world().pose().y_m * 1000.0));
-      say_number(" theta_mrad ", static_cast<int32_t>(hal.world().pose().theta_rad * 1000.0));
-      say_number(" battery_mv ", static_cast<int32_t>(hal.world().battery_v() * 1000.0));
-      say_number(" got_ms ", static_cast<int32_t>(activity.got_at_ms()));
-      say_number(" rolled_ms ", static_cast<int32_t>(activity.rolled_at_ms()));
-      say_number(" rolled_mm ", static_cast<int32_t>(hal.world().rolled_m() * 1000.0));
-      say("\r\n");
+      print_number("ms ", static_cast<int32_t>(hal.millis()));
+      print_number(" left ", static_cast<int32_t>(hal.world().left().speed_ticks_s()));
+      print_number(" right ", static_cast<int32_t>(hal.world().right().speed_ticks_s()));
+      print_number(" lost ", static_cast<int32_t>(hal.lost()));
+      print_number(" got ", static_cast<int32_t>(robot.node().delivered()));
+      print_number(" sent ", static_cast<int32_t>(robot.node().published()));
+      print_number(" dropped ",
+                   static_cast<int32_t>(robot.node().dropped_from_host() + robot.node().dropped_to_host()));
+      print_number(" x_mm ", static_cast<int32_t>(hal.world().pose().x_m * 1000.0));
+      print_number(" y_mm ", static_cast<int32_t>(hal.world().pose().y_m * 1000.0));
+      print_number(" theta_mrad ", static_cast<int32_t>(hal.world().pose().theta_rad * 1000.0));
+      print_number(" battery_mv ", static_cast<int32_t>(hal.world().battery_v() * 1000.0));
+      print_number(" got_ms ", static_cast<int32_t>(activity.got_at_ms()));
+      print_number(" rolled_ms ", static_cast<int32_t>(activity.rolled_at_ms()));
+      print_number(" rolled_mm ", static_cast<int32_t>(hal.world().rolled_m() * 1000.0));
+      print("\r\n");
     }
     hal.sleep();
   }

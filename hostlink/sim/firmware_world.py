@@ -34,7 +34,7 @@ from hostlink.sim.world_library import NativeWorld, array_of, load_library
 from hostlink.sim.world_parameters import WorldParameters
 
 COMMAND_S = 0.1  # between two velocities; the firmware stops after 0.5 s without one
-CONNECT_S = 2.0  # for topics and parameters: at 38400 baud they take half of it
+CONNECT_S = 2.0  # for topics and parameters: at 38400 baud they need half of it
 _ANSWER_MS = 100  # how often the robot's questions are answered
 _RECEIVE_BYTES = 1 << 16
 _FRAMES = 100_000  # an hour of them

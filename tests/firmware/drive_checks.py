@@ -19,11 +19,11 @@ AGAINST_TICKS_S = 15.0
 Wheel = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def wheels(trace: Trace, requested: np.ndarray) -> list[Wheel]:
-    """Of each wheel: its true speed, its set-point, what was asked of it, what its motor is given."""
+def wheels(trace: Trace, commanded: np.ndarray) -> list[Wheel]:
+    """Of each wheel: its true speed, its set-point, what it was commanded, what its motor is given."""
     return [
-        (trace.left, trace.left_set, requested[:, LEFT], trace.left_drive),
-        (trace.right, trace.right_set, requested[:, RIGHT], trace.right_drive),
+        (trace.left, trace.left_set, commanded[:, LEFT], trace.left_drive),
+        (trace.right, trace.right_set, commanded[:, RIGHT], trace.right_drive),
     ]
 
 
@@ -36,9 +36,9 @@ def check_odometry(trace: Trace, reversals: int) -> None:
         assert float(off[-1]) <= 1.0 + REVERSAL_TICKS * reversals
 
 
-def check_speed(trace: Trace, requested: np.ndarray) -> None:
-    """No wheel is faster than 1.1 times what was asked for longer than 0.3 s, none is driven against its motion."""
-    for wheel in wheels(trace, requested):
+def check_speed(trace: Trace, commanded: np.ndarray) -> None:
+    """No wheel is faster than 1.1 times what was commanded longer than 0.3 s, none is driven against its motion."""
+    for wheel in wheels(trace, commanded):
         speed, _, _, drive = wheel
         assert too_fast_s(wheel) <= OVER_S
         against_ticks_s = float(np.max(-speed * np.sign(drive), initial=0.0))
@@ -68,15 +68,15 @@ def recent_most(values: np.ndarray) -> np.ndarray:
 
 
 def too_fast_s(wheel: Wheel) -> float:
-    """How long it was faster than 1.1 times what was asked for and a tick in 0.2 s, while it was driven."""
-    speed, set_point, requested, _ = wheel
-    most = recent_most(np.maximum(np.abs(requested), np.abs(set_point)))
+    """How long it was faster than 1.1 times what was commanded and a tick in 0.2 s, while it was driven."""
+    speed, set_point, commanded, _ = wheel
+    most = recent_most(np.maximum(np.abs(commanded), np.abs(set_point)))
     allowed = np.maximum(1.1 * most + STANDING_TICKS_S, CREEP_TICKS_S)
-    return longest_s((np.abs(speed) > allowed) & (requested != 0))
+    return longest_s((np.abs(speed) > allowed) & (commanded != 0))
 
 
 def brake_s(drawn: WorldParameters, wheel: WheelParameters, speed_ticks_s: float) -> float:
-    """How long the shorted motor takes by itself."""
+    """How long the shorted motor needs by itself."""
     friction_rad_s = wheel.friction_rad_s + drawn.floor_pwm / FULL_PWM * wheel.full_speed_rad_s
     friction_ticks_s = friction_rad_s * wheel.ticks_per_turn / (2 * np.pi)
     ratio = (speed_ticks_s + friction_ticks_s) / (STANDING_TICKS_S + friction_ticks_s)

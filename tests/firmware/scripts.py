@@ -42,8 +42,8 @@ class Script:
         return (CONNECT_MS + sum(ms for _, _, ms in self.pieces)) // ROW_MS
 
     @property
-    def requested(self) -> np.ndarray:
-        """A row to each of the trace: what was asked of the wheels, left and right, in ticks/s."""
+    def commanded(self) -> np.ndarray:
+        """A row to each of the trace: what the wheels were commanded, left and right, in ticks/s."""
         silent = np.zeros((CONNECT_MS // ROW_MS, 2))
         return np.concatenate([silent, *(np.tile(wheel_speeds(v, w), (ms // ROW_MS, 1)) for v, w, ms in self.pieces)])
 

@@ -1,4 +1,4 @@
-"""A wheel that is held, blind or driven by a broken driver: both motors off, told once, until a zero."""
+"""A wheel that is blocked, blind or driven by a broken driver: both motors off, logged once, until a zero."""
 
 import numpy as np
 import pytest

@@ -50,7 +50,7 @@ def check(script: Script, rows: np.ndarray) -> None:
     """One drive; the first half second has no command yet."""
     made, start = trace(rows), CONNECT_MS // ROW_MS
     check_odometry(made.since(start), len(script.pieces) // 2)
-    check_speed(made.since(start), script.requested[start:])
+    check_speed(made.since(start), script.commanded[start:])
     check_standstill(made.since(len(rows) - STANDS_MS // ROW_MS - 1), script.world)
     assert not np.any(column(rows, "left_fault")), "a fault of the left wheel"
     assert not np.any(column(rows, "right_fault")), "a fault of the right wheel"

@@ -58,7 +58,7 @@ def test_whatever_motors_it_has_the_robot_moves_as_its_odometry_shows(
             made.drive(0.0, 0.0, pause_s)
         check_stop(made, drawn)
         check_odometry(made.trace, len(story))
-        check_speed(made.trace, made.requested)
+        check_speed(made.trace, np.concatenate(made.commanded))
         assert made.errors == []
 
 
@@ -71,7 +71,7 @@ def test_a_wheel_that_somebody_turned_is_driven_as_before_when_it_is_let_go(
     drawn: WorldParameters,
     story: list[tuple[tuple[float, float, float, float], tuple[int, float, float] | None]],
 ) -> None:
-    """What one channel cannot see, the way a hand turns, it must not pay for afterwards."""
+    """What one channel cannot see, which way somebody turns, it must not pay for afterwards."""
     with world(drawn) as made:
         for (linear, angular, seconds, pause_s), hand in story:
             if hand is not None:
@@ -86,7 +86,7 @@ def test_a_wheel_that_somebody_turned_is_driven_as_before_when_it_is_let_go(
             made.drive(0.0, 0.0, pause_s)
             check_stop(made, drawn)
             check_odometry(made.trace, 1)
-            check_speed(made.trace, made.requested)
+            check_speed(made.trace, np.concatenate(made.commanded))
 
 
 @WORLDS
@@ -98,7 +98,7 @@ def test_whatever_motors_it_has_a_steady_speed_is_the_requested_one(
     assume(linear < 0.9 * METRES_PER_TICK * top_ticks_s(drawn))
     with world(drawn) as made:
         made.drive(sense * linear, 0.0, 14.0)
-        for speed, _, commanded, drive in wheels(made.trace, made.requested):
+        for speed, _, commanded, drive in wheels(made.trace, np.concatenate(made.commanded)):
             late = slice(-round(5.0 / ROW_S), None)
             tolerance = 0.05 if np.any(drive[late] == 0) else 0.01
             assert float(np.mean(speed[late])) == pytest.approx(float(commanded[-1]), rel=tolerance)

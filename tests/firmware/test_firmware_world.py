@@ -132,7 +132,7 @@ def test_at_the_paper_s_baud_rate_nothing_is_lost(retry: Retry) -> None:
 
 @pytest.mark.parametrize(("turn", "onwards"), [(0.8, 0.2), (-0.8, 0.2), (0.8, -0.2), (-0.8, -0.2)])
 def test_a_caster_that_comes_back_from_a_turn_turns_the_robot_further(turn: float, onwards: float) -> None:
-    """The paper's overturning, which its odometry does not see; the way that it drives on does not matter."""
+    """The paper's overturning, which its odometry does not count; the way that it drives on does not matter."""
     made = connected(WorldParameters(caster_twist_rad=0.055))
     for linear, angular, seconds in ((0.2, 0.0, 4.0), (0.0, 0.0, 0.7), (0.0, turn, 4.0), (0.0, 0.0, 0.7)):
         made.drive(linear, angular, seconds)

@@ -123,14 +123,14 @@ def test_the_twin_computes_the_same_digits(
     drawn: WorldParameters, later: WorldParameters, story: list[tuple[int, int, float, int, str]]
 ) -> None:
     native, twin = NativeWorld(drawn), World(drawn)
-    for left, right, dt_s, steps, hand in story:
+    for left, right, dt_s, steps, event in story:
         for world in (native, twin):
             world.drive(left, right)
-            if hand == "grip":
+            if event == "grip":
                 world.left.grip(left / 20)
-            elif hand == "shove":
+            elif event == "shove":
                 world.shove(0.01, -0.02, 0.3)
-            elif hand == "later":
+            elif event == "later":
                 world.be(later)
             else:
                 world.left.release()

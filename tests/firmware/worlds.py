@@ -1,4 +1,4 @@
-"""The Due's whole program in a world that a test draws: its board, a shield, two motors, a caster, a hand."""
+"""The Due's whole program in a world that a test draws: its board, a shield, two motors, a caster, a floor."""
 
 import ctypes
 import struct
@@ -122,7 +122,7 @@ class Trace:
 
 @dataclass
 class World:
-    """A robot that is driven: a command goes out ten times a second, and the time is told with it."""
+    """A robot that is driven: a command goes out ten times a second, and the time with it."""
 
     handle: int
     rows: list[np.ndarray] = field(default_factory=list)
@@ -171,7 +171,7 @@ class World:
         library().world_deafen(self.handle, side, is_so)
 
     def stick(self, side: int, *, is_so: bool = True) -> None:
-        """The driver of a motor is through: it runs at full speed, whatever the pins say."""
+        """The driver of a motor is through: it runs at full speed, whatever the pins command."""
         library().world_stick(self.handle, side, is_so)
 
     @property
@@ -193,11 +193,6 @@ class World:
         return Trace(*np.concatenate(self.rows).T)
 
     @property
-    def requested(self) -> np.ndarray:
-        """A row to each of the trace: what was asked of the wheels, left and right, in ticks/s."""
-        return np.concatenate(self.commanded)
-
-    @property
     def errors(self) -> list[str]:
         """The lines of the device's log that are errors."""
         logs = [decode_log(frame.payload) for frame in self.frames if frame.topic_id == Id.LOG]
@@ -205,7 +200,7 @@ class World:
 
 
 def wheel_speeds(linear: float, angular: float) -> tuple[float, float]:
-    """What a command asks of the wheels, in ticks/s: both slowed where one of them cannot."""
+    """What a command is for the wheels, in ticks/s: both slowed where one of them cannot."""
     turning = angular * SEPARATION_M / 2
     left, right = (linear - turning) / METRES_PER_TICK, (linear + turning) / METRES_PER_TICK
     factor = min(1.0, FULL_TICKS_S / max(abs(left), abs(right), 1e-9))
