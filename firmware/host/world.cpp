@@ -49,7 +49,8 @@ void World::set(const MotorLevels& left, const MotorLevels& right) {
 double World::battery_v() const {
   const double left = left_levels_.brake ? 0.0 : left_duty_;  // a shorted motor draws nothing
   const double right = right_levels_.brake ? 0.0 : right_duty_;
-  return parameters_.battery_v - parameters_.battery_sag_v * (left + right) / 2.0 / kFullPwm;
+  const double volts = parameters_.battery_v - parameters_.battery_sag_v * (left + right) / 2.0 / kFullPwm;
+  return volts > 0.0 ? volts : 0.0;
 }
 
 void World::step(double dt_s) {

@@ -44,7 +44,8 @@ class World:
     def battery_v(self) -> float:
         """At the motors, now."""
         left, right = (abs(self._duty(pwm)) for pwm in self._pwm)
-        return self.parameters.battery_v - self.parameters.battery_sag_v * (left + right) / 2.0 / FULL_PWM
+        volts = self.parameters.battery_v - self.parameters.battery_sag_v * (left + right) / 2.0 / FULL_PWM
+        return max(volts, 0.0)
 
     def drive(self, left_pwm: int, right_pwm: int) -> None:
         """What the motors are given until the next call: -4095..4095, 0 brakes."""

@@ -29,6 +29,7 @@ SLIPPERY = WorldParameters(
     caster_random=0.4,
     left=replace(WorldParameters().left, slip_noise_m=0.003),
 )
+WHOLE = {"seed", "pwm_bits"}
 STEPS_S = (0.001, 0.002, 0.01, 1 / 30)
 
 
@@ -116,6 +117,29 @@ pwms = st.one_of(st.just(0), st.integers(-4095, 4095))
 pieces = st.tuples(
     pwms, pwms, st.sampled_from(STEPS_S), st.integers(1, 80), st.sampled_from(["", "grip", "shove", "later"])
 )
+
+
+@st.composite
+def extremes(draw: st.DrawFn) -> WorldParameters:
+    """Any number of its range, its ends most of all."""
+    chosen = draw(st.lists(st.sampled_from(names()), unique=True, max_size=8))
+    ends = {name: st.one_of(st.sampled_from(bounds(name)), st.floats(*bounds(name))) for name in chosen}
+    whole = {name: float(int(draw(values))) if name in WHOLE else draw(values) for name, values in ends.items()}
+    return WorldParameters().changed(whole)
+
+
+@given(drawn=extremes(), story=st.lists(pieces, min_size=1, max_size=4))
+def test_whatever_world_it_is_its_numbers_stay_numbers_and_are_the_twin_s(
+    drawn: WorldParameters, story: list[tuple[int, int, float, int, str]]
+) -> None:
+    native, twin = NativeWorld(drawn), World(drawn)
+    for left, right, dt_s, steps, _ in story:
+        for world in (native, twin):
+            world.drive(left, right)
+            for _ in range(min(steps, 10)):
+                world.step(dt_s)
+        assert all(map(math.isfinite, state(native)))
+        assert state(native) == state(twin)
 
 
 @given(drawn=worlds(), later=worlds(), story=st.lists(pieces, min_size=1, max_size=12))
