@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,6 +12,7 @@ from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError
 from hostlink.sim.faults import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
+from hostlink.sim.world_parameters import WorldParameters, read
 
 
 def command(
@@ -18,6 +20,9 @@ def command(
     connect: Annotated[str, typer.Option(help="The host's address for devices: HOST:PORT.")] = "127.0.0.1:11411",
     robots: Annotated[int, typer.Option(min=1, max=200, help="How many: robot_0, robot_1, ...")] = 1,
     first: Annotated[int, typer.Option(min=0, help="The number of the first one.")] = 0,
+    world: Annotated[
+        Path | None, typer.Option(help="A file of lines name=value: what their motors, wheels and floor are like.")
+    ] = None,
     fault: Annotated[str | None, typer.Option(help=f"What is wrong with them: {', '.join(FAULTS)}.")] = None,
 ) -> None:
     """Run simulated robots: the paper's, on a 38400 baud UART with all the faults of the original client library."""
@@ -25,5 +30,15 @@ def command(
         raise ConfigError("--fault", f"{fault} is none of {', '.join(FAULTS)}")
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
+    parameters = WorldParameters() if world is None else _read(world)
+    fleet = run_fleet(host, port, robots=robots, first=first, fault=chosen, world=parameters, log=write_error)
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(run_fleet(host, port, robots=robots, first=first, fault=chosen, log=write_error))
+        asyncio.run(fleet)
+
+
+def _read(file: Path) -> WorldParameters:
+    try:
+        return read(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError("--world", f"{file}: {reason}") from None

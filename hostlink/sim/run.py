@@ -11,6 +11,8 @@ from hostlink.sim.controller import LOOP_S
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
 from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.world_parameters import WorldParameters
+from hostlink.sim.worlds import AnyWorld, open_world
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
@@ -25,14 +27,22 @@ async def run_fleet(
     robots: int = 1,
     first: int = 0,
     fault: Fault = HEALTHY,
+    world: WorldParameters | None = None,
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Run robot_0, robot_1, ... until cancelled; each connects again when its connection ends."""
     catalog = Catalog()
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
-            robot = SimulatedRobot(f"robot_{number}", catalog, device=SimulatedDevice(clock_rate=fault.clock_rate))
+            device = SimulatedDevice(clock_rate=fault.clock_rate)
+            robot = SimulatedRobot(f"robot_{number}", catalog, device=device, world=world_of(number, world))
             tasks.create_task(run_over_tcp(robot, host, port, fault=fault, log=log), name=robot.name)
+
+
+def world_of(number: int, world: WorldParameters | None) -> AnyWorld:
+    """Each robot has its own random numbers."""
+    parameters = WorldParameters() if world is None else world
+    return open_world(parameters.changed({"seed": (parameters.seed + number) % 2**32}))
 
 
 async def run_over_tcp(

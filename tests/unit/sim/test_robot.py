@@ -17,8 +17,10 @@ from hostlink.sim.drive_train import DriveTrain
 from hostlink.sim.faults import FAULTS
 from hostlink.sim.geometry import Geometry
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
+from hostlink.sim.run import world_of
 from hostlink.sim.world import World
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from hostlink.sim.worlds import AnyWorld
 
 CATALOG = Catalog()
 METRES_PER_TICK = math.tau * 0.045 / 230.4
@@ -27,7 +29,7 @@ METRES_PER_TICK = math.tau * 0.045 / 230.4
 class Track:
     """A robot on a line without delay, driven for a while."""
 
-    def __init__(self, world: World | None = None) -> None:
+    def __init__(self, world: AnyWorld | None = None) -> None:
         self.robot = SimulatedRobot("robot_0", CATALOG, device=SimulatedDevice(baud=None), world=world)
         self.now_s = 0.0
         self.robot.device.from_host.send(TOPICS_REQUEST, 0.0)
@@ -315,3 +317,14 @@ def test_a_battery_that_stays_low_is_logged_once() -> None:
     track.robot.world.be(WorldParameters())
     stand(track, 15.0)
     assert numbers(track)[-1] == []
+
+
+def test_the_robots_of_a_fleet_slip_each_in_its_own_way() -> None:
+    slippery = WheelParameters(slip_noise_m=0.01)
+    drawn = WorldParameters(left=slippery, right=slippery)
+    headings = set()
+    for number in (0, 1, 0):
+        track = Track(world_of(number, drawn))
+        track.drive(0.2, 0.0, 6.0)
+        headings.add(track.robot.world.theta_rad)
+    assert len(headings) == 2

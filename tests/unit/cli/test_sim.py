@@ -1,0 +1,27 @@
+"""`hostlink sim --world`: a file that is read, or refused with its line."""
+
+from pathlib import Path
+
+import pytest
+
+from hostlink.cli import sim
+from hostlink.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"track_m=0.2\ntrack=0.2\n", "line 2: track: no such parameter; meant track_m?"),
+        (b"track_m=wide\n", "line 1: 'track_m=wide' is not of the form name=number"),
+        (b"left.radius_m=0\n", "line 1: left.radius_m: 0 is not in 1e-06..10"),
+        (b"\xff\xfe", "'utf-8' codec can't decode byte 0xff in position 0: invalid start byte"),
+        (None, "No such file or directory"),
+    ],
+)
+def test_a_world_that_is_none_is_refused_with_its_line(tmp_path: Path, content: bytes | None, reason: str) -> None:
+    file = tmp_path / "world.txt"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(ConfigError) as refused:
+        sim.command(world=file)
+    assert str(refused.value) == f"--world: {file}: {reason}"
