@@ -14,6 +14,8 @@ import msgspec
 
 from hostlink.errors import ConfigError
 
+MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
+
 ParameterScalar = bool | int | float | str
 ParameterValue = ParameterScalar | list[ParameterScalar]
 
@@ -110,6 +112,21 @@ class ApiConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationConfig:
+    """How the true wheels of a robot differ from those that its device believes in; `hostlink calibrate` finds them."""
+
+    left_factor: float = 1.0  # true radius of the left wheel to the device's
+    right_factor: float = 1.0
+    nominal_separation_m: float = 0.210  # of the wheels, as the device has it; the paper's robot
+    separation_m: float = 0.210  # in truth
+
+    def __post_init__(self) -> None:
+        factors = (self.left_factor, self.right_factor, self.separation_m / max(self.nominal_separation_m, 1e-3))
+        if not all(1 / MOST_CALIBRATION <= factor <= MOST_CALIBRATION for factor in factors):
+            raise ValueError(f"a calibration changes a number by a factor of {MOST_CALIBRATION:g} at most")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RobotConfig:
     """One robot: how its device is known, what it may do. The limits apply to every source of commands."""
 
@@ -130,6 +147,7 @@ class RobotConfig:
     cmd_vel_max_age_s: float | None = None  # None: clocks differ, and the lease begins when the command comes
     odom_frame: str | None = None  # None: "odom", and the robot's name before it where there are several
     base_frame: str | None = None
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)  # of a device that keeps its own numbers
     publish_tf: bool = True  # false where something else publishes the transform between these frames
 
 

@@ -2,12 +2,13 @@
 
 import dataclasses
 
-from hostlink.config import RobotConfig
+from hostlink.config import CalibrationConfig, RobotConfig
+from hostlink.robot.odometry_correction import OdometryCorrection
 from hostlink.robot.velocity_gate import Limits
 
 
 def of_namesake(config: RobotConfig | None) -> RobotConfig:
-    """The limits of a robot apply to others that announce the same name; its topics are its own."""
+    """The limits of a robot apply to others that announce the same name; its topics and wheels are its own."""
     if config is None:
         return RobotConfig()
     return dataclasses.replace(
@@ -18,6 +19,20 @@ def of_namesake(config: RobotConfig | None) -> RobotConfig:
         cmd_vel_stamped_topic=None,
         odom_frame=None,
         base_frame=None,
+        calibration=CalibrationConfig(),
+    )
+
+
+def correction_of(config: RobotConfig) -> OdometryCorrection | None:
+    """The correction of the robot's odometry; None: it has none."""
+    calibration = config.calibration
+    if calibration == CalibrationConfig():
+        return None
+    return OdometryCorrection(
+        calibration.left_factor,
+        calibration.right_factor,
+        calibration.nominal_separation_m,
+        calibration.separation_m,
     )
 
 

@@ -11,7 +11,7 @@ from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.gates import Gates
 from hostlink.hub.robot import Robot
-from hostlink.hub.robot_settings import limits_of, of_namesake
+from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
 from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
@@ -139,7 +139,9 @@ class Robots:
     def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> Robot:
         config = self._configs.get(name) or of_namesake(self._configs.get(topics.name))
         fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
-        odometry = OdometryEstimator(continues=config.odometry_after_restart == "continue", fastest=fastest)
+        odometry = OdometryEstimator(
+            continues=config.odometry_after_restart == "continue", fastest=fastest, correction=correction_of(config)
+        )
         return Robot(
             name=name,
             velocity_topic=topics.velocity,

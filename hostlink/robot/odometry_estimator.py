@@ -8,6 +8,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
+from hostlink.robot.odometry_correction import OdometryCorrection
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
@@ -77,14 +78,20 @@ class OdometryEstimator:
     odometry does not jump), or begins again with the device if it is not to continue; `restarts` counts them. A reset
     that was requested begins at the origin in any case. One pose that is far from all others is damage that the
     checksum let pass; a second one there is believed.
+
+    With a `correction`, each motion between two poses is shown as the robot truly made it; what the device publishes
+    is judged as it comes.
     """
 
-    def __init__(self, *, continues: bool = True, fastest: Twist = FASTEST) -> None:
+    def __init__(
+        self, *, continues: bool = True, fastest: Twist = FASTEST, correction: OdometryCorrection | None = None
+    ) -> None:
         """`continues`: over a restart of the device; `fastest`: what the robot may be commanded."""
         self.count = 0
         self.restarts = 0  # how often the device began anew without a request
         self.ignored = 0  # poses that cannot be true
         self._continues = continues
+        self._correction = correction
         self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
         self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
         self._small_rad = min(self._back_at_once.angular_rad_s, LEAP.angular_rad_s) * SHORTEST_SPAN_S
@@ -103,7 +110,10 @@ class OdometryEstimator:
     def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: Twist | None = None) -> None:
         """Add a pose; one that cannot be true is not counted."""
         new = _Sample(now_s, self.count + 1, pose)
-        if not self._is_small_motion(new) and not (_is_possible(pose) and self._place(new)):
+        if self._is_small_motion(new):
+            if self._correction is not None:
+                self._correct(self._correction, new)
+        elif not (_is_possible(pose) and self._place(new)):
             self.ignored += 1
             return
         self.count += 1
@@ -115,7 +125,7 @@ class OdometryEstimator:
         while len(window) > 1 and window[1].at_s <= now_s - WINDOW_S:
             window.popleft()
         self._newest = new
-        self._twist = twist if twist is not None and all(map(math.isfinite, twist)) else None
+        self._twist = self._true_twist(twist) if twist is not None and all(map(math.isfinite, twist)) else None
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
 
@@ -165,14 +175,25 @@ class OdometryEstimator:
             return False
         if change in (_Change.RESTART, _Change.LEAP):
             self.restarts += 1
-            if self._continues:
-                self._frame = frame_of(self._window[-1].pose, new.pose)
+            self._frame = frame_of(self._window[-1].pose, new.pose) if self._continues else _NO_FRAME
         elif change is _Change.RESET:
             self._reset_until_s = float("-inf")
             self._frame = _NO_FRAME
         if change is not _Change.MOTION:
             self._window.clear()
+        elif self._correction is not None:
+            self._correct(self._correction, new)
         return True
+
+    def _correct(self, correction: OdometryCorrection, new: _Sample) -> None:
+        """Move the device's frame to where the robot's true motion ended at the new pose."""
+        if self._newest is not None:
+            before = self._newest.pose
+            true = correction.advance(placed(self._frame, before), before, new.pose)
+            self._frame = frame_of(true, new.pose)
+
+    def _true_twist(self, twist: Twist) -> Twist:
+        return twist if self._correction is None else Twist(*self._correction.velocity(*twist))
 
     def _is_there(self, doubtful: _Sample, new: _Sample, change: _Change) -> bool:
         """Whether a second pose confirms a doubtful one."""
