@@ -1,0 +1,170 @@
+"""What is wrong with the numbers that a person read off a tape measure: slips, and sides exchanged. Pure.
+
+Each function returns a line for that person; empty: nothing is wrong that can be found so.
+"""
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from hostlink.robot.calibration import (
+    Calibration,
+    Kind,
+    MeasuredRun,
+    Measurement,
+    WheelGeometry,
+    calibrated,
+    end_of,
+    uncorrected,
+)
+
+MOST_OFF = 0.15  # of a length or an angle: wheels that were measured at all are not farther off
+MOST_OFF_SQUARE = 0.6  # of the side: the same wheels after four sides and corners
+MOST_APART = 0.2  # of the side, between two squares driven alike; a random caster makes a tenth
+MOST_APART_LINE = 0.02  # of the length, between two lines
+MOST_LEFT = 0.1  # of the side, that no wheels explain
+MUCH_BETTER = 3.0  # how many times smaller the remains of another reading of the same numbers are
+LEAST_LEFT_M = 0.01  # remains that need no other reading
+TURNS_DIFFER = 0.08  # between the separations by turns and by squares; 5 % is a caster that twists each corner
+CONFIRMED = 0.5  # of the error before: what a check drive may leave at most
+CONFIRMED_LINE = 0.01  # of its length: what a line may be off in the check
+
+_SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
+
+
+def complaint_of_run(run: MeasuredRun, nominal: WheelGeometry) -> str:
+    """Of one drive, against the robot's own odometry."""
+    odometry = end_of(run, uncorrected(nominal))
+    if run.kind is Kind.STRAIGHT:
+        return _complaint_of_line(run.measured, odometry, run.size)
+    if run.kind in _SQUARES:
+        off_m = math.dist(run.measured[:2], odometry[:2])
+        if off_m > MOST_OFF_SQUARE * run.size:
+            return (
+                f"the tape measure says {_xy(run.measured)}, the odometry {_xy(odometry)}: {off_m * 100:.0f} cm apart "
+                "after one square; no wheels explain that. A decimal slip, or a unit?"
+            )
+        return ""
+    turned_rad, odometry_rad = run.measured.theta_rad or 0.0, odometry.theta_rad or 0.0
+    if abs(turned_rad - odometry_rad) > MOST_OFF * abs(odometry_rad):
+        return (
+            f"it turned {math.degrees(turned_rad):.0f} degrees by the mark, {math.degrees(odometry_rad):.0f} by its "
+            "odometry: more than 15 % apart. A decimal slip, or a whole turn miscounted?"
+        )
+    return ""
+
+
+def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
+    """Of all drives together: those that should agree, and the wheels that would explain them."""
+    if complaint := _complaint_of_repeats(runs, nominal):
+        return complaint
+    found = calibrated(runs, nominal)
+    side_m = max(run.size for run in runs if run.kind in _SQUARES)
+    if complaint := _complaint_of_reading(runs, found):
+        return complaint
+    if found.residual_m > MOST_LEFT * side_m:
+        return f"no wheels explain these drives: {found.residual_m * 100:.0f} cm are left. Measure the squares again"
+    by_turns_m, by_squares_m = found.separation_by_turns_m, found.correction.separation_m
+    if by_turns_m is not None and abs(by_turns_m / by_squares_m - 1) > TURNS_DIFFER:
+        return (
+            f"the turns say that the wheels are {by_turns_m * 1000:.0f} mm apart, the squares say "
+            f"{by_squares_m * 1000:.0f} mm: one of them was measured or entered wrong"
+        )
+    return ""
+
+
+class Confirmation(NamedTuple):
+    """What the check drives say of a calibration."""
+
+    before_m: float  # E_max,syst of the first squares
+    after_m: float  # the farthest end of the check's squares from the corrected odometry
+    complaint: str  # empty: it is confirmed
+
+
+def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirmation:
+    """Whether drives that the calibration has not seen end where its odometry says."""
+    drives = list(checks)
+    ends = [(run, end_of(run, calibration.correction)) for run in drives]
+    after_m = max(math.dist(run.measured[:2], end[:2]) for run, end in ends if run.kind in _SQUARES)
+    before_m = calibration.before.largest_m
+    complaint = ""
+    if after_m > CONFIRMED * before_m:
+        complaint = (
+            f"the check drive does not confirm it: a square was {before_m * 100:.1f} cm off before, "
+            f"{calibration.after.largest_m * 100:.1f} cm were promised, {after_m * 100:.1f} cm are left. "
+            "Nothing is kept; look for a decimal slip, or left and right exchanged, in what was entered"
+        )
+    for run, end in ends:
+        off = abs(run.measured.x_m / end.x_m - 1) if run.kind is Kind.STRAIGHT else 0.0
+        if off > CONFIRMED_LINE and not complaint:
+            complaint = (
+                f"the check drive does not confirm it: the line is {run.measured.x_m:.3f} m by the tape measure, "
+                f"{end.x_m:.3f} m by the new wheels. Nothing is kept; look for a decimal slip in the lines"
+            )
+    return Confirmation(before_m, after_m, complaint)
+
+
+def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: float) -> str:
+    if abs(measured.x_m - odometry.x_m) > MOST_OFF * length_m:
+        return (
+            f"the tape measure says {measured.x_m:.2f} m, the odometry {odometry.x_m:.2f} m: more than 15 % apart. "
+            "A decimal slip, or a unit?"
+        )
+    if abs(measured.y_m) > MOST_OFF * 2 * length_m:
+        return f"{measured.y_m * 100:.0f} cm to the side on {length_m:g} m: no line. A decimal slip, or a unit?"
+    return ""
+
+
+def _complaint_of_repeats(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
+    """What differs between two drives alike, apart from what their odometry says of it."""
+    none = uncorrected(nominal)
+    for one, other in itertools.combinations(runs, 2):
+        if one.kind is not other.kind or one.kind in (Kind.TURNS_CCW, Kind.TURNS_CW):
+            continue
+        errors = [[m - o for m, o in zip(r.measured[:2], end_of(r, none)[:2], strict=True)] for r in (one, other)]
+        apart_m = math.dist(*errors)
+        limit = MOST_APART_LINE if one.kind is Kind.STRAIGHT else MOST_APART
+        along_m = abs(errors[0][0] - errors[1][0]) if one.kind is Kind.STRAIGHT else apart_m
+        if along_m > limit * one.size:
+            return (
+                f"two drives alike ({one.kind}) are {along_m * 100:.0f} cm apart: {_xy(one.measured)} and "
+                f"{_xy(other.measured)}; one of them is a slip"
+            )
+    return ""
+
+
+def _complaint_of_reading(runs: Sequence[MeasuredRun], found: Calibration) -> str:
+    """Whether other wheels would explain the same numbers far better, read in another way."""
+    if found.residual_m < LEAST_LEFT_M:
+        return ""
+    readings = {
+        "left and right, or clockwise and counter-clockwise, exchanged in the squares": [
+            _mirrored(run) for run in runs
+        ],
+        "forward and sideways exchanged in the squares": [_transposed(run) for run in runs],
+    }
+    left_m = {name: calibrated(read, found.nominal).residual_m for name, read in readings.items()}
+    best = min(left_m, key=lambda name: left_m[name])
+    if left_m[best] * MUCH_BETTER < found.residual_m:
+        return (
+            f"the numbers make sense with {best}: {left_m[best] * 100:.1f} cm are left then, "
+            f"{found.residual_m * 100:.1f} cm as they are. Measure again"
+        )
+    return ""
+
+
+def _mirrored(run: MeasuredRun) -> MeasuredRun:
+    return run if run.kind not in _SQUARES else _measured(run, Measurement(run.measured.x_m, -run.measured.y_m))
+
+
+def _transposed(run: MeasuredRun) -> MeasuredRun:
+    return run if run.kind not in _SQUARES else _measured(run, Measurement(run.measured.y_m, run.measured.x_m))
+
+
+def _measured(run: MeasuredRun, measured: Measurement) -> MeasuredRun:
+    return MeasuredRun(run.kind, run.size, run.path, measured)
+
+
+def _xy(at: Measurement) -> str:
+    return f"({at.x_m * 100:.1f}, {at.y_m * 100:.1f}) cm"

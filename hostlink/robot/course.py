@@ -1,0 +1,110 @@
+"""Course: straight lines and turns on the spot, and the velocity that follows them by odometry. Pure."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from hostlink.robot.kinematics import Pose, wrap_angle
+
+SETTLE_S = 1.2  # at zero after each leg: a robot stands within 0.6 s, and its poses are a tenth of a second late
+STOP_EARLY_S = 0.15  # a pose is so old when the command that it leads to has an effect
+SLOW_M_S, SLOW_RAD_S = 0.08, 0.3  # at the end of a leg; slower, a geared motor stands still
+SLOW_FROM_M, SLOW_FROM_RAD = 0.15, 0.5  # what then remains
+HEADING_PER_S = 1.5  # of a heading's error: how a line is followed
+SIDEWAYS_RAD_PER_M = 2.0  # the heading that leads back to the line
+TURN_STEP_RAD_S = 0.1  # a robot that ramps to each new command would never get anywhere with one for each pose
+MOST_TURN_RAD_S = 0.3  # while driving on
+
+
+class Leg(NamedTuple):
+    """A way forward, or a turn on the spot, counter-clockwise."""
+
+    forward_m: float = 0.0
+    turn_rad: float = 0.0
+
+
+class Speed(NamedTuple):
+    """How fast a course is driven."""
+
+    linear_m_s: float = 0.2
+    angular_rad_s: float = 0.8
+
+
+def straight(length_m: float) -> tuple[Leg, ...]:
+    """One line."""
+    return (Leg(forward_m=length_m),)
+
+
+def turns(count: int, way: int) -> tuple[Leg, ...]:
+    """Whole turns on the spot; `way` 1: counter-clockwise, -1: clockwise."""
+    return (Leg(turn_rad=way * count * math.tau),)
+
+
+def square(side_m: float, way: int) -> tuple[Leg, ...]:
+    """Four sides, each with a quarter of a turn after it; at the end the robot is as it began."""
+    return (Leg(forward_m=side_m), Leg(turn_rad=way * math.pi / 2)) * 4
+
+
+class CourseFollower:
+    """Decides the velocity at each pose. The corners are where the course has them, whatever went wrong before."""
+
+    def __init__(self, legs: Sequence[Leg], speed: Speed = Speed()) -> None:  # noqa: B008 - a tuple never changes
+        self.is_done = not legs
+        self._legs, self._speed = list(legs), speed
+        self._start = Pose()  # of this leg, as the course has it
+        self._heading_rad = 0.0  # whole turns stay in it
+        self._last: Pose | None = None
+        self._settled_at_s: float | None = None
+
+    @property
+    def legs_left(self) -> int:
+        """How many legs are not done."""
+        return len(self._legs)
+
+    def update(self, pose: Pose, now_s: float) -> tuple[float, float]:
+        """The velocity (m/s, rad/s) at this pose, which is counted from where the course began."""
+        if self._last is not None:
+            self._heading_rad += wrap_angle(pose.theta_rad - self._last.theta_rad)
+        self._last = pose
+        if self._settled_at_s is not None:
+            if now_s < self._settled_at_s:
+                return 0.0, 0.0
+            self._settled_at_s = None
+            self._begin_next()
+        if self.is_done:
+            return 0.0, 0.0
+        leg = self._legs[0]
+        velocity = self._turn(leg) if leg.turn_rad else self._line(leg, pose)
+        if velocity is None:
+            self._settled_at_s = now_s + SETTLE_S
+        return velocity or (0.0, 0.0)
+
+    def _begin_next(self) -> None:
+        leg = self._legs.pop(0)
+        start = self._start
+        self._start = Pose(
+            start.x_m + leg.forward_m * math.cos(start.theta_rad),
+            start.y_m + leg.forward_m * math.sin(start.theta_rad),
+            start.theta_rad + leg.turn_rad,  # whole turns stay in it
+        )
+        self.is_done = not self._legs
+
+    def _turn(self, leg: Leg) -> tuple[float, float] | None:
+        way = math.copysign(1.0, leg.turn_rad)
+        left_rad = (self._start.theta_rad + leg.turn_rad - self._heading_rad) * way
+        speed_rad_s = SLOW_RAD_S if left_rad < SLOW_FROM_RAD else self._speed.angular_rad_s
+        return None if left_rad <= speed_rad_s * STOP_EARLY_S else (0.0, way * speed_rad_s)
+
+    def _line(self, leg: Leg, pose: Pose) -> tuple[float, float] | None:
+        start = self._start
+        cos, sin = math.cos(start.theta_rad), math.sin(start.theta_rad)
+        dx_m, dy_m = pose.x_m - start.x_m, pose.y_m - start.y_m
+        left_m = leg.forward_m - (dx_m * cos + dy_m * sin)
+        speed_m_s = SLOW_M_S if left_m < SLOW_FROM_M else self._speed.linear_m_s
+        if left_m <= speed_m_s * STOP_EARLY_S:
+            return None
+        sideways_m = dy_m * cos - dx_m * sin
+        back_rad = max(-0.5, min(0.5, SIDEWAYS_RAD_PER_M * sideways_m))
+        turn_rad_s = -HEADING_PER_S * (self._heading_rad - start.theta_rad + back_rad)
+        steps = round(max(-MOST_TURN_RAD_S, min(MOST_TURN_RAD_S, turn_rad_s)) / TURN_STEP_RAD_S)
+        return speed_m_s, steps * TURN_STEP_RAD_S

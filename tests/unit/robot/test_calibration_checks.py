@@ -1,0 +1,139 @@
+"""What a person enters wrong is found before it is kept: slips, exchanges, and in the check drive whatever is left."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import pytest
+
+from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated
+from hostlink.robot.calibration_checks import complaint_of_run, complaint_of_runs, confirm
+from tests.unit.robot.drives import ExactRobot
+
+NOMINAL = WheelGeometry()
+BAD = WheelGeometry(0.0448, 0.0453, 0.2142)
+ROBOT = ExactRobot(NOMINAL, BAD, noise_m=0.001, seed=3)
+RUNS = ROBOT.drives()
+CHECKS = [ROBOT.drives(1)[0], ROBOT.square(1), ROBOT.square(-1)]
+SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
+
+
+def with_measured(run: MeasuredRun, x_m: float, y_m: float, theta_rad: float | None = None) -> MeasuredRun:
+    return dataclasses.replace(run, measured=Measurement(x_m, y_m, theta_rad))
+
+
+def changed(runs: Sequence[MeasuredRun], number: int, x: float = 1.0, y: float = 1.0) -> list[MeasuredRun]:
+    """The number-th square read with a factor."""
+    squares = [run for run in runs if run.kind in SQUARES]
+    wrong = squares[number]
+    made = with_measured(wrong, wrong.measured.x_m * x, wrong.measured.y_m * y)
+    return [made if run is wrong else run for run in runs]
+
+
+def all_squares(runs: Sequence[MeasuredRun], x: float = 1.0, y: float = 1.0) -> list[MeasuredRun]:
+    made = list(runs)
+    for number in range(4):
+        made = changed(made, number, x, y)
+    return made
+
+
+def test_an_honest_person_has_no_complaint() -> None:
+    assert [complaint_of_run(run, NOMINAL) for run in RUNS] == [""] * len(RUNS)
+    assert complaint_of_runs(RUNS, NOMINAL) == ""
+    confirmation = confirm(calibrated(RUNS, NOMINAL), CHECKS)
+    assert confirmation.complaint == ""
+    assert confirmation.after_m < confirmation.before_m / 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "measured", "text"),
+    [
+        (Kind.STRAIGHT, (30.1, 0.0, None), "30.10 m, the odometry 2.99"),
+        (Kind.STRAIGHT, (0.301, 0.0, None), "decimal slip"),
+        (Kind.STRAIGHT, (3.0, 2.3, None), "230 cm to the side"),
+        (Kind.SQUARE_CW, (-4.2, -7.0, None), "cm apart after one square"),
+        (Kind.TURNS_CCW, (0.0, 0.0, 3.1), "degrees by the mark"),
+        (Kind.TURNS_CW, (0.0, 0.0, None), "whole turn miscounted"),
+    ],
+)
+def test_one_number_that_no_wheel_explains_is_refused_at_once(
+    kind: Kind, measured: tuple[float, float, float | None], text: str
+) -> None:
+    run = next(run for run in RUNS if run.kind is kind)
+    assert text in complaint_of_run(with_measured(run, *measured), NOMINAL)
+
+
+def test_a_slip_in_one_of_two_squares_is_found_by_the_other() -> None:
+    assert "two drives alike (square_cw)" in complaint_of_runs(changed(RUNS, 0, 0.1, 0.1), NOMINAL)
+
+
+def test_a_slip_in_one_of_two_lines_is_found_by_the_other() -> None:
+    line = RUNS[0]
+    runs = [with_measured(line, line.measured.x_m + 0.09, line.measured.y_m), *RUNS[1:]]
+    assert "two drives alike (straight)" in complaint_of_runs(runs, NOMINAL)
+
+
+def test_left_and_right_exchanged_in_all_squares_is_named() -> None:
+    assert "left and right, or clockwise" in complaint_of_runs(all_squares(RUNS, y=-1.0), NOMINAL)
+
+
+def test_forward_and_sideways_exchanged_in_all_squares_is_named() -> None:
+    runs = [with_measured(r, r.measured.y_m, r.measured.x_m) if r.kind in SQUARES else r for r in RUNS]
+    assert "forward and sideways exchanged" in complaint_of_runs(runs, NOMINAL)
+
+
+def test_the_squares_of_one_way_entered_as_the_other_s_are_named() -> None:
+    by_kind = {kind: [run.measured for run in RUNS if run.kind is kind] for kind in SQUARES}
+    runs = []
+    for run in RUNS:
+        if run.kind in SQUARES:
+            other = SQUARES[1 - SQUARES.index(run.kind)]
+            runs.append(dataclasses.replace(run, measured=by_kind[other].pop()))
+        else:
+            runs.append(run)
+    assert "or clockwise and counter-clockwise, exchanged" in complaint_of_runs(runs, NOMINAL)
+
+
+def test_squares_that_no_wheels_explain_are_refused() -> None:
+    """Both ways off to the left and behind, then to the left and before: neither as entered, nor read otherwise."""
+    ends = {Kind.SQUARE_CW: (-0.6, 0.6), Kind.SQUARE_CCW: (0.0, 0.6)}
+    runs = [with_measured(run, *ends[run.kind]) if run.kind in SQUARES else run for run in RUNS]
+    assert "no wheels explain these drives" in complaint_of_runs(runs, NOMINAL)
+
+
+def test_a_perfect_tape_measure_needs_no_other_reading() -> None:
+    assert complaint_of_runs(ExactRobot(NOMINAL, BAD).drives(1), NOMINAL) == ""
+
+
+def test_turns_that_contradict_the_squares_are_refused() -> None:
+    runs = [
+        with_measured(run, 0.0, 0.0, (run.measured.theta_rad or 0.0) * 1.1) if "turns" in run.kind else run
+        for run in RUNS
+    ]
+    assert "one of them was measured or entered wrong" in complaint_of_runs(runs, NOMINAL)
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.1, 0.1), (-1.0, -1.0)], ids=["decimal slip", "towards the wrong side"])
+def test_the_check_drive_refuses_squares_that_were_all_read_wrong(x: float, y: float) -> None:
+    found = calibrated(all_squares(RUNS, x, y), NOMINAL)
+    assert "does not confirm" in confirm(found, CHECKS).complaint
+
+
+def test_the_check_drive_refuses_wheels_that_were_exchanged() -> None:
+    """Left and right read the wrong way round in everything: wheels that explain it exist, the robot's are others."""
+    mirrored = [with_measured(run, run.measured.x_m, -run.measured.y_m, run.measured.theta_rad) for run in RUNS]
+    by_kind = {kind: [run.measured for run in mirrored if run.kind is kind] for kind in SQUARES}
+    runs = [
+        dataclasses.replace(run, measured=by_kind[SQUARES[1 - SQUARES.index(run.kind)]].pop())
+        if run.kind in SQUARES
+        else run
+        for run in mirrored
+    ]
+    found = calibrated(runs, NOMINAL)
+    assert found.geometry.left_radius_m > found.geometry.right_radius_m, "the wheels are exchanged"
+    assert complaint_of_runs(runs, NOMINAL) == "", "no other reading is better"
+    assert "does not confirm" in confirm(found, CHECKS).complaint
+
+
+def test_the_check_drive_refuses_lines_that_were_all_read_wrong() -> None:
+    runs = [with_measured(r, r.measured.x_m * 1.1, r.measured.y_m) if r.kind is Kind.STRAIGHT else r for r in RUNS]
+    assert "the line is" in confirm(calibrated(runs, NOMINAL), CHECKS).complaint
