@@ -15,6 +15,7 @@ COMMANDS = {
     "demo": "Run the daemon with a simulated robot.",
     "sim": "Run simulated robots that connect to a host.",
     "teleop": "Drive a robot with the keyboard.",
+    "calibrate": "Find a robot's wheels with a tape measure.",
     "topics": "List the topics.",
     "echo": "Print the messages of a topic.",
     "pub": "Publish messages on a topic.",

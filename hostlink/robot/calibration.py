@@ -22,6 +22,8 @@ from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_correction import OdometryCorrection, wheel_way
 
 MEASURED_M = 0.001  # how finely a tape measure is read: the weights of drives are not more uneven than that
+EXPECTED_M = 0.003  # of a line of a few metres: slip and reading; counts as much as EXPECTED_LINES lines
+EXPECTED_LINES = 4
 MEASURED_RAD = math.radians(1.0)  # the same of a heading, which is measured by eye
 ROUNDS = 12  # each round of either method leaves a small share of what the one before left
 _QUARTER_RAD = math.pi / 2
@@ -220,12 +222,11 @@ def _fit(drives: Sequence[_Drive], nominal: WheelGeometry) -> _Fit:
     The turns on the spot are left out: a caster that swings round at the begin of each side changes squares, not them.
     """
     used = [drive for drive in drives if drive.is_straight or drive.is_square]
-    factors = _solve(used, nominal, np.ones(3), _weights(used, None))[0]
+    factors, _ = _solve(used, nominal, np.ones(3), _weights(used, None))
     weights = _weights(used, _correction(factors, nominal))
-    factors, jacobian, residuals = _solve(used, nominal, factors, weights)
-    freedom = max(len(residuals) - len(factors), 1)
-    scatter = float(residuals @ residuals) / freedom
-    covariance: _Array = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * scatter, dtype=np.float64)
+    factors, jacobian = _solve(used, nominal, factors, weights)
+    freedom = max(len(used) - 2, 3)  # one for each drive: what went wrong on its way moves x and y together
+    covariance: _Array = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
     return _Fit(_correction(factors, nominal), covariance, freedom)
 
 
@@ -236,15 +237,19 @@ def _weights(drives: Sequence[_Drive], correction: OdometryCorrection | None) ->
     weights = {}
     for is_square in (False, True):
         errors = [drive.error(correction)[:2] for drive in drives if drive.is_square is is_square]
-        mean = sum(x_m**2 + y_m**2 for x_m, y_m in errors) / (2 * len(errors))
+        off = [error[axis] for error in errors for axis in ((0, 1) if is_square else (0,))]
+        # Squares give two of the factors, lines one; two lines alone would not show how much lines differ.
+        freedom = len(off) - 2 if is_square else len(off) - 1 + EXPECTED_LINES
+        expected = 0.0 if is_square else EXPECTED_LINES * EXPECTED_M**2
+        mean = (sum(value**2 for value in off) + expected) / max(freedom, 1)
         weights[is_square] = 1.0 / max(MEASURED_M, math.sqrt(mean))
     return weights
 
 
 def _solve(
     drives: Sequence[_Drive], nominal: WheelGeometry, factors: _Array, weights: dict[bool, float]
-) -> tuple[_Array, _Array, _Array]:
-    """Gauss and Newton's way; returns the factors, the last Jacobian and the residuals."""
+) -> tuple[_Array, _Array]:
+    """Gauss and Newton's way; returns the factors and the last Jacobian."""
 
     def residuals_at(at: _Array) -> _Array:
         correction = _correction(at, nominal)
@@ -253,12 +258,13 @@ def _solve(
     for _ in range(ROUNDS):
         jacobian = _jacobian(residuals_at, factors)
         factors = factors + np.linalg.lstsq(jacobian, -residuals_at(factors), rcond=None)[0]
-    return factors, jacobian, residuals_at(factors)
+    return factors, jacobian
 
 
 def _residuals(drive: _Drive, correction: OdometryCorrection, weight: float) -> _Array:
     x_m, y_m, turned_rad = drive.error(correction)
-    values = [x_m * weight, y_m * weight]
+    sideways_m = drive.size * MEASURED_RAD if drive.is_straight else 0.0  # the mark's direction is no better
+    values = [x_m * weight, y_m / math.hypot(1 / weight, sideways_m)]
     if turned_rad is not None:
         values.append(turned_rad / MEASURED_RAD)
     return np.array(values)

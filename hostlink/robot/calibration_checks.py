@@ -28,7 +28,8 @@ MUCH_BETTER = 3.0  # how many times smaller the remains of another reading of th
 LEAST_LEFT_M = 0.01  # remains that need no other reading
 TURNS_DIFFER = 0.08  # between the separations by turns and by squares; 5 % is a caster that twists each corner
 CONFIRMED = 0.5  # of the error before: what a check drive may leave at most
-CONFIRMED_LINE = 0.01  # of its length: what a line may be off in the check
+CONFIRMED_LINE = 0.01  # of a length: what is no error worth speaking of
+MOST_LEFT_CHECK = 0.05  # of the side: more is an error in any case
 
 _SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
 
@@ -77,32 +78,49 @@ def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> st
 class Confirmation(NamedTuple):
     """What the check drives say of a calibration."""
 
-    before_m: float  # E_max,syst of the first squares
-    after_m: float  # the farthest end of the check's squares from the corrected odometry
+    before_m: float  # the farthest end of the check's squares from the robot's own odometry
+    after_m: float  # the same from the corrected one
     complaint: str  # empty: it is confirmed
 
 
-def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirmation:
-    """Whether drives that the calibration has not seen end where its odometry says."""
-    drives = list(checks)
-    ends = [(run, end_of(run, calibration.correction)) for run in drives]
-    after_m = max(math.dist(run.measured[:2], end[:2]) for run, end in ends if run.kind in _SQUARES)
-    before_m = calibration.before.largest_m
-    complaint = ""
-    if after_m > CONFIRMED * before_m:
-        complaint = (
-            f"the check drive does not confirm it: a square was {before_m * 100:.1f} cm off before, "
-            f"{calibration.after.largest_m * 100:.1f} cm were promised, {after_m * 100:.1f} cm are left. "
-            "Nothing is kept; look for a decimal slip, or left and right exchanged, in what was entered"
+class _Check(NamedTuple):
+    run: MeasuredRun
+    before_m: float
+    after_m: float
+    most_m: float  # that may be left where there was little to gain
+
+    @property
+    def is_better(self) -> bool:
+        return self.after_m <= CONFIRMED * self.before_m
+
+    @property
+    def complaint(self) -> str:
+        if self.is_better or self.after_m <= self.most_m:
+            return ""
+        return (
+            f"the check drive does not confirm it: the {self.run.kind} was {self.before_m * 100:.1f} cm off with the "
+            f"old numbers and is {self.after_m * 100:.1f} cm off with the new ones. Nothing is kept: look for a "
+            "decimal slip, or left and right exchanged, in what was entered"
         )
-    for run, end in ends:
-        off = abs(run.measured.x_m / end.x_m - 1) if run.kind is Kind.STRAIGHT else 0.0
-        if off > CONFIRMED_LINE and not complaint:
-            complaint = (
-                f"the check drive does not confirm it: the line is {run.measured.x_m:.3f} m by the tape measure, "
-                f"{end.x_m:.3f} m by the new wheels. Nothing is kept; look for a decimal slip in the lines"
-            )
-    return Confirmation(before_m, after_m, complaint)
+
+
+def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirmation:
+    """Whether drives that the calibration does not know end where its odometry says, and the robot's own does not."""
+    found = [_check(calibration, run) for run in checks]
+    squares = [check for check in found if check.run.kind in _SQUARES]
+    complaint = next((check.complaint for check in found if check.complaint), "")
+    if not complaint and not any(check.is_better for check in found):
+        complaint = "there is nothing to gain: the check drives end where the old numbers say, too. Nothing is kept"
+    return Confirmation(max(check.before_m for check in squares), max(check.after_m for check in squares), complaint)
+
+
+def _check(calibration: Calibration, run: MeasuredRun) -> _Check:
+    old, new = end_of(run, uncorrected(calibration.nominal)), end_of(run, calibration.correction)
+    if run.kind is Kind.STRAIGHT:
+        x_m = run.measured.x_m
+        return _Check(run, abs(x_m - old.x_m), abs(x_m - new.x_m), CONFIRMED_LINE * run.size)
+    most_m = min(2 * calibration.residual_m + CONFIRMED_LINE * run.size, MOST_LEFT_CHECK * run.size)
+    return _Check(run, math.dist(run.measured[:2], old[:2]), math.dist(run.measured[:2], new[:2]), most_m)
 
 
 def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: float) -> str:

@@ -136,4 +136,17 @@ def test_the_check_drive_refuses_wheels_that_were_exchanged() -> None:
 
 def test_the_check_drive_refuses_lines_that_were_all_read_wrong() -> None:
     runs = [with_measured(r, r.measured.x_m * 1.1, r.measured.y_m) if r.kind is Kind.STRAIGHT else r for r in RUNS]
-    assert "the line is" in confirm(calibrated(runs, NOMINAL), CHECKS).complaint
+    assert "the straight was" in confirm(calibrated(runs, NOMINAL), CHECKS).complaint
+
+
+def test_a_robot_whose_numbers_are_right_has_nothing_to_gain() -> None:
+    robot = ExactRobot(NOMINAL, NOMINAL, noise_m=0.001)
+    found = calibrated(robot.drives(), NOMINAL)
+    checks = [robot.drives(1)[0], robot.square(1), robot.square(-1)]
+    assert "nothing to gain" in confirm(found, checks).complaint
+
+
+def test_wheels_that_are_both_too_large_are_a_gain_for_lines_alone() -> None:
+    robot = ExactRobot(NOMINAL, WheelGeometry(0.0459, 0.0459, 0.2142), noise_m=0.0003)
+    found = calibrated(robot.drives(), NOMINAL)
+    assert confirm(found, [robot.drives(1)[0], robot.square(1), robot.square(-1)]).complaint == ""

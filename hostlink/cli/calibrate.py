@@ -1,0 +1,288 @@
+"""`hostlink calibrate`: from a tape measure to the numbers with which a robot drives straight."""
+
+import json as json_text
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hostlink.cli.arguments import Token, Url
+from hostlink.cli.calibration_drive import Drives
+from hostlink.cli.calibration_people import MISTAKES, AtTheTerminal, Session, Simulated
+from hostlink.cli.calibration_picture import picture as draw
+from hostlink.cli.calibration_plan import Saved, Sizes, StateFile, Step, checks_of, default_path, open_state, steps_of
+from hostlink.cli.output import table, write, write_error
+from hostlink.cli.settings_file import Tables, toml_lines, write_settings
+from hostlink.client import DEFAULT_URL
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.robot.calibration import Calibration, MeasuredRun, calibrated, uncorrected
+from hostlink.robot.calibration_checks import Confirmation, complaint_of_run, complaint_of_runs, confirm
+from hostlink.robot.course import Speed
+from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.sim.world_parameters import read
+
+TARGETS = ("device", "hostlink")
+CASTER_SHARE = 0.01  # by which the separations of turns and squares differ before it is worth a line
+DEFAULT_WORLD = "track_m=0.2142\nleft.radius_m=0.0448\nright.radius_m=0.0453\n"  # a usual error of each number
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def command(  # noqa: PLR0913 - the options of a command line
+    robot: Annotated[str, typer.Argument(help="Its name.", show_default=False)],
+    *,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    length: Annotated[float, typer.Option(min=0.5, max=20.0, help="Of the line, m.")] = 3.0,
+    side: Annotated[float, typer.Option(min=0.5, max=10.0, help="Of the squares, m.")] = 2.0,
+    turns: Annotated[int, typer.Option(min=0, max=50, help="On the spot, each way; 0 leaves them out.")] = 5,
+    repeats: Annotated[int, typer.Option(min=1, max=10, help="Of the line and of both squares.")] = 2,
+    linear: Annotated[float, typer.Option(min=0.05, max=1.0, help="Speed of the drives, m/s.")] = 0.2,
+    angular: Annotated[float, typer.Option(min=0.1, max=4.0, help="Speed of the turns, rad/s.")] = 0.8,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="Who gets the numbers: device (parameters of hostlink's firmware) or hostlink (it corrects the "
+            "odometry of any other).",
+            show_default="what the robot is",
+        ),
+    ] = None,
+    write_to: Annotated[
+        Path | None, typer.Option("--write", help="Write them into this configuration; a copy stays beside it.")
+    ] = None,
+    apply: Annotated[
+        bool, typer.Option("--apply", help="Give the running daemon the parameters, for the robot's next connection.")
+    ] = False,
+    state: Annotated[
+        Path | None, typer.Option(help="Where it waits between two drives.", show_default="in the state folder")
+    ] = None,
+    anew: Annotated[bool, typer.Option("--anew", help="Do not resume what that file has.")] = False,
+    picture: Annotated[Path | None, typer.Option(help="An SVG of the drives.", show_default="beside the state")] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="A simulated robot and person, without a daemon, in seconds.")
+    ] = False,
+    world: Annotated[
+        list[str] | None, typer.Option(help="With --simulate: a number of its world, as track_m=0.214. Repeatable.")
+    ] = None,
+    mistake: Annotated[
+        str | None, typer.Option(help=f"With --simulate: what the person does wrong: {', '.join(MISTAKES)}.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="The result as JSON on standard output.")] = False,
+) -> None:
+    """Find a robot's wheel radii and wheel separation with a tape measure.
+
+    It drives a line, turns on the spot, and a square both ways, all twice; after each drive you enter what the tape
+    measure says. Then check drives must confirm the gain; nothing is kept before.
+    """
+    _refuse_others("--target", target, TARGETS)
+    _refuse_others("--mistake", mistake, MISTAKES)
+    sizes = Sizes(length, side, turns, repeats)
+    name = robot.strip("/")
+    session: Session
+    if simulate:
+        session = Simulated(_world(world or []), mistake)
+    else:
+        session = AtTheTerminal(Drives(url, token, name, Speed(linear, angular)))
+    path = state or default_path(f"{name}-simulated" if simulate else name)
+    saved = open_state(path, Saved(name, sizes, session.nominal()), anew=anew or simulate)
+    calibration = _Calibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
+    try:
+        found, confirmation = calibration.run()
+    except KeyboardInterrupt:
+        write_error("", f"the robot is stopped; the same command goes on: {path} has {len(saved.saved.runs)} drives")
+        raise
+    chosen = target or ("device" if session.takes_parameters() else "hostlink")
+    settings = settings_of(name, found, chosen, write_to)
+    if json:
+        write(json_text.dumps(_as_json(found, confirmation, settings)))
+    else:
+        write("", "Confirmed. In hostlink.toml:", "", *toml_lines(settings))
+    _keep(session, settings, chosen, write_to, apply=apply)
+    saved.remove()
+
+
+class _Calibration:
+    """From the first drive to the confirmation."""
+
+    def __init__(self, session: Session, state: StateFile, picture: Path, *, is_quiet: bool) -> None:
+        self._session, self._state, self._picture = session, state, picture
+        self._saved = state.saved
+        self._steps = steps_of(self._saved.sizes)
+        self._say = write_error if is_quiet else write  # standard output is for the JSON
+
+    def run(self) -> tuple[Calibration, Confirmation]:
+        """Drive what is left.
+
+        Raises:
+            HostlinkError: the numbers cannot be, the check does not confirm them, or nobody answers.
+        """
+        count, total = len(self._saved.runs), len(self._steps)
+        self._say(
+            f"Calibrating {self._saved.robot}: {total} drives, then 3 to check"
+            + ("." if count == 0 else f"; {count} are done."),
+            f"What you enter is kept in {self._state.path}; the same command goes on from there.",
+        )
+        nominal = uncorrected(self._saved.nominal)
+        for number in range(count, total):
+            run = self._drive(self._steps[number], f"{number + 1}/{total}", nominal)
+            self._saved.runs.append(run)
+            self._state.save()
+        found = self._agree()
+        self._describe(found)
+        return found, self._check(found)
+
+    def _drive(self, step: Step, place: str, correction: OdometryCorrection) -> MeasuredRun:
+        """One drive, until its numbers can be."""
+        path = None
+        while True:
+            if path is None:
+                self._session.prepare(step, place)
+                try:
+                    path = self._session.follow(step.legs, correction)
+                except HostlinkError as error:
+                    if not self._session.is_patient:
+                        raise
+                    write_error(f"  {error}")
+                    continue
+            run = MeasuredRun(step.kind, step.size, path, self._session.measure(step))
+            complaint = complaint_of_run(run, self._saved.nominal)
+            if not complaint:
+                return run
+            if self._session.drives_again(complaint):
+                path = None
+
+    def _agree(self) -> Calibration:
+        """The wheels that explain all drives; those that contradict are done again."""
+        runs = self._saved.runs
+        while complaint := complaint_of_runs(runs, self._saved.nominal):
+            titles = [f"{step.title}: {_entered(run)}" for step, run in zip(self._steps, runs, strict=True)]
+            number = self._session.choose(complaint, titles)
+            if number is None:
+                raise HostlinkError(f"{complaint}. Nothing is kept")
+            runs[number] = self._drive(self._steps[number], f"{number + 1} again", uncorrected(self._saved.nominal))
+            self._saved.checks.clear()
+            self._state.save()
+        return calibrated(runs, self._saved.nominal)
+
+    def _check(self, found: Calibration) -> Confirmation:
+        steps, checks = checks_of(self._saved.sizes), self._saved.checks
+        for number in range(len(checks), len(steps)):
+            checks.append(self._drive(steps[number], f"check {number + 1}/{len(steps)}", found.correction))
+            self._state.save()
+        confirmation = confirm(found, checks)
+        self._picture.parent.mkdir(parents=True, exist_ok=True)
+        self._picture.write_text(draw(found, self._saved.runs, checks), encoding="utf-8")
+        self._say(
+            "",
+            f"Check drive: {confirmation.before_m * 100:.1f} cm off by the old numbers, "
+            f"{confirmation.after_m * 100:.1f} cm by the new ones.",
+            f"Picture: {self._picture}",
+        )
+        if confirmation.complaint:
+            checks.clear()
+            self._state.save()
+            raise HostlinkError(confirmation.complaint)
+        return confirmation
+
+    def _describe(self, found: Calibration) -> None:
+        now, new, width, umbmark = found.nominal, found.geometry, found.deviations, found.umbmark_geometry
+        names = ("left wheel, radius", "right wheel, radius", "wheels, apart")
+        rows = [
+            [name, *(f"{1000 * value:.3f}" for value in (old, best)), f"± {1000 * half:.3f}", f"{1000 * other:.3f}"]
+            for name, old, best, half, other in zip(names, now, new, width, umbmark, strict=True)
+        ]
+        self._say(
+            *table(["mm", "now", "least squares", "95 %", "UMBmark"], rows),
+            "",
+            f"A square ends {found.before.largest_m * 100:.1f} cm off now, {found.after.largest_m * 100:.2f} cm with "
+            f"these (centre of the drives, E_max,syst); a single one {found.residual_m * 100:.2f} cm.",
+        )
+        if (by_turns_m := found.separation_by_turns_m) is not None:
+            share = by_turns_m / found.correction.separation_m - 1
+            if abs(share) > CASTER_SHARE:
+                self._say(
+                    f"Turns on the spot say {by_turns_m * 1000:.2f} mm apart: each corner of a square turns "
+                    f"{share * 90:+.1f} degrees more than they do. A caster that swings round at the begin of a side "
+                    "does that; the numbers above are right for drives with corners."
+                )
+
+
+def settings_of(robot: str, found: Calibration, target: str, file: Path | None) -> Tables:
+    """The lines of hostlink.toml; in the spelling of the file, where it has them."""
+    geometry, correction = found.geometry, found.correction
+    if target == "hostlink":
+        values = {
+            "left_factor": f"{correction.left_factor:.6f}",
+            "right_factor": f"{correction.right_factor:.6f}",
+            "nominal_separation_m": f"{correction.nominal_separation_m:.6g}",
+            "separation_m": f"{correction.separation_m:.6f}",
+        }
+        return {f"robots.{_key(robot)}.calibration": values}
+    radii = f"[{geometry.left_radius_m:.7f}, {geometry.right_radius_m:.7f}]"
+    own = {"wheel_radius": radii, "wheel_separation": f"{geometry.separation_m:.6f}"}
+    known = _parameters_of(file)
+    return {"parameters": {_spelling(f"/{robot}/{name}", known): value for name, value in own.items()}}
+
+
+def _keep(session: Session, settings: Tables, target: str, file: Path | None, *, apply: bool) -> None:
+    if file is not None:
+        backup = write_settings(file, settings)
+        write_error(f"{file} has them; as it was: {backup}. They hold when the daemon and the robot start again.")
+    if apply and target == "device":
+        session.set_parameters({json_text.loads(key): value for key, value in settings["parameters"].items()})
+        write_error("The daemon has them; the robot requests them when it connects the next time: reset it.")
+    elif apply:
+        write_error("--apply is for parameters: hostlink corrects odometry from its configuration, when it starts.")
+
+
+def _parameters_of(file: Path | None) -> list[str]:
+    if file is None:
+        return []
+    try:
+        return list(tomllib.loads(file.read_text(encoding="utf-8")).get("parameters", {}))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(str(file), f"is not changed: {error}") from error
+
+
+def _spelling(name: str, known: list[str]) -> str:
+    """A parameter may stand in the file with another beginning: `~robot_0/x` and `robot_0/x` are `/robot_0/x`."""
+    return json_text.dumps(next((key for key in known if key.lstrip("/~") == name.lstrip("/~")), name))
+
+
+def _key(name: str) -> str:
+    return name if _BARE_KEY.fullmatch(name) else json_text.dumps(name)
+
+
+def _world(changes: list[str]) -> Any:
+    try:
+        return read(DEFAULT_WORLD + "\n".join(changes))
+    except ValueError as error:
+        raise ConfigError("--world", str(error)) from error
+
+
+def _refuse_others(option: str, value: str | None, known: tuple[str, ...]) -> None:
+    if value is not None and value not in known:
+        raise ConfigError(option, f"{value} is none of {', '.join(known)}")
+
+
+def _entered(run: MeasuredRun) -> str:
+    x_m, y_m, theta_rad = run.measured
+    if theta_rad is not None:
+        return f"{theta_rad:.3f} rad"
+    return f"{x_m * 100:.1f} cm forward, {y_m * 100:.1f} cm to the left"
+
+
+def _as_json(found: Calibration, confirmation: Confirmation, settings: Tables) -> dict[str, Any]:
+    return {
+        "nominal": found.nominal._asdict(),
+        "wheels": found.geometry._asdict(),
+        "deviations_95": found.deviations._asdict(),
+        "umbmark": found.umbmark_geometry._asdict(),
+        "separation_by_turns_m": found.separation_by_turns_m,
+        "before_m": found.before.largest_m,
+        "after_m": found.after.largest_m,
+        "check_before_m": confirmation.before_m,
+        "check_after_m": confirmation.after_m,
+        "settings": toml_lines(settings),
+    }

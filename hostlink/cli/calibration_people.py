@@ -1,0 +1,165 @@
+"""Who measures: a person at the terminal, or a simulated one beside a simulated robot."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+from hostlink.cli.calibration_drive import Drives
+from hostlink.cli.calibration_plan import Step, parse_angle, parse_length
+from hostlink.cli.output import show_progress, write, write_error
+from hostlink.errors import HostlinkError
+from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
+from hostlink.robot.course import Leg
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.sim.robot_on_floor import Person, RobotOnFloor, follow
+from hostlink.sim.world_parameters import WorldParameters
+
+MISTAKES = ("slip", "sides")
+_SLIP = 0.1
+_TURNS = (Kind.TURNS_CCW, Kind.TURNS_CW)
+
+
+class Session(Protocol):
+    """A robot, and who measures it."""
+
+    @property
+    def is_patient(self) -> bool:
+        """Whether it is asked again after a refusal."""
+
+    def nominal(self) -> WheelGeometry:
+        """The numbers in which the robot believes."""
+
+    def takes_parameters(self) -> bool:
+        """Whether it requests its wheels as parameters."""
+
+    def set_parameters(self, parameters: Mapping[str, str], /) -> None:
+        """For the next time that it connects."""
+
+    def prepare(self, step: Step, place: str) -> None:
+        """Before a drive."""
+
+    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
+        """The drive; the poses of the robot's own odometry."""
+
+    def measure(self, step: Step) -> Measurement:
+        """After it."""
+
+    def drives_again(self, reason: str) -> bool:
+        """After numbers that cannot be: whether to drive again, else only to measure again."""
+
+    def choose(self, complaint: str, titles: Sequence[str], /) -> int | None:
+        """Which drive to measure again; None: none."""
+
+
+class AtTheTerminal:
+    """A real robot, through the daemon, and a person."""
+
+    is_patient = True
+
+    def __init__(self, drives: Drives) -> None:
+        self._drives = drives
+        self.nominal = drives.nominal
+        self.takes_parameters = drives.takes_parameters
+        self.set_parameters = drives.set_parameters
+
+    def prepare(self, step: Step, place: str) -> None:
+        write(
+            "",
+            f"{place}  {step.title}",
+            f"  Put the robot down with {step.room}.",
+            "  Mark on the floor the middle of its axle (between the wheels) and the line along which it points.",
+        )
+        _ask("  Enter starts the drive, Ctrl-C stops the robot at any time: ")
+
+    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
+        def show(left: int, seconds: float) -> None:
+            show_progress(f"  driving: {seconds:.0f} s, {left} of {len(legs)} legs left; Ctrl-C stops it")
+
+        try:
+            return self._drives.follow(legs, correction, show)
+        finally:
+            show_progress("")
+
+    def measure(self, step: Step) -> Measurement:
+        if step.kind in _TURNS:
+            past_rad = _read(
+                "  How far did it turn past its line? Degrees, counter-clockwise is positive: ", parse_angle
+            )
+            return Measurement(0.0, 0.0, step.way * step.size * math.tau + past_rad)
+        write("  Measure from the mark to the middle of the axle, along the line and across it.")
+        x_m = _read("  Forward along the line (cm; behind the mark is negative): ", parse_length)
+        y_m = _read("  To the left of the line (cm; to the right is negative): ", parse_length)
+        return Measurement(x_m, y_m)
+
+    def drives_again(self, reason: str) -> bool:
+        write_error(f"  {reason}")
+        return _ask("  Enter: measure again; d: drive again: ").strip().lower().startswith("d")
+
+    def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
+        write_error("", complaint)
+        write(*(f"  {number}  {title}" for number, title in enumerate(titles, start=1)))
+        word = _ask("  The number of the drive to do again; Enter leaves: ").strip()
+        return int(word) - 1 if word.isdigit() and 1 <= int(word) <= len(titles) else None
+
+
+class Simulated:
+    """A robot on a simulated floor, and a person who reads a tape measure to two millimetres."""
+
+    is_patient = False
+
+    def __init__(self, world: WorldParameters, mistake: str | None) -> None:
+        """`mistake`: that the person makes in every square: "slip" or "sides"."""
+        self._robot = RobotOnFloor(world)
+        self._person = Person(int(world.seed))
+        self._mistake = mistake
+        self._end = Pose()
+        self._is_checking = False
+
+    def nominal(self) -> WheelGeometry:
+        return WheelGeometry()
+
+    def takes_parameters(self) -> bool:
+        return True
+
+    def set_parameters(self, _: Mapping[str, str]) -> None:
+        raise HostlinkError("a simulated robot keeps nothing")
+
+    def prepare(self, step: Step, place: str) -> None:
+        show_progress(f"{place}  {step.title}")
+        self._is_checking = place.startswith("check")
+
+    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
+        path, self._end = follow(self._robot, legs, correction)
+        show_progress("")
+        return path
+
+    def measure(self, step: Step) -> Measurement:
+        x_m, y_m, theta_rad = self._person.measure(self._end)
+        if step.kind in _TURNS:
+            return Measurement(0.0, 0.0, theta_rad)
+        is_wrong = step.kind is not Kind.STRAIGHT and not self._is_checking
+        if is_wrong and self._mistake == "slip":
+            return Measurement(x_m * _SLIP, y_m * _SLIP)
+        return Measurement(x_m, -y_m if is_wrong and self._mistake == "sides" else y_m)
+
+    def drives_again(self, reason: str) -> bool:
+        raise HostlinkError(reason)
+
+    def choose(self, *_: object) -> int | None:
+        return None
+
+
+def _ask(prompt: str) -> str:
+    try:
+        return input(prompt)
+    except EOFError:
+        raise HostlinkError("there is nobody to answer: the input has ended") from None
+
+
+def _read(prompt: str, parse: Callable[[str], float]) -> float:
+    while True:
+        try:
+            return parse(_ask(prompt))
+        except ValueError as error:
+            write_error(f"  {error}")

@@ -1,0 +1,186 @@
+"""The drives of a calibration: their order, what each needs, what is entered, and the state file between them."""
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from hostlink.errors import HostlinkError
+from hostlink.robot.calibration import Kind, MeasuredRun, WheelGeometry
+from hostlink.robot.course import Leg, square, straight, turns
+
+FORMAT = 1  # of the state file
+SPARE_M = 0.5  # of free floor beyond a course
+CENTIMETRES = {"": 0.01, "cm": 0.01, "mm": 0.001, "m": 1.0}
+
+
+class Sizes(msgspec.Struct, frozen=True):
+    """How large the drives are."""
+
+    length_m: float = 3.0
+    side_m: float = 2.0
+    turns: int = 5
+    repeats: int = 2
+
+
+class Saved(msgspec.Struct):
+    """What the state file has."""
+
+    robot: str
+    sizes: Sizes
+    nominal: WheelGeometry
+    runs: list[MeasuredRun] = []
+    checks: list[MeasuredRun] = []
+    format: int = FORMAT
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One drive that the plan has."""
+
+    kind: Kind
+    size: float
+
+    @property
+    def legs(self) -> tuple[Leg, ...]:
+        """Its course."""
+        match self.kind:
+            case Kind.STRAIGHT:
+                return straight(self.size)
+            case Kind.TURNS_CCW | Kind.TURNS_CW:
+                return turns(round(self.size), self.way)
+            case _:
+                return square(self.size, self.way)
+
+    @property
+    def way(self) -> int:
+        """1: counter-clockwise, -1: clockwise."""
+        return -1 if self.kind in (Kind.TURNS_CW, Kind.SQUARE_CW) else 1
+
+    @property
+    def title(self) -> str:
+        """What it is."""
+        way = "counter-clockwise" if self.way > 0 else "clockwise"
+        match self.kind:
+            case Kind.STRAIGHT:
+                return f"a line of {self.size:g} m"
+            case Kind.TURNS_CCW | Kind.TURNS_CW:
+                return f"{self.size:g} turns on the spot, {way}"
+            case _:
+                return f"a square of {self.size:g} m, {way}"
+
+    @property
+    def room(self) -> str:
+        """What it needs."""
+        match self.kind:
+            case Kind.STRAIGHT:
+                return f"{self.size + SPARE_M:g} m of free floor before it"
+            case Kind.TURNS_CCW | Kind.TURNS_CW:
+                return "half a metre of free floor around it"
+            case _:
+                side = "left" if self.way > 0 else "right"
+                return f"{self.size + SPARE_M:g} m of free floor before it and to its {side}"
+
+
+@dataclass(slots=True)
+class StateFile:
+    """Where a calibration waits between two drives."""
+
+    path: Path
+    saved: Saved
+    is_new: bool = field(default=True)
+
+    def save(self) -> None:
+        """Write it, whole or not at all.
+
+        Raises:
+            HostlinkError: it cannot be written.
+        """
+        beside = self.path.with_suffix(".new")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            beside.write_bytes(msgspec.json.encode(self.saved))
+            beside.replace(self.path)
+        except OSError as error:
+            raise HostlinkError(f"{self.path}: {error.strerror or error}") from error
+
+    def remove(self) -> None:
+        """The calibration is over."""
+        self.path.unlink(missing_ok=True)
+
+
+def default_path(robot: str) -> Path:
+    """In the user's state folder (XDG)."""
+    home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+    name = "".join(char if char.isalnum() or char in "-_." else "_" for char in robot)
+    return Path(home).expanduser() / "hostlink" / f"calibrate-{name}.json"
+
+
+def open_state(path: Path, wanted: Saved, *, anew: bool) -> StateFile:
+    """What was saved of the same calibration, or a new one.
+
+    Raises:
+        HostlinkError: the file has another calibration, or is none.
+    """
+    if anew or not path.exists():
+        return StateFile(path, wanted)
+    try:
+        saved = msgspec.json.decode(path.read_bytes(), type=Saved)
+    except (OSError, msgspec.DecodeError) as error:
+        raise HostlinkError(f"{path} is no calibration that can be resumed ({error}); --anew begins again") from error
+    same = ("robot", "sizes", "nominal", "format")
+    differs = [name for name in same if getattr(saved, name) != getattr(wanted, name)]
+    if differs:
+        raise HostlinkError(f"{path} has a calibration with other {' and '.join(differs)}; --anew begins again")
+    return StateFile(path, saved, is_new=not saved.runs)
+
+
+def steps_of(sizes: Sizes) -> list[Step]:
+    """The drives that are measured."""
+    return [
+        *[Step(Kind.STRAIGHT, sizes.length_m)] * sizes.repeats,
+        *([Step(Kind.TURNS_CCW, sizes.turns), Step(Kind.TURNS_CW, sizes.turns)] if sizes.turns else []),
+        *[Step(Kind.SQUARE_CW, sizes.side_m), Step(Kind.SQUARE_CCW, sizes.side_m)] * sizes.repeats,
+    ]
+
+
+def checks_of(sizes: Sizes) -> list[Step]:
+    """The drives that must confirm it."""
+    kinds = ((Kind.STRAIGHT, sizes.length_m), (Kind.SQUARE_CW, sizes.side_m), (Kind.SQUARE_CCW, sizes.side_m))
+    return [Step(kind, size) for kind, size in kinds]
+
+
+def parse_length(text: str) -> float:
+    """Metres of `12.5`, `12,5 cm`, `-3 mm` or `3.012 m`; a number alone is centimetres.
+
+    Raises:
+        ValueError: it is none; the text says what one is.
+    """
+    word = text.strip().lower().replace(",", ".")
+    number = word.rstrip("cm ")
+    unit = word[len(number) :].strip()
+    if unit not in CENTIMETRES:
+        raise ValueError(f"{text.strip()!r} is no length: 12.5 is centimetres, or 125 mm, or 0.125 m")
+    return _number(number, text, "length: 12.5 is centimetres, or 125 mm, or 0.125 m") * CENTIMETRES[unit]
+
+
+def parse_angle(text: str) -> float:
+    """Radians of degrees.
+
+    Raises:
+        ValueError: it is none; the text says what one is.
+    """
+    word = text.strip().lower().replace(",", ".").removesuffix("degrees").removesuffix("°")
+    return math.radians(_number(word, text, "angle: degrees, as -12.5"))
+
+
+def _number(word: str, text: str, wanted: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{text.strip()!r} is no {wanted}")
+    return value
