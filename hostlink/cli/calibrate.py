@@ -86,7 +86,7 @@ def command(  # noqa: PLR0913 - the options of a command line
         session = AtTheTerminal(Drives(url, token, name, Speed(linear, angular)))
     path = state or default_path(f"{name}-simulated" if simulate else name)
     saved = open_state(path, Saved(name, sizes, session.nominal()), anew=anew or simulate)
-    calibration = _Calibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
+    calibration = GuidedCalibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
     try:
         found, confirmation = calibration.run()
     except KeyboardInterrupt:
@@ -102,7 +102,7 @@ def command(  # noqa: PLR0913 - the options of a command line
     saved.remove()
 
 
-class _Calibration:
+class GuidedCalibration:
     """From the first drive to the confirmation."""
 
     def __init__(self, session: Session, state: StateFile, picture: Path, *, is_quiet: bool) -> None:

@@ -39,8 +39,12 @@ class Drives:
 
         Raises:
             HostlinkError: it is refused or broken off; the robot stands.
+            KeyboardInterrupt: a signal ended it; the robot stands.
         """
-        return asyncio.run(self._follow(legs, correction, show))
+        try:
+            return asyncio.run(self._follow(legs, correction, show))
+        except asyncio.CancelledError:
+            raise KeyboardInterrupt from None
 
     def nominal(self) -> WheelGeometry:
         """The numbers that the daemon's parameters give the robot; the paper's where there are none.

@@ -59,7 +59,7 @@ def _paths(found: Calibration, squares: Sequence[MeasuredRun]) -> list[str]:
     ends = [(run.measured.x_m, run.measured.y_m) for run in squares]
     panel = _Panel(0.0, [*(point for path in (*raw, *true) for point in path), *ends])
     return [
-        _text(MARGIN, 24, "Squares: by the odometry (dashed), by the new wheels, and where the robot truly ended"),
+        _text(MARGIN, 24, "Squares: by odometry (dashed), new wheels, true ends"),
         *(panel.line(path, "#9ca3af", dash="5 4") for path in raw),
         *(panel.line(path, COLOURS[run.kind]) for run, path in zip(squares, true, strict=True)),
         *(panel.dot(end, COLOURS[run.kind], is_filled=True) for run, end in zip(squares, ends, strict=True)),

@@ -94,7 +94,7 @@ def _merge(into: dict[str, Any], other: Mapping[str, Any]) -> None:
 def _replace(path: Path, text: str) -> Path:
     """Through a file beside it, which must be a configuration that the daemon accepts."""
     beside, backup = path.with_name(f"{path.name}.new"), path.with_name(f"{path.name}.before")
-    number = 1
+    number = 2
     while backup.exists():
         number, backup = number + 1, path.with_name(f"{path.name}.before{number}")
     shutil.copy2(path, beside)

@@ -1,0 +1,214 @@
+"""`hostlink calibrate`: with a simulated robot, and with a person whose answers are in a file."""
+
+import io
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from hostlink.cli.calibrate import GuidedCalibration, settings_of
+from hostlink.cli.calibration_drive import Drives, Show, numbers_of, pose_of
+from hostlink.cli.calibration_people import AtTheTerminal
+from hostlink.cli.calibration_plan import Saved, Sizes, open_state
+from hostlink.cli.main import build_app
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.robot.calibration import WheelGeometry, calibrated
+from hostlink.robot.course import CourseFollower, Leg, Speed
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry_correction import OdometryCorrection
+from tests.unit.robot.drives import ExactRobot, relative
+
+TRUE = WheelGeometry(0.0448, 0.0453, 0.2142)
+SMALL = ("--length", "2", "--side", "1", "--turns", "2", "--repeats", "1")
+
+
+def calibrate(folder: Path, *arguments: str) -> Result:
+    words = ["calibrate", "robot_0", "--simulate", "--state", str(folder / "state.json"), *arguments]
+    return CliRunner().invoke(build_app("calibrate"), words)
+
+
+def test_a_simulated_robot_s_wheels_are_found(tmp_path: Path) -> None:
+    result = calibrate(tmp_path, *SMALL, "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout.splitlines()[-1])
+    assert found["wheels"]["separation_m"] == pytest.approx(TRUE.separation_m, rel=0.005)
+    assert found["check_after_m"] < found["check_before_m"] / 3
+    assert not (tmp_path / "state.json").exists()
+    drawn = ElementTree.parse(tmp_path / "state.svg").getroot()  # noqa: S314 - of our own making
+    assert len(drawn.findall("{*}polyline")) > 4
+
+
+def test_what_was_found_is_written_where_it_is_requested(tmp_path: Path) -> None:
+    file = tmp_path / "hostlink.toml"
+    file.write_text('[parameters]\n"robot_0/wheel_radius" = 0.045\n')
+    result = calibrate(tmp_path, *SMALL, "--write", str(file))
+    assert result.exit_code == 0, result.output
+    values = tomllib.loads(file.read_text())["parameters"]
+    assert sorted(values) == ["/robot_0/wheel_separation", "robot_0/wheel_radius"]
+    assert values["robot_0/wheel_radius"] == pytest.approx(TRUE[:2], rel=0.003)
+    assert "Confirmed" in result.stdout
+
+
+@pytest.mark.parametrize(("mistake", "text"), [("slip", "does not confirm"), ("sides", "left and right")])
+def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: str) -> None:
+    file = tmp_path / "hostlink.toml"
+    file.write_text("")
+    result = calibrate(tmp_path, *SMALL, "--mistake", mistake, "--write", str(file))
+    assert isinstance(result.exception, HostlinkError)
+    assert text in str(result.exception)
+    assert file.read_text() == ""
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--mistake", "none"), ("--target", "moon"), ("--world", "trak_m=0.2"), ("--world", "track_m=wide")]
+)
+def test_an_argument_that_is_none_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
+    assert isinstance(calibrate(tmp_path, *arguments).exception, ConfigError)
+
+
+def test_nothing_is_applied_to_a_simulated_robot(tmp_path: Path) -> None:
+    assert isinstance(calibrate(tmp_path, *SMALL, "--apply").exception, HostlinkError)
+
+
+def test_a_robot_that_keeps_its_numbers_gets_factors() -> None:
+    found = calibrated(ExactRobot(WheelGeometry(), TRUE).drives(1), WheelGeometry())
+    tables = settings_of("lab 2", found, "hostlink", None)
+    lines = tables['robots."lab 2".calibration']
+    assert float(lines["left_factor"]) == pytest.approx(0.0448 / 0.045, rel=1e-5)
+    assert float(lines["separation_m"]) == pytest.approx(0.2142, rel=1e-5)
+
+
+# -- a person ---------------------------------------------------------------------------------------------------------
+
+
+class ExactDrives(Drives):
+    """Drives without a daemon, of a robot without motors."""
+
+    def __init__(self) -> None:
+        super().__init__("", None, "robot_0", Speed())
+        self.robot_driven = ExactRobot(WheelGeometry(), TRUE)
+        self.broken = 0  # how many drives are to be broken off
+
+    def nominal(self) -> WheelGeometry:
+        return WheelGeometry()
+
+    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
+        if self.broken:
+            self.broken -= 1
+            raise HostlinkError("its odometry jumped: this drive does not count")
+        robot, shown, now_s = self.robot_driven, Pose(), 0.0
+        follower, path = CourseFollower(legs), [robot.odometry]
+        while not follower.is_done:
+            robot.move(*follower.update(shown, now_s))
+            shown = correction.advance(shown, path[-1], robot.odometry)
+            path.append(robot.odometry)
+            now_s += 0.1
+            show(follower.legs_left, now_s)
+        return tuple(path)
+
+
+class Answers(io.StringIO):
+    """A person's terminal: Enter before each drive, then what a perfect tape measure says."""
+
+    def __init__(self, drives: ExactDrives, script: list[str]) -> None:
+        super().__init__()
+        self._robot, self._script = drives.robot_driven, script
+        self._start, self._turned_rad = self._robot.truth, 0.0
+
+    def readline(self, _: int | None = -1) -> str:  # type: ignore[override]
+        word = self._script.pop(0) if self._script else ""
+        end = relative(self._start, self._robot.truth)
+        match word:
+            case "start":
+                self._start = self._robot.truth
+                return "\n"
+            case "x":
+                return f"{end.x_m} m\n"
+            case "y":
+                return f"{end.y_m * 100}\n"
+        return word
+
+
+def guided(folder: Path, drives: ExactDrives) -> GuidedCalibration:
+    wanted = Saved("robot_0", Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1), drives.nominal())
+    state = open_state(folder / "state.json", wanted, anew=False)
+    return GuidedCalibration(AtTheTerminal(drives), state, folder / "picture.svg", is_quiet=False)
+
+
+DRIVE = ["start", "x", "y"]
+
+
+def test_a_person_is_led_through_all_drives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drives = ExactDrives()
+    monkeypatch.setattr("sys.stdin", Answers(drives, DRIVE * 6))
+    found, confirmation = guided(tmp_path, drives).run()
+    assert found.geometry == pytest.approx(TRUE, rel=1e-3)
+    assert confirmation.complaint == ""
+    shown = capsys.readouterr().out
+    assert "Calibrating robot_0: 3 drives, then 3 to check." in shown
+    assert "a square of 1 m, counter-clockwise" in shown
+    assert "Check drive:" in shown
+
+
+def test_what_cannot_be_is_asked_again_and_a_drive_that_was_broken_off_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drives = ExactDrives()
+    drives.broken = 1
+    first = ["start", "start", "long\n", "30.1 m\n", "0\n", "\n", "x", "y"]
+    slipped = ["start", "900\n", "0\n", "d\n", "start", "x", "y"]
+    monkeypatch.setattr("sys.stdin", Answers(drives, [*first, *slipped, *DRIVE * 4]))
+    found, _ = guided(tmp_path, drives).run()
+    assert found.geometry == pytest.approx(TRUE, rel=1e-3)
+    complaints = capsys.readouterr().err
+    assert "its odometry jumped" in complaints
+    assert "'long' is no length" in complaints
+    assert "30.10 m, the odometry" in complaints
+
+
+def test_numbers_that_contradict_each_other_are_entered_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drives = ExactDrives()
+    exchanged = ["start", "-25\n", "-50\n"]
+    again = ["2\n", *DRIVE, "3\n", *DRIVE]
+    monkeypatch.setattr("sys.stdin", Answers(drives, [*DRIVE, *exchanged, "start", "30\n", "40\n", *again, *DRIVE * 3]))
+    found, _ = guided(tmp_path, drives).run()
+    assert found.geometry == pytest.approx(TRUE, rel=1e-3)
+    assert "a square of 1 m, clockwise: -25.0 cm forward, -50.0 cm to the left" in capsys.readouterr().out
+
+
+def test_who_leaves_goes_on_later_where_he_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drives = ExactDrives()
+    monkeypatch.setattr("sys.stdin", Answers(drives, [*DRIVE, "start"]))
+    with pytest.raises(HostlinkError, match="nobody to answer"):
+        guided(tmp_path, drives).run()
+    monkeypatch.setattr("sys.stdin", Answers(drives, DRIVE * 5))
+    found, _ = guided(tmp_path, drives).run()
+    assert found.geometry == pytest.approx(TRUE, rel=1e-3)
+    assert "1 are done" in capsys.readouterr().out
+
+
+# -- what the daemon sends --------------------------------------------------------------------------------------------
+
+
+def test_poses_of_both_kinds_of_odometry_are_read() -> None:
+    assert pose_of({"x": 1.0, "y": 2.0, "theta": 0.5}) == Pose(1.0, 2.0, 0.5)
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}}
+    assert pose_of({"pose": {"pose": pose}}) == pytest.approx((1.0, 2.0, 3.14159265))
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [("[0.0448, 0.0453]", [0.0448, 0.0453]), ("0.21", [0.21]), ("[]", []), ('"wide"', []), ("-1", []), ("nan", [])],
+)
+def test_parameters_are_numbers_or_nothing(text: str, numbers: list[float]) -> None:
+    assert numbers_of(text) == numbers

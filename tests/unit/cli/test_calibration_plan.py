@@ -1,0 +1,113 @@
+"""What a person enters, and the state file between two drives."""
+
+import contextlib
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.cli.calibration_plan import (
+    Saved,
+    Sizes,
+    checks_of,
+    default_path,
+    open_state,
+    parse_angle,
+    parse_length,
+    steps_of,
+)
+from hostlink.errors import HostlinkError
+from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry
+from hostlink.robot.kinematics import Pose
+
+RUN = MeasuredRun(Kind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measurement(2.98, 0.12))
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [("12.5", 0.125), ("-3 mm", -0.003), ("3.012 m", 3.012), ("12,5cm", 0.125), (" +7 CM ", 0.07), ("1e2", 1.0)],
+)
+def test_lengths_have_a_unit_or_are_centimetres(text: str, metres: float) -> None:
+    assert parse_length(text) == pytest.approx(metres)
+
+
+@pytest.mark.parametrize("text", ["", "cm", "12 miles", "nan", "inf m", "1.2.3", "12 m m", "--1"])
+def test_what_is_no_length_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(ValueError, match="is no length"):
+        parse_length(text)
+
+
+@given(st.text(max_size=12))
+def test_no_text_breaks_the_reading(text: str) -> None:
+    for parse in (parse_length, parse_angle):
+        with contextlib.suppress(ValueError):
+            assert math.isfinite(parse(text))
+
+
+def test_angles_are_degrees() -> None:
+    assert parse_angle("-90°") == pytest.approx(-math.pi / 2)
+    assert parse_angle("12,5 degrees") == pytest.approx(math.radians(12.5))
+    with pytest.raises(ValueError, match="is no angle"):
+        parse_angle("left")
+
+
+def test_lines_turns_and_squares_both_ways_are_driven() -> None:
+    kinds = [step.kind for step in steps_of(Sizes())]
+    assert kinds == [
+        *[Kind.STRAIGHT] * 2,
+        Kind.TURNS_CCW,
+        Kind.TURNS_CW,
+        *[Kind.SQUARE_CW, Kind.SQUARE_CCW] * 2,
+    ]
+    assert [step.kind for step in checks_of(Sizes())] == [Kind.STRAIGHT, Kind.SQUARE_CW, Kind.SQUARE_CCW]
+    assert all("turns" not in step.kind for step in steps_of(Sizes(turns=0)))
+    titles = {step.title: step.room for step in steps_of(Sizes())}
+    assert titles["a square of 2 m, clockwise"] == "2.5 m of free floor before it and to its right"
+
+
+def test_a_calibration_is_resumed_where_it_was(tmp_path: Path) -> None:
+    wanted = Saved("robot_0", Sizes(), WheelGeometry())
+    state = open_state(tmp_path / "folder" / "state.json", wanted, anew=False)
+    state.saved.runs.append(RUN)
+    state.save()
+    again = open_state(state.path, Saved("robot_0", Sizes(), WheelGeometry()), anew=False)
+    assert again.saved.runs == [RUN]
+    assert open_state(state.path, wanted, anew=True).saved is wanted
+    state.remove()
+    assert not state.path.exists()
+
+
+@pytest.mark.parametrize(
+    ("other", "text"),
+    [
+        (Saved("robot_0", Sizes(side_m=4.0), WheelGeometry()), "other sizes"),
+        (Saved("robot_0", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "other nominal"),
+        (Saved("robot_1", Sizes(), WheelGeometry(0.05, 0.05, 0.2)), "other robot and nominal"),
+    ],
+)
+def test_the_state_of_another_calibration_is_not_resumed(tmp_path: Path, other: Saved, text: str) -> None:
+    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=False).save()
+    with pytest.raises(HostlinkError, match=f"{text}; --anew begins again"):
+        open_state(tmp_path / "state.json", other, anew=False)
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"robot": 1}', b"\xff"])
+def test_a_file_that_is_no_state_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "state.json"
+    path.write_bytes(content)
+    with pytest.raises(HostlinkError, match="no calibration that can be resumed"):
+        open_state(path, Saved("robot_0", Sizes(), WheelGeometry()), anew=False)
+
+
+def test_a_state_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    state = open_state(tmp_path / "file" / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=True)
+    with pytest.raises(HostlinkError, match=r"state\.json"):
+        state.save()
+
+
+def test_the_state_is_in_the_user_s_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/some/where")
+    assert default_path("fleet/robot_0") == Path("/some/where/hostlink/calibrate-fleet_robot_0.json")

@@ -1,0 +1,113 @@
+"""Settings are written into a person's file: comments, order and everything else stay."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.cli.settings_file import changed, toml_lines, write_settings
+from hostlink.config import load
+from hostlink.errors import ConfigError
+
+FILE = """\
+# the lab's robots
+[tcp]
+port = 11411  # as always
+
+[parameters]   # of the firmware
+"/robot_0/wheel_radius" = 0.045     # by the drawing
+"/robot_0/gains_left" = [23.0, 36.0, 0.1]
+
+[robots.robot_0]
+max_linear_m_s = 0.3
+"""
+PARAMETERS = {"parameters": {'"/robot_0/wheel_radius"': "[0.0448, 0.0453]", '"/robot_0/wheel_separation"': "0.2142"}}
+CALIBRATION = {"robots.robot_0.calibration": {"left_factor": "0.995", "right_factor": "1.006"}}
+
+
+def test_a_line_is_replaced_and_another_is_added() -> None:
+    after = changed(FILE, PARAMETERS)
+    values = tomllib.loads(after)["parameters"]
+    assert values["/robot_0/wheel_radius"] == [0.0448, 0.0453]
+    assert values["/robot_0/wheel_separation"] == 0.2142
+    assert values["/robot_0/gains_left"] == [23.0, 36.0, 0.1]
+    assert "port = 11411  # as always" in after
+    assert len(after.splitlines()) == len(FILE.splitlines()) + 1
+
+
+def test_a_table_that_is_not_there_is_added() -> None:
+    assert tomllib.loads(changed(FILE, CALIBRATION))["robots"]["robot_0"] == {
+        "max_linear_m_s": 0.3,
+        "calibration": {"left_factor": 0.995, "right_factor": 1.006},
+    }
+    assert tomllib.loads(changed("", CALIBRATION))["robots"]["robot_0"]["calibration"]["left_factor"] == 0.995
+
+
+def test_the_file_as_it_was_stays_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(FILE)
+    path.chmod(0o640)
+    first = write_settings(path, PARAMETERS)
+    second = write_settings(path, CALIBRATION)
+    assert (first.name, second.name) == ("hostlink.toml.before", "hostlink.toml.before2")
+    assert first.read_text() == FILE
+    assert path.stat().st_mode & 0o777 == 0o640
+    config = load(path)
+    assert config.parameters["/robot_0/wheel_separation"] == 0.2142
+    assert config.robots["robot_0"].calibration.left_factor == 0.995
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [path.name, first.name, second.name]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'parameters = { "/robot_0/wheel_radius" = 0.045 }\n',
+        '[parameters]\n"/robot_0/wheel_radius" = [\n  0.045,\n  0.046,\n]\n',
+        "[parameters]\n'/robot_0/wheel_radius' = 0.045\n",
+        "[robots.robot_0\n",
+    ],
+    ids=["inline table", "several lines", "another quote", "no TOML"],
+)
+def test_a_file_in_another_form_is_left_as_it_is(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"hostlink\.toml"):
+        write_settings(path, PARAMETERS)
+    assert path.read_text() == text
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_settings_that_the_daemon_refuses_are_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(FILE)
+    with pytest.raises(ConfigError):
+        write_settings(path, {"robots.robot_0.calibration": {"left_factor": "9.0"}})
+    assert path.read_text() == FILE
+
+
+def test_a_file_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is not changed"):
+        write_settings(tmp_path / "hostlink.toml", PARAMETERS)
+
+
+keys = st.sampled_from(["a", "b", '"/robot/x"', '"c d"'])
+numbers = st.floats(0.1, 9.0).map(lambda value: f"{value:.3f}")
+tables = st.dictionaries(
+    st.sampled_from(["parameters", "robots.r.calibration"]), st.dictionaries(keys, numbers, min_size=1)
+)
+
+
+@given(tables, tables)
+def test_whatever_was_set_before_is_set_anew(
+    first: dict[str, dict[str, str]], second: dict[str, dict[str, str]]
+) -> None:
+    after = tomllib.loads(changed(changed(FILE, first), second))
+    for header, values in {**first, **second}.items():
+        expected = tomllib.loads("\n".join(toml_lines({"t": {**first.get(header, {}), **values}})))["t"]
+        table = after
+        for name in header.split("."):
+            table = table[name]
+        assert expected.items() <= table.items()
+    assert after["robots"]["robot_0"] == {"max_linear_m_s": 0.3}
