@@ -1,0 +1,36 @@
+"""Calibration on the real firmware in its world: the wheels are found, given to it, and its squares close.
+
+Three seeds here; `make soak` sets HOSTLINK_SEEDS to 30, and tools/measure_calibration.py prints what it asserts.
+"""
+
+import os
+
+import pytest
+
+from hostlink.sim.world_library import load_library
+from tests.firmware.boards import build_native
+from tools.measure_calibration import WORLD, errors_in, gain, noisy
+
+SEEDS = int(os.environ.get("HOSTLINK_SEEDS", "3"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built() -> None:
+    """Compiled before the clock of the first test runs."""
+    build_native()
+    load_library.cache_clear()
+
+
+def test_without_noise_the_square_s_error_falls_a_hundredfold() -> None:
+    errors = errors_in(WORLD)
+    assert errors.before_m > 0.3
+    assert errors.umbmark_m < errors.before_m / 100
+    assert errors.least_squares_m < errors.before_m / 100
+
+
+@pytest.mark.timeout(60 + 30 * SEEDS)
+def test_with_slip_and_a_random_caster_the_square_s_error_falls_fivefold() -> None:
+    """By the mean of all seeds; with thirty of them, by the lower end of its interval too."""
+    errors = [errors_in(noisy(seed)) for seed in range(1, SEEDS + 1)]
+    for found in (gain(errors, lambda each: each.umbmark_m), gain(errors, lambda each: each.least_squares_m)):
+        assert (found.low if SEEDS >= 30 else found.middle) > 5.0
