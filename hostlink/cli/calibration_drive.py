@@ -34,70 +34,57 @@ class Drives:
         self.robot = robot.strip("/")
         self._url, self._token, self._speed = url, token, speed
 
-    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
-        """Drive a course; returns the poses of the robot's own odometry.
+    async def follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
+        """Drive a course; returns the poses of the robot's own odometry. A signal cancels it.
 
         Raises:
             HostlinkError: it is refused or broken off; the robot stands.
-            KeyboardInterrupt: a signal ended it; the robot stands.
         """
-        try:
-            return asyncio.run(self._follow(legs, correction, show))
-        except asyncio.CancelledError:
-            raise KeyboardInterrupt from None
-
-    def nominal(self) -> WheelGeometry:
-        """The numbers that the daemon's parameters give the robot; the paper's where there are none.
-
-        Raises:
-            HostlinkError: there is no hostlink, or no such robot.
-        """
-        return asyncio.run(self._nominal())
-
-    def takes_parameters(self) -> bool:
-        """Whether it is hostlink's own firmware, which requests its wheels as parameters.
-
-        Raises:
-            HostlinkError: there is no hostlink.
-        """
-        return asyncio.run(self._takes_parameters())
-
-    def set_parameters(self, parameters: Mapping[str, str]) -> None:
-        """Give the running daemon parameters, as JSON; the robot requests them when it connects the next time.
-
-        Raises:
-            HostlinkError: they were refused.
-        """
-        asyncio.run(self._set_parameters(parameters))
-
-    async def _nominal(self) -> WheelGeometry:
-        usual = WheelGeometry()
-        async with connect(self._url, token=self._token, reconnect=False) as host:
-            await _state(host, self.robot)
-            radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
-            separation = await self._parameter(host, "wheel_separation", [usual.separation_m])
-        return WheelGeometry(radii[0], radii[-1], separation[0])
-
-    async def _parameter(self, host: Host, name: str, usual: list[float]) -> list[float]:
-        answer = await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"})
-        return numbers_of(str(answer["value"])) or usual
-
-    async def _takes_parameters(self) -> bool:
-        async with connect(self._url, token=self._token, reconnect=False) as host:
-            return any(topic["name"] == f"/{self.robot}/{OWN_TOPIC}" for topic in await host.topics())
-
-    async def _set_parameters(self, parameters: Mapping[str, str]) -> None:
-        async with connect(self._url, token=self._token, reconnect=False) as host:
-            for name, value in parameters.items():
-                await host.call("/rosapi/set_param", {"name": name, "value": value})
-
-    async def _follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
-        async with connect(self._url, token=self._token, reconnect=False) as host:
+        async with self._connected() as host:
             state = await _state(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
             async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
                 drive = _Drive(robot, state["link"], CourseFollower(legs, self._speed), correction)
                 return await drive.run(poses, show)
+
+    async def nominal(self) -> WheelGeometry:
+        """The numbers that the daemon's parameters give the robot; the paper's where there are none.
+
+        Raises:
+            HostlinkError: there is no hostlink, or no such robot.
+        """
+        usual = WheelGeometry()
+        async with self._connected() as host:
+            await _state(host, self.robot)
+            radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
+            separation = await self._parameter(host, "wheel_separation", [usual.separation_m])
+        return WheelGeometry(radii[0], radii[-1], separation[0])
+
+    async def takes_parameters(self) -> bool:
+        """Whether it is hostlink's own firmware, which requests its wheels as parameters.
+
+        Raises:
+            HostlinkError: there is no hostlink.
+        """
+        async with self._connected() as host:
+            return any(topic["name"] == f"/{self.robot}/{OWN_TOPIC}" for topic in await host.topics())
+
+    async def set_parameters(self, parameters: Mapping[str, str]) -> None:
+        """Give the running daemon parameters, as JSON; the robot requests them when it connects the next time.
+
+        Raises:
+            HostlinkError: they were refused.
+        """
+        async with self._connected() as host:
+            for name, value in parameters.items():
+                await host.call("/rosapi/set_param", {"name": name, "value": value})
+
+    def _connected(self) -> contextlib.AbstractAsyncContextManager[Host]:
+        return connect(self._url, token=self._token, reconnect=False)
+
+    async def _parameter(self, host: Host, name: str, usual: list[float]) -> list[float]:
+        answer = await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"})
+        return numbers_of(str(answer["value"])) or usual
 
 
 class _Drive:

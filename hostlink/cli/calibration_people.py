@@ -1,5 +1,6 @@
 """Who measures: a person at the terminal, or a simulated one beside a simulated robot."""
 
+import asyncio
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
@@ -59,9 +60,15 @@ class AtTheTerminal:
 
     def __init__(self, drives: Drives) -> None:
         self._drives = drives
-        self.nominal = drives.nominal
-        self.takes_parameters = drives.takes_parameters
-        self.set_parameters = drives.set_parameters
+
+    def nominal(self) -> WheelGeometry:
+        return asyncio.run(self._drives.nominal())
+
+    def takes_parameters(self) -> bool:
+        return asyncio.run(self._drives.takes_parameters())
+
+    def set_parameters(self, parameters: Mapping[str, str], /) -> None:
+        asyncio.run(self._drives.set_parameters(parameters))
 
     def prepare(self, step: Step, place: str) -> None:
         write(
@@ -77,7 +84,9 @@ class AtTheTerminal:
             show_progress(f"  driving: {seconds:.0f} s, {left} of {len(legs)} legs left; Ctrl-C stops it")
 
         try:
-            return self._drives.follow(legs, correction, show)
+            return asyncio.run(self._drives.follow(legs, correction, show))
+        except asyncio.CancelledError:  # by a signal; Ctrl-C comes as itself
+            raise KeyboardInterrupt from None
         finally:
             show_progress("")
 

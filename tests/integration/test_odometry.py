@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from hostlink.config import Config, RobotConfig
+from hostlink.config import CalibrationConfig, Config, RobotConfig
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
-from tests.support.rosbridge import client
+from tests.support.rosbridge import Client, client
 from tests.support.waiting import expect
 
 
@@ -90,3 +90,44 @@ async def test_a_header_stamp_becomes_host_time_and_the_link_reports_its_clock()
     assert stamps[2] == pytest.approx(time.time_ns() - 500_000_000, abs=480_000_000)
     assert 'hostlink_link_clock_offset_seconds{peer="127.0.0.1",robot="robot_0"} 3600.' in metrics
     assert "hostlink_link_round_trip_seconds{" in metrics
+
+
+async def test_a_calibrated_robot_is_shown_where_it_is_and_its_own_topic_stays() -> None:
+    """A wheel separation that is 5 % larger than the device's, and a left wheel that is 1 % larger."""
+    calibration = CalibrationConfig(left_factor=1.01, nominal_separation_m=0.2, separation_m=0.21)
+    config = Config(robots={"robot_0": RobotConfig(calibration=calibration)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
+        await program.send(op="subscribe", topic="/robot_0/odometry", id="own")
+        await program.send(op="subscribe", topic="/robot_0/odom", id="shown")
+        await publish_pose(host, device, 0.0)
+        turned = await publish_pose(host, device, 0.0, theta=0.1)  # both wheels rolled 1 cm, the left one backwards
+        ahead = await publish_pose(host, device, 0.1, 0.0, 0.1)
+        own = [message["msg"] for message in await published(program, 6) if message["topic"] == "/robot_0/odometry"]
+    assert turned["pose"]["theta_rad"] == pytest.approx((0.01 + 0.0101) / 0.21)
+    assert turned["pose"]["x_m"] == pytest.approx(-0.00005, abs=1e-6)
+    assert ahead["pose"]["x_m"] > 0.0995
+    assert [message["theta"] for message in own] == [0.0, 0.1, 0.1]
+    assert [message["x"] for message in own] == [0.0, 0.0, 0.1]
+
+
+async def published(program: Client, count: int) -> list[dict[str, Any]]:
+    """The next messages of topics."""
+    found: list[dict[str, Any]] = []
+    while len(found) < count:
+        message = await program.receive()
+        if message["op"] == "publish":
+            found.append(message)
+    return found
+
+
+async def test_another_robot_of_the_same_name_is_not_calibrated() -> None:
+    calibration = CalibrationConfig(left_factor=1.5)
+    config = Config(robots={"robot_0": RobotConfig(address="192.0.2.1", calibration=calibration)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
+        (robot,) = (robot for robot in host.hub.robots.all() if robot.link is not None)
+        for number in range(2):
+            await device.send(pose(0.05 * number, 0.0, 0.0))
+            await expect(lambda count=number + 1: robot.odometry.count == count)
+        shown = robot.odometry.snapshot(0.0)
+    assert shown is not None
+    assert shown.pose.x_m == 0.05

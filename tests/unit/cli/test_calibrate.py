@@ -93,10 +93,10 @@ class ExactDrives(Drives):
         self.robot_driven = ExactRobot(WheelGeometry(), TRUE)
         self.broken = 0  # how many drives are to be broken off
 
-    def nominal(self) -> WheelGeometry:
+    async def nominal(self) -> WheelGeometry:
         return WheelGeometry()
 
-    def follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
+    async def follow(self, legs: Sequence[Leg], correction: OdometryCorrection, show: Show) -> tuple[Pose, ...]:
         if self.broken:
             self.broken -= 1
             raise HostlinkError("its odometry jumped: this drive does not count")
@@ -134,7 +134,7 @@ class Answers(io.StringIO):
 
 
 def guided(folder: Path, drives: ExactDrives) -> GuidedCalibration:
-    wanted = Saved("robot_0", Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1), drives.nominal())
+    wanted = Saved("robot_0", Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1), WheelGeometry())
     state = open_state(folder / "state.json", wanted, anew=False)
     return GuidedCalibration(AtTheTerminal(drives), state, folder / "picture.svg", is_quiet=False)
 

@@ -1,0 +1,102 @@
+"""Courses through a running daemon: driven within its rules, and stopped however they end."""
+
+import asyncio
+import functools
+import math
+from collections.abc import Sequence
+
+import pytest
+
+from hostlink.cli.calibration_drive import Drives
+from hostlink.config import Config
+from hostlink.errors import HostlinkError
+from hostlink.robot.calibration import WheelGeometry
+from hostlink.robot.course import Leg, Speed, square, straight
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry_correction import OdometryCorrection
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+
+async def follow(host: Daemon, legs: Sequence[Leg], name: str = "robot_0") -> tuple[Pose, ...]:
+    drives = Drives(host.url, None, name, Speed())
+    return await drives.follow(legs, OdometryCorrection(), lambda *_: None)
+
+
+def is_driven(host: Daemon) -> bool:
+    gate = host.hub.robots.find("robot_0").gate
+    return gate.owner_name is not None
+
+
+async def test_a_course_ends_where_it_should_and_the_robot_stands() -> None:
+    async with daemon() as host, simulated_robot(host.tcp) as robot:
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
+        path = await follow(host, straight(0.2))
+        assert path[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+        assert path[-1].x_m == pytest.approx(0.2, abs=0.02)
+        await expect(lambda: not is_driven(host))
+        assert abs(robot.speed_m_s) < 0.01
+
+
+async def test_who_is_more_important_ends_the_course() -> None:
+    async with daemon() as host, simulated_robot(host.tcp):
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
+        async with asyncio.TaskGroup() as tasks:
+            driving = tasks.create_task(_refused(host))
+            await expect(lambda: is_driven(host))
+            status, _ = await host.rest("POST", "/api/robots/robot_0/lock", b'{"reason": "a cat"}')
+            assert status == 200
+        assert "is not driven any more" in driving.result()
+        assert "a cat" in driving.result()
+
+
+async def _refused(host: Daemon) -> str:
+    with pytest.raises(HostlinkError) as caught:
+        await follow(host, square(1.0, 1))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("x_m", "reason"), [(0.01, "no odometry for 0.4 s"), (5.0, "its odometry jumped")])
+async def test_a_robot_that_falls_silent_or_jumps_is_stopped(x_m: float, reason: str) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        async with asyncio.TaskGroup() as tasks:
+            driving = tasks.create_task(_refused(host))
+            await expect(functools.partial(_is_subscribed, host))
+            await device.send(pose(0.0, 0.0, 0.0))
+            await device.send(pose(x_m, 0.0, 0.0))
+        assert reason in driving.result()
+        await expect(lambda: not is_driven(host))
+
+
+def _is_subscribed(host: Daemon) -> bool:
+    topic = host.hub.topics.find_or_none("/robot_0/odometry")
+    return topic is not None and topic.has_subscribers
+
+
+async def test_a_robot_that_is_not_there_is_named() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: bool(host.hub.robots.all()))
+        with pytest.raises(HostlinkError, match="robot_7"):
+            await follow(host, straight(1.0), "robot_7")
+
+
+async def test_the_numbers_of_the_robot_are_the_daemon_s_parameters() -> None:
+    parameters = {"/robot_0/wheel_radius": [0.03, 0.031], "robot_0/wheel_separation": 0.15}
+    async with daemon(Config(parameters=parameters)) as host, simulated_robot(host.tcp):
+        await expect(lambda: bool(host.hub.robots.all()))
+        drives = Drives(host.url, None, "robot_0", Speed())
+        assert await drives.nominal() == (0.03, 0.031, 0.15)
+        assert await drives.takes_parameters()
+        await drives.set_parameters({"/robot_0/wheel_radius": "[0.04, 0.041]"})
+        assert await drives.nominal() == (0.04, 0.041, 0.15)
+
+
+async def test_a_robot_without_parameters_has_the_paper_s_numbers_and_keeps_its_own() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: bool(host.hub.robots.all()))
+        drives = Drives(host.url, None, "robot_0", Speed())
+        assert await drives.nominal() == WheelGeometry()
+        assert not await drives.takes_parameters()
+    assert math.isclose(WheelGeometry().separation_m, 0.21)
