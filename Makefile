@@ -146,6 +146,8 @@ soak: $(VENV)/.dev
 	@tools/require.sh $(FIRMWARE_PACKAGES)
 	HOSTLINK_SOAK_S=600 $(BIN)/python -m pytest tests/firmware/test_due_soak.py
 	HOSTLINK_DRIVES=5000 HOSTLINK_DRIVES_M3=100 $(BIN)/python -m pytest tests/firmware/test_due_sweep.py
+	HOSTLINK_SEEDS=30 $(BIN)/python -m pytest tests/firmware/test_due_calibration.py
+	$(BIN)/python tools/measure_calibration.py
 	$(BIN)/python tools/soak_link.py --seconds 600
 	$(BIN)/python tools/chaos_daemon.py --seconds $(CHAOS_S) $(if $(CHAOS_SEED),--seed $(CHAOS_SEED))
 	$(BIN)/python tools/measure_damage.py --frames 10000000

@@ -2,7 +2,6 @@
 
 import json as json_text
 import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +15,7 @@ from hostlink.cli.calibration_plan import Saved, Sizes, StateFile, Step, checks_
 from hostlink.cli.output import table, write, write_error
 from hostlink.cli.settings_file import Tables, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
+from hostlink.config import CalibrationConfig, load
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.calibration import Calibration, MeasuredRun, calibrated, uncorrected
 from hostlink.robot.calibration_checks import Confirmation, complaint_of_run, complaint_of_runs, confirm
@@ -84,6 +84,8 @@ def command(  # noqa: PLR0913 - the options of a command line
         session = Simulated(_world(world or []), mistake)
     else:
         session = AtTheTerminal(Drives(url, token, name, Speed(linear, angular)))
+    chosen = target or ("device" if session.takes_parameters() else "hostlink")
+    _check_file(write_to, name, chosen)
     path = state or default_path(f"{name}-simulated" if simulate else name)
     saved = open_state(path, Saved(name, sizes, session.nominal()), anew=anew or simulate)
     calibration = GuidedCalibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
@@ -92,7 +94,6 @@ def command(  # noqa: PLR0913 - the options of a command line
     except KeyboardInterrupt:
         write_error("", f"the robot is stopped; the same command goes on: {path} has {len(saved.saved.runs)} drives")
         raise
-    chosen = target or ("device" if session.takes_parameters() else "hostlink")
     settings = settings_of(name, found, chosen, write_to)
     if json:
         write(json_text.dumps(_as_json(found, confirmation, settings)))
@@ -236,13 +237,20 @@ def _keep(session: Session, settings: Tables, target: str, file: Path | None, *,
         write_error("--apply is for parameters: hostlink corrects odometry from its configuration, when it starts.")
 
 
-def _parameters_of(file: Path | None) -> list[str]:
+def _check_file(file: Path | None, robot: str, target: str) -> None:
+    """Before an hour of drives: whether the numbers can stand there."""
     if file is None:
-        return []
-    try:
-        return list(tomllib.loads(file.read_text(encoding="utf-8")).get("parameters", {}))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(file), f"is not changed: {error}") from error
+        return
+    config = load(file)
+    is_corrected = robot in config.robots and config.robots[robot].calibration != CalibrationConfig()
+    if target == "device" and is_corrected:
+        raise ConfigError(
+            str(file), f"has [robots.{robot}.calibration]: remove it, or the device's new numbers are corrected again"
+        )
+
+
+def _parameters_of(file: Path | None) -> list[str]:
+    return [] if file is None else list(load(file).parameters)
 
 
 def _spelling(name: str, known: list[str]) -> str:

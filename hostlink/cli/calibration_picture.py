@@ -1,5 +1,6 @@
 """The picture of a calibration: an SVG with the squares as they were driven, and their ends before and after. Pure."""
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 
@@ -7,6 +8,7 @@ from hostlink.robot.calibration import Calibration, Kind, MeasuredRun, end_of, u
 from hostlink.robot.odometry_correction import OdometryCorrection
 
 WIDTH, HEIGHT, MARGIN = 520.0, 520.0, 46.0
+DRAWN = 4  # one pose in so many
 COLOURS = {Kind.SQUARE_CW: "#c2410c", Kind.SQUARE_CCW: "#1d4ed8"}
 _SQUARES = tuple(COLOURS)
 _GOOD = "#15803d"
@@ -92,12 +94,12 @@ def _ends(found: Calibration, squares: Sequence[MeasuredRun], checks: Sequence[M
 
 def _path(run: MeasuredRun, correction: OdometryCorrection) -> list[Point]:
     cos, sin = math.cos(run.path[0].theta_rad), math.sin(run.path[0].theta_rad)
-    here, path = run.path[0]._replace(theta_rad=run.path[0].theta_rad), []
-    for before, after in zip(run.path, run.path[1:], strict=False):
+    here, path = run.path[0], []
+    for before, after in itertools.pairwise(run.path):
         dx_m, dy_m = here.x_m - run.path[0].x_m, here.y_m - run.path[0].y_m
         path.append((dx_m * cos + dy_m * sin, dy_m * cos - dx_m * sin))
         here = correction.advance(here, before, after)
-    return path
+    return [*path[::DRAWN], *path[-1:]]
 
 
 def _error(run: MeasuredRun, correction: OdometryCorrection) -> Point:

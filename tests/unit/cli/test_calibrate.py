@@ -15,6 +15,7 @@ from hostlink.cli.calibration_drive import Drives, Show, numbers_of, pose_of
 from hostlink.cli.calibration_people import AtTheTerminal
 from hostlink.cli.calibration_plan import Saved, Sizes, open_state
 from hostlink.cli.main import build_app
+from hostlink.config import load
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.calibration import WheelGeometry, calibrated
 from hostlink.robot.course import CourseFollower, Leg, Speed
@@ -51,6 +52,17 @@ def test_what_was_found_is_written_where_it_is_requested(tmp_path: Path) -> None
     assert sorted(values) == ["/robot_0/wheel_separation", "robot_0/wheel_radius"]
     assert values["robot_0/wheel_radius"] == pytest.approx(TRUE[:2], rel=0.003)
     assert "Confirmed" in result.stdout
+
+
+def test_a_file_in_which_the_numbers_cannot_stand_is_refused_before_any_drive(tmp_path: Path) -> None:
+    file = tmp_path / "hostlink.toml"
+    assert isinstance(calibrate(tmp_path, "--write", str(file)).exception, ConfigError)
+    file.write_text("[robots.robot_0.calibration]\nleft_factor = 1.01\n")
+    result = calibrate(tmp_path, "--write", str(file))
+    assert "remove it" in str(result.exception)
+    assert not (tmp_path / "state.svg").exists()
+    assert calibrate(tmp_path, *SMALL, "--target", "hostlink", "--write", str(file)).exit_code == 0
+    assert load(file).robots["robot_0"].calibration.separation_m == pytest.approx(TRUE.separation_m, rel=0.005)
 
 
 @pytest.mark.parametrize(("mistake", "text"), [("slip", "does not confirm"), ("sides", "left and right")])
