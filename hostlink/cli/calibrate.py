@@ -73,7 +73,7 @@ def command(  # noqa: PLR0913 - the options of a command line
     """Find a robot's wheel radii and wheel separation with a tape measure.
 
     It drives a line, turns on the spot, and a square both ways, all twice; after each drive you enter what the tape
-    measure says. Then check drives must confirm the gain; nothing is kept before.
+    measure shows. Then check drives must confirm the gain; nothing is kept before.
     """
     _refuse_others("--target", target, TARGETS)
     _refuse_others("--mistake", mistake, MISTAKES)
@@ -84,7 +84,7 @@ def command(  # noqa: PLR0913 - the options of a command line
         session = Simulated(_world(world or []), mistake)
     else:
         session = AtTheTerminal(Drives(url, token, name, Speed(linear, angular)))
-    chosen = target or ("device" if session.takes_parameters() else "hostlink")
+    chosen = target or ("device" if session.requests_parameters() else "hostlink")
     _check_file(write_to, name, chosen)
     path = state or default_path(f"{name}-simulated" if simulate else name)
     saved = open_state(path, Saved(name, sizes, session.nominal()), anew=anew or simulate)
@@ -110,7 +110,7 @@ class GuidedCalibration:
         self._session, self._state, self._picture = session, state, picture
         self._saved = state.saved
         self._steps = steps_of(self._saved.sizes)
-        self._say = write_error if is_quiet else write  # standard output is for the JSON
+        self._print = write_error if is_quiet else write  # standard output is for the JSON
 
     def run(self) -> tuple[Calibration, Confirmation]:
         """Drive what is left.
@@ -119,7 +119,7 @@ class GuidedCalibration:
             HostlinkError: the numbers cannot be, the check does not confirm them, or nobody answers.
         """
         count, total = len(self._saved.runs), len(self._steps)
-        self._say(
+        self._print(
             f"Calibrating {self._saved.robot}: {total} drives, then 3 to check"
             + ("." if count == 0 else f"; {count} are done."),
             f"What you enter is kept in {self._state.path}; the same command goes on from there.",
@@ -174,7 +174,7 @@ class GuidedCalibration:
         confirmation = confirm(found, checks)
         self._picture.parent.mkdir(parents=True, exist_ok=True)
         self._picture.write_text(draw(found, self._saved.runs, checks), encoding="utf-8")
-        self._say(
+        self._print(
             "",
             f"Check drive: {confirmation.before_m * 100:.1f} cm off by the old numbers, "
             f"{confirmation.after_m * 100:.1f} cm by the new ones.",
@@ -193,7 +193,7 @@ class GuidedCalibration:
             [name, *(f"{1000 * value:.3f}" for value in (old, best)), f"± {1000 * half:.3f}", f"{1000 * other:.3f}"]
             for name, old, best, half, other in zip(names, now, new, width, umbmark, strict=True)
         ]
-        self._say(
+        self._print(
             *table(["mm", "now", "least squares", "95 %", "UMBmark"], rows),
             "",
             f"A square ends {found.before.largest_m * 100:.1f} cm off now, {found.after.largest_m * 100:.2f} cm with "
@@ -202,8 +202,8 @@ class GuidedCalibration:
         if (by_turns_m := found.separation_by_turns_m) is not None:
             share = by_turns_m / found.correction.separation_m - 1
             if abs(share) > CASTER_SHARE:
-                self._say(
-                    f"Turns on the spot say {by_turns_m * 1000:.2f} mm apart: each corner of a square turns "
+                self._print(
+                    f"Turns on the spot give {by_turns_m * 1000:.2f} mm apart: each corner of a square turns "
                     f"{share * 90:+.1f} degrees more than they do. A caster that swings round at the begin of a side "
                     "does that; the numbers above are right for drives with corners."
                 )
@@ -229,7 +229,7 @@ def settings_of(robot: str, found: Calibration, target: str, file: Path | None) 
 def _keep(session: Session, settings: Tables, target: str, file: Path | None, *, apply: bool) -> None:
     if file is not None:
         backup = write_settings(file, settings)
-        write_error(f"{file} has them; as it was: {backup}. They hold when the daemon and the robot start again.")
+        write_error(f"{file} has them; as it was: {backup}. They are used when the daemon and the robot start again.")
     if apply and target == "device":
         session.set_parameters({json_text.loads(key): value for key, value in settings["parameters"].items()})
         write_error("The daemon has them; the robot requests them when it connects the next time: reset it.")

@@ -16,7 +16,7 @@ from hostlink.robot.course import CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
 from hostlink.robot.odometry_correction import OdometryCorrection
 
-PRIORITY = 55  # above a program, below a person at the keys: whoever takes the keys has the robot
+PRIORITY = 55  # above a program, below a person at the keys
 SILENCE_S = 0.4  # of the odometry: the robot would drive blind
 FIRST_POSE_S = 3.0
 JUMP_M = 0.3  # between two poses: the device restarted, or its odometry was reset
@@ -60,7 +60,7 @@ class Drives:
             separation = await self._parameter(host, "wheel_separation", [usual.separation_m])
         return WheelGeometry(radii[0], radii[-1], separation[0])
 
-    async def takes_parameters(self) -> bool:
+    async def requests_parameters(self) -> bool:
         """Whether it is hostlink's own firmware, which requests its wheels as parameters.
 
         Raises:

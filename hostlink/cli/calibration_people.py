@@ -26,12 +26,12 @@ class Session(Protocol):
 
     @property
     def is_patient(self) -> bool:
-        """Whether it is asked again after a refusal."""
+        """Whether a drive is repeated after an error."""
 
     def nominal(self) -> WheelGeometry:
         """The numbers in which the robot believes."""
 
-    def takes_parameters(self) -> bool:
+    def requests_parameters(self) -> bool:
         """Whether it requests its wheels as parameters."""
 
     def set_parameters(self, parameters: Mapping[str, str], /) -> None:
@@ -64,8 +64,8 @@ class AtTheTerminal:
     def nominal(self) -> WheelGeometry:
         return asyncio.run(self._drives.nominal())
 
-    def takes_parameters(self) -> bool:
-        return asyncio.run(self._drives.takes_parameters())
+    def requests_parameters(self) -> bool:
+        return asyncio.run(self._drives.requests_parameters())
 
     def set_parameters(self, parameters: Mapping[str, str], /) -> None:
         asyncio.run(self._drives.set_parameters(parameters))
@@ -77,7 +77,7 @@ class AtTheTerminal:
             f"  Put the robot down with {step.room}.",
             "  Mark on the floor the middle of its axle (between the wheels) and the line along which it points.",
         )
-        _ask("  Enter starts the drive, Ctrl-C stops the robot at any time: ")
+        _prompt("  Enter starts the drive, Ctrl-C stops the robot at any time: ")
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
         def show(left: int, seconds: float) -> None:
@@ -103,12 +103,12 @@ class AtTheTerminal:
 
     def drives_again(self, reason: str) -> bool:
         write_error(f"  {reason}")
-        return _ask("  Enter: measure again; d: drive again: ").strip().lower().startswith("d")
+        return _prompt("  Enter: measure again; d: drive again: ").strip().lower().startswith("d")
 
     def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
         write_error("", complaint)
         write(*(f"  {number}  {title}" for number, title in enumerate(titles, start=1)))
-        word = _ask("  The number of the drive to do again; Enter leaves: ").strip()
+        word = _prompt("  The number of the drive to do again; Enter leaves: ").strip()
         return int(word) - 1 if word.isdigit() and 1 <= int(word) <= len(titles) else None
 
 
@@ -128,7 +128,7 @@ class Simulated:
     def nominal(self) -> WheelGeometry:
         return WheelGeometry()
 
-    def takes_parameters(self) -> bool:
+    def requests_parameters(self) -> bool:
         return True
 
     def set_parameters(self, _: Mapping[str, str]) -> None:
@@ -159,7 +159,7 @@ class Simulated:
         return None
 
 
-def _ask(prompt: str) -> str:
+def _prompt(prompt: str) -> str:
     try:
         return input(prompt)
     except EOFError:
@@ -169,6 +169,6 @@ def _ask(prompt: str) -> str:
 def _read(prompt: str, parse: Callable[[str], float]) -> float:
     while True:
         try:
-            return parse(_ask(prompt))
+            return parse(_prompt(prompt))
         except ValueError as error:
             write_error(f"  {error}")

@@ -156,7 +156,7 @@ def parse_length(text: str) -> float:
     """Metres of `12.5`, `12,5 cm`, `-3 mm` or `3.012 m`; a number alone is centimetres.
 
     Raises:
-        ValueError: it is none; the text says what one is.
+        ValueError: it is none; the text has an example.
     """
     word = text.strip().lower().replace(",", ".")
     number = word.rstrip("cm ")
@@ -170,7 +170,7 @@ def parse_angle(text: str) -> float:
     """Radians of degrees.
 
     Raises:
-        ValueError: it is none; the text says what one is.
+        ValueError: it is none; the text has an example.
     """
     word = text.strip().lower().replace(",", ".").removesuffix("degrees").removesuffix("°")
     return math.radians(_number(word, text, "angle: degrees, as -12.5"))

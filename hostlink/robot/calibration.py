@@ -1,10 +1,10 @@
-"""Calibration: a robot's wheels from drives of which its odometry and a tape measure say where they ended. Pure.
+"""Calibration: a robot's wheels from drives, their odometry, and their ends as a tape measure has them. Pure.
 
 Two methods stand beside each other. UMBmark (J. Borenstein, L. Feng, IEEE Trans. Robotics and Automation 12(6), 1996)
 reads the wheels off the four mean errors of squares driven both ways. Least squares over the recorded ways of the
 wheels (after G. Antonelli, S. Chiaverini, G. Fusco, IEEE Trans. Robotics 21(5), 2005) uses every number of every drive,
 and knows how certain it is. Both integrate the recorded drives anew until nothing changes, so neither is bound to small
-errors. Only the way of a wheel per tick can be known from drives: the ticks per turn stay, the radii take all.
+errors. Only the way of a wheel per tick can be known from drives: the ticks per turn stay, the radii change.
 """
 
 import itertools
@@ -95,7 +95,7 @@ class ReturnErrors(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What the drives say."""
+    """The result of the drives."""
 
     nominal: WheelGeometry
     correction: OdometryCorrection
@@ -299,7 +299,7 @@ def _umbmark(drives: Sequence[_Drive], nominal: WheelGeometry) -> OdometryCorrec
 
 
 def umbmark_angles(errors: ReturnErrors, side_m: float) -> tuple[float, float]:
-    """(alpha, beta): what each corner turns too far, and what each side does; means of what x and y say."""
+    """(alpha, beta): what each corner turns too far, and what each side does; means of x and y."""
     (cw_x, cw_y), (ccw_x, ccw_y) = errors
     alpha_rad = ((cw_x + ccw_x) + (cw_y - ccw_y)) / (-8 * side_m)
     beta_rad = ((cw_x - ccw_x) + (cw_y + ccw_y)) / (-8 * side_m)

@@ -43,7 +43,7 @@ def complaint_of_run(run: MeasuredRun, nominal: WheelGeometry) -> str:
         off_m = math.dist(run.measured[:2], odometry[:2])
         if off_m > MOST_OFF_SQUARE * run.size:
             return (
-                f"the tape measure says {_xy(run.measured)}, the odometry {_xy(odometry)}: {off_m * 100:.0f} cm apart "
+                f"the tape measure has {_xy(run.measured)}, the odometry {_xy(odometry)}: {off_m * 100:.0f} cm apart "
                 "after one square; no wheels explain that. A decimal slip, or a unit?"
             )
         return ""
@@ -69,14 +69,14 @@ def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> st
     by_turns_m, by_squares_m = found.separation_by_turns_m, found.correction.separation_m
     if by_turns_m is not None and abs(by_turns_m / by_squares_m - 1) > TURNS_DIFFER:
         return (
-            f"the turns say that the wheels are {by_turns_m * 1000:.0f} mm apart, the squares say "
+            f"by the turns the wheels are {by_turns_m * 1000:.0f} mm apart, by the squares "
             f"{by_squares_m * 1000:.0f} mm: one of them was measured or entered wrong"
         )
     return ""
 
 
 class Confirmation(NamedTuple):
-    """What the check drives say of a calibration."""
+    """The result of the check drives."""
 
     before_m: float  # the farthest end of the check's squares from the robot's own odometry
     after_m: float  # the same from the corrected one
@@ -99,18 +99,20 @@ class _Check(NamedTuple):
             return ""
         return (
             f"the check drive does not confirm it: the {self.run.kind} was {self.before_m * 100:.1f} cm off with the "
-            f"old numbers and is {self.after_m * 100:.1f} cm off with the new ones. Nothing is kept: look for a "
+            f"old numbers and is {self.after_m * 100:.1f} cm off with the new ones. Nothing is kept: find a "
             "decimal slip, or left and right exchanged, in what was entered"
         )
 
 
 def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirmation:
-    """Whether drives that the calibration does not know end where its odometry says, and the robot's own does not."""
+    """Whether drives that the calibration does not know end at its odometry, and not at the robot's own."""
     found = [_check(calibration, run) for run in checks]
     squares = [check for check in found if check.run.kind in _SQUARES]
     complaint = next((check.complaint for check in found if check.complaint), "")
     if not complaint and not any(check.is_better for check in found):
-        complaint = "there is nothing to gain: the check drives end where the old numbers say, too. Nothing is kept"
+        complaint = (
+            "there is nothing to gain: the check drives end where the old numbers have them, too. Nothing is kept"
+        )
     return Confirmation(max(check.before_m for check in squares), max(check.after_m for check in squares), complaint)
 
 
@@ -126,7 +128,7 @@ def _check(calibration: Calibration, run: MeasuredRun) -> _Check:
 def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: float) -> str:
     if abs(measured.x_m - odometry.x_m) > MOST_OFF * length_m:
         return (
-            f"the tape measure says {measured.x_m:.2f} m, the odometry {odometry.x_m:.2f} m: more than 15 % apart. "
+            f"the tape measure has {measured.x_m:.2f} m, the odometry {odometry.x_m:.2f} m: more than 15 % apart. "
             "A decimal slip, or a unit?"
         )
     if abs(measured.y_m) > MOST_OFF * 2 * length_m:
@@ -135,7 +137,7 @@ def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: f
 
 
 def _complaint_of_repeats(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
-    """What differs between two drives alike, apart from what their odometry says of it."""
+    """What differs between two drives alike, apart from their odometry."""
     none = uncorrected(nominal)
     for one, other in itertools.combinations(runs, 2):
         if one.kind is not other.kind or one.kind in (Kind.TURNS_CCW, Kind.TURNS_CW):

@@ -85,7 +85,7 @@ async def test_the_numbers_of_the_robot_are_the_daemon_s_parameters() -> None:
         await expect(lambda: bool(host.hub.robots.all()))
         drives = Drives(host.url, None, "robot_0", Speed())
         assert await drives.nominal() == (0.03, 0.031, 0.15)
-        assert await drives.takes_parameters()
+        assert await drives.requests_parameters()
         await drives.set_parameters({"/robot_0/wheel_radius": "[0.04, 0.041]"})
         assert await drives.nominal() == (0.04, 0.041, 0.15)
 
@@ -95,5 +95,5 @@ async def test_a_robot_without_parameters_has_the_paper_s_numbers_and_keeps_its_
         await expect(lambda: bool(host.hub.robots.all()))
         drives = Drives(host.url, None, "robot_0", Speed())
         assert await drives.nominal() == WheelGeometry()
-        assert not await drives.takes_parameters()
+        assert not await drives.requests_parameters()
     assert math.isclose(WheelGeometry().separation_m, 0.21)

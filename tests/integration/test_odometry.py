@@ -99,6 +99,7 @@ async def test_a_calibrated_robot_is_shown_where_it_is_and_its_own_topic_stays()
     async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
         await program.send(op="subscribe", topic="/robot_0/odometry", id="own")
         await program.send(op="subscribe", topic="/robot_0/odom", id="shown")
+        await program.call("/rosapi/get_time")  # both are subscribed
         await publish_pose(host, device, 0.0)
         turned = await publish_pose(host, device, 0.0, theta=0.1)  # both wheels rolled 1 cm, the left one backwards
         ahead = await publish_pose(host, device, 0.1, 0.0, 0.1)

@@ -124,7 +124,7 @@ class ExactDrives(Drives):
 
 
 class Answers(io.StringIO):
-    """A person's terminal: Enter before each drive, then what a perfect tape measure says."""
+    """A person's terminal: Enter before each drive, then a perfect tape measure."""
 
     def __init__(self, drives: ExactDrives, script: list[str]) -> None:
         super().__init__()

@@ -40,7 +40,7 @@ class ExactRobot:
         self.turned_rad += (rolled[1] - rolled[0]) / self._true.wheel_separation_m
 
     def drive(self, kind: Kind, legs: Sequence[Leg], size: float) -> MeasuredRun:
-        """A course, and what a perfect tape measure says afterwards."""
+        """A course, and its end by a perfect tape measure."""
         follower, start, first, turned_rad = CourseFollower(legs), self.truth, self.odometry, self.turned_rad
         path, now_s = [self.odometry], 0.0
         while not follower.is_done:

@@ -56,14 +56,14 @@ def test_a_motion_that_is_no_arc_is_kept() -> None:
     )
 
 
-def observed(estimator: OdometryEstimator) -> OdometrySnapshot:
+def snapshot_of(estimator: OdometryEstimator) -> OdometrySnapshot:
     snapshot = estimator.snapshot(0.0)
     assert snapshot is not None
     return snapshot
 
 
 def is_at(estimator: OdometryEstimator, pose: Pose) -> bool:
-    here = observed(estimator).pose
+    here = snapshot_of(estimator).pose
     return math.dist(here[:2], pose[:2]) < 1e-9 and abs(wrap_angle(here.theta_rad - pose.theta_rad)) < 1e-9
 
 
@@ -99,7 +99,7 @@ def test_what_the_device_says_of_its_motion_is_corrected() -> None:
     estimator.update(Pose(), now_s=0.0, wall_ns=0, twist=Twist(0.2, 0.5))
     (_, true) = rolled((0.2, 0.5))
     expected = TRUE.body_velocity(true[0] / PERIOD_S, true[1] / PERIOD_S)
-    assert observed(estimator).twist == pytest.approx(expected)
+    assert snapshot_of(estimator).twist == pytest.approx(expected)
 
 
 def test_the_motion_that_follows_from_the_poses_is_the_true_one() -> None:
@@ -107,7 +107,7 @@ def test_the_motion_that_follows_from_the_poses_is_the_true_one() -> None:
     for number in range(10):
         estimator.update(reported, now_s=number * PERIOD_S, wall_ns=number)
         reported = BELIEVED.integrate(reported, *rolled((0.2, 0.5))[0])
-    assert observed(estimator).twist == pytest.approx(CORRECTION.velocity(0.2, 0.5), rel=1e-6)
+    assert snapshot_of(estimator).twist == pytest.approx(CORRECTION.velocity(0.2, 0.5), rel=1e-6)
 
 
 def test_a_device_that_restarts_begins_again_where_that_is_configured() -> None:
@@ -115,4 +115,4 @@ def test_a_device_that_restarts_begins_again_where_that_is_configured() -> None:
     for number in range(10):
         estimator.update(Pose(0.05 * number, 0.0, 0.0), now_s=number * PERIOD_S, wall_ns=number)
     estimator.update(Pose(), now_s=1.0, wall_ns=10)
-    assert observed(estimator).pose == Pose()
+    assert snapshot_of(estimator).pose == Pose()
