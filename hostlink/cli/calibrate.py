@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.calibration_drive import Drives
+from hostlink.cli.calibration_drive import Drives, numbers_of
 from hostlink.cli.calibration_people import MISTAKES, AtTheTerminal, Session, Simulated
 from hostlink.cli.calibration_picture import picture as draw
 from hostlink.cli.calibration_plan import Saved, Sizes, StateFile, Step, checks_of, default_path, open_state, steps_of
@@ -17,7 +17,7 @@ from hostlink.cli.settings_file import Tables, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
 from hostlink.config import CalibrationConfig, load
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.robot.calibration import Calibration, MeasuredRun, calibrated, uncorrected
+from hostlink.robot.calibration import Calibration, MeasuredRun, WheelGeometry, calibrated, uncorrected
 from hostlink.robot.calibration_checks import Confirmation, complaint_of_run, complaint_of_runs, confirm
 from hostlink.robot.course import Speed
 from hostlink.robot.odometry_correction import OdometryCorrection
@@ -40,6 +40,13 @@ def command(  # noqa: PLR0913 - the options of a command line
     repeats: Annotated[int, typer.Option(min=1, max=10, help="Of the line and of both squares.")] = 2,
     linear: Annotated[float, typer.Option(min=0.05, max=1.0, help="Speed of the drives, m/s.")] = 0.2,
     angular: Annotated[float, typer.Option(min=0.1, max=4.0, help="Speed of the turns, rad/s.")] = 0.8,
+    nominal: Annotated[
+        str | None,
+        typer.Option(
+            help="In which wheels the robot believes: left and right radius and separation, m, as 0.045,0.045,0.21.",
+            show_default="the daemon's parameters, else the paper's",
+        ),
+    ] = None,
     target: Annotated[
         str | None,
         typer.Option(
@@ -87,7 +94,8 @@ def command(  # noqa: PLR0913 - the options of a command line
     chosen = target or ("device" if session.requests_parameters() else "hostlink")
     _check_file(write_to, name, chosen)
     path = state or default_path(f"{name}-simulated" if simulate else name)
-    saved = open_state(path, Saved(name, sizes, session.nominal()), anew=anew or simulate)
+    believed = session.nominal() if nominal is None else _nominal(nominal)
+    saved = open_state(path, Saved(name, sizes, believed), anew=anew or simulate)
     calibration = GuidedCalibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
     try:
         found, confirmation = calibration.run()
@@ -123,6 +131,9 @@ class GuidedCalibration:
             f"Calibrating {self._saved.robot}: {total} drives, then 3 to check"
             + ("." if count == 0 else f"; {count} are done."),
             f"What you enter is kept in {self._state.path}; the same command goes on from there.",
+            "It believes in wheels of {:g} and {:g} mm, {:g} mm apart (if not: --nominal).".format(
+                *(round(1000 * value, 4) for value in self._saved.nominal)
+            ),
         )
         nominal = uncorrected(self._saved.nominal)
         for number in range(count, total):
@@ -267,6 +278,13 @@ def _world(changes: list[str]) -> Any:
         return read(DEFAULT_WORLD + "\n".join(changes))
     except ValueError as error:
         raise ConfigError("--world", str(error)) from error
+
+
+def _nominal(text: str) -> WheelGeometry:
+    values = numbers_of(text)
+    if len(values) != len(WheelGeometry._fields):
+        raise ConfigError("--nominal", f"{text} is not three numbers of metres, as 0.045,0.045,0.21")
+    return WheelGeometry(*values)
 
 
 def _refuse_others(option: str, value: str | None, known: tuple[str, ...]) -> None:

@@ -76,7 +76,15 @@ def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: 
 
 
 @pytest.mark.parametrize(
-    "arguments", [("--mistake", "none"), ("--target", "moon"), ("--world", "trak_m=0.2"), ("--world", "track_m=wide")]
+    "arguments",
+    [
+        ("--mistake", "none"),
+        ("--target", "moon"),
+        ("--world", "trak_m=0.2"),
+        ("--world", "track_m=wide"),
+        ("--nominal", "0.045"),
+        ("--nominal", "0,0,0"),
+    ],
 )
 def test_an_argument_that_is_none_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
     assert isinstance(calibrate(tmp_path, *arguments).exception, ConfigError)
