@@ -16,6 +16,7 @@ COMMANDS = {
     "sim": "Run simulated robots that connect to a host.",
     "teleop": "Drive a robot with the keyboard.",
     "calibrate": "Find a robot's wheels with a tape measure.",
+    "step": "Drive a step of speed and show how the robot follows; tune its PID.",
     "topics": "List the topics.",
     "echo": "Print the messages of a topic.",
     "pub": "Publish messages on a topic.",
