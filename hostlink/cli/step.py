@@ -20,7 +20,7 @@ from hostlink.cli.step_recorder import (
     require_robot,
     separation_of,
 )
-from hostlink.cli.step_report import limits_note, record_views, step_lines
+from hostlink.cli.step_report import notes_of, record_views, step_lines
 from hostlink.cli.step_stages import Stage, Wheel, describe_way, make_stage, rising_stages
 from hostlink.cli.step_tuning import tune
 from hostlink.client import DEFAULT_URL, Host, connect
@@ -67,8 +67,8 @@ def command(  # noqa: PLR0913 - the options of a command line
 ) -> None:
     """Drive a step of speed, and show how the robot follows it. It moves: the way is shown first.
 
-    Rise time, overshoot, settling time, steady error, dead time and saturation of each wheel, from the robot's plot_data;
-    of a robot without it from odometry. Ctrl-C stops the robot at once.
+    Rise time, overshoot, settling time, steady error, dead time and saturation of each wheel, from the robot's
+    plot_data; of a robot without it from odometry. Ctrl-C stops the robot at once.
     """
     if not LEAST_SPEED_M_S <= abs(speed) <= MOST_SPEED_M_S:
         raise ConfigError("--speed", f"{speed:g} m/s is not {LEAST_SPEED_M_S:g} to {MOST_SPEED_M_S:g}, either way")
@@ -90,28 +90,39 @@ def command(  # noqa: PLR0913 - the options of a command line
         full_pwm=full_pwm,
         picture=picture,
     )
+    way = asyncio.run(_describe(url, token, request))  # without a connection nobody waits while a person reads
+    if not json:
+        write_error(f"{way}.")
+    if not yes:
+        typer.confirm("Is there room?", abort=True, err=True)
     asyncio.run(_step(url, token, request))
+
+
+async def _describe(url: str, token: str | None, request: _Request) -> str:
+    async with connect(url, token=token, reconnect=False) as host:
+        robot = await require_robot(host, request.robot)
+        state = await connected_state(robot)
+        separation_m = await separation_of(host, robot.name)
+        await find_source(host, state, request.wheel, separation_m)
+        return describe_way(robot.name, _stages(request, separation_m), request.wheel, separation_m)
 
 
 async def _step(url: str, token: str | None, request: _Request) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         robot = await require_robot(host, request.robot)
-        state = await connected_state(robot)
         separation_m = await separation_of(host, robot.name)
-        source = await find_source(host, state, request.wheel, separation_m)
+        source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
         stages = _stages(request, separation_m)
-        await _confirm(request, describe_way(robot.name, stages, request.wheel, separation_m))
-        recorder = StepRecorder(host, robot, source, show=show_progress)
-        recording = await recorder.record(stages)
+        recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
         show_progress("")
         if request.picture is not None:
             title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
             draw_picture(request.picture, title, recording.records)
-        note = limits_note(stages[-1], recording.accepted)
+        notes = notes_of(stages[-1], recording.accepted, recording.records)
         if request.tunes:
-            await _report_tuning(host, robot.name, recording, note, request)
+            await _report_tuning(host, robot.name, recording, notes, request)
         else:
-            _report_step(robot.name, recording, note, request)
+            _report_step(robot.name, recording, notes, request)
 
 
 def _stages(request: _Request, separation_m: float) -> tuple[Stage, ...]:
@@ -120,28 +131,21 @@ def _stages(request: _Request, separation_m: float) -> tuple[Stage, ...]:
     return (make_stage(request.speed_m_s, request.seconds, request.wheel, separation_m),)
 
 
-async def _confirm(request: _Request, way: str) -> None:
-    if not request.as_json:
-        write_error(f"{way}.")
-    if not request.is_confirmed:
-        await asyncio.to_thread(typer.confirm, "Is there room?", abort=True, err=True)
-
-
-def _report_step(name: str, recording: Recording, note: str, request: _Request) -> None:
+def _report_step(name: str, recording: Recording, notes: list[str], request: _Request) -> None:
     figures = {side: step_figures(record, full_pwm=request.full_pwm) for side, record in recording.records.items()}
     if request.as_json:
         wheels = record_views(recording.records, figures)
         view = {"robot": name, "source": recording.source, "speed_m_s": request.speed_m_s, "wheels": wheels}
-        write(json_text.dumps(view | {"note": note}))
+        write(json_text.dumps(view | {"notes": notes}))
         return
     write(*step_lines(figures, {side: record.unit for side, record in recording.records.items()}))
-    write(*([f"note: {note}"] if note else []))
+    write(*(f"note: {note}" for note in notes))
 
 
-async def _report_tuning(host: Host, name: str, recording: Recording, note: str, request: _Request) -> None:
+async def _report_tuning(host: Host, name: str, recording: Recording, notes: list[str], request: _Request) -> None:
     tuned = await tune(host, name, recording.records, sends=request.sends)
     if request.as_json:
-        view = {"robot": name, "source": recording.source, "speed_m_s": request.speed_m_s, "note": note}
+        view = {"robot": name, "source": recording.source, "speed_m_s": request.speed_m_s, "notes": notes}
         write(json_text.dumps(view | tuned.view(recording.records)))
         return
-    write(*tuned.lines(), *([f"note: {note}"] if note else []))
+    write(*tuned.lines(), *(f"note: {note}" for note in notes))

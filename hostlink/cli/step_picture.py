@@ -8,6 +8,7 @@ from hostlink.errors import ConfigError
 from hostlink.robot.step_response import Record
 
 SUFFIXES = (".pdf", ".png", ".svg")
+LIBRARY = "matplotlib"
 _WIDTH_IN, _HEIGHT_IN = 9.0, 5.5
 _SET_POINT, _MEASURED, _PWM = "#888888", "#0b6bcb", "#c25e00"
 
@@ -22,7 +23,7 @@ def require_picture(path: Path) -> None:
         raise ConfigError("--picture", f"{path} must end in one of {', '.join(SUFFIXES)}")
     if not path.parent.is_dir():
         raise ConfigError("--picture", f"there is no folder {path.parent}")
-    if importlib.util.find_spec("matplotlib") is None:
+    if importlib.util.find_spec(LIBRARY) is None:
         raise ConfigError("--picture", "needs matplotlib: pip install 'hostlink[pictures]'")
 
 

@@ -135,6 +135,7 @@ class StepRecorder:
         self._host, self._robot, self._source, self._show = host, robot, source, show
         self._arrivals_s: list[float] = []
         self._samples: list[Samples] = []
+        self._is_measured = False  # a message came
         self._link: int | None = None
         self._ran_at_s = 0.0
         self._commanded_at_s = -math.inf
@@ -180,7 +181,7 @@ class StepRecorder:
         while not self._stands():
             await asyncio.sleep(TICK_S)
             self._receive(messages, rest)
-            if not self._samples and _now_s() > began_s + FIRST_MESSAGE_S:
+            if not self._is_measured and _now_s() > began_s + FIRST_MESSAGE_S:
                 raise HostlinkError(f"nothing comes on {self._source.topic}; see `hostlink doctor`")
             if _now_s() > began_s + STANDING_TIMEOUT_S:
                 raise HostlinkError(f"{self._robot.name} does not come to rest; a step begins with a robot that stands")
@@ -219,6 +220,7 @@ class StepRecorder:
 
     def _receive(self, messages: Mailbox[dict[str, Any]], stage: Stage) -> None:
         for message in messages.pop_all():
+            self._is_measured = True
             self._arrivals_s.append(_now_s())
             self._samples.append(self._source.read(message, stage))
 

@@ -54,17 +54,20 @@ def rounded(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: round(value, DIGITS) if isinstance(value, float) else value for name, value in values.items()}
 
 
-def limits_note(stage: Stage, accepted: tuple[float, float]) -> str:
-    """That the daemon's limits changed the velocity; empty: they did not."""
+def notes_of(stage: Stage, accepted: tuple[float, float], records: Mapping[str, Record]) -> list[str]:
+    """What makes the figures of a drive other than they seem."""
+    notes = []
     wanted = (stage.linear_m_s, stage.angular_rad_s)
-    if all(
+    if not all(
         math.isclose(one, other, rel_tol=0.001, abs_tol=0.0005) for one, other in zip(wanted, accepted, strict=True)
     ):
-        return ""
-    return (
-        f"the robot's limits made {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s "
-        f"of {wanted[0]:.3f} m/s, {wanted[1]:.3f} rad/s"
-    )
+        notes.append(
+            f"the robot's limits made {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s "
+            f"of {wanted[0]:.3f} m/s, {wanted[1]:.3f} rad/s"
+        )
+    if any(record.is_set_point_changing for record in records.values()):
+        notes.append("the set-point was still on its way at the end; request more --seconds")
+    return notes
 
 
 def _seconds(value: float | None) -> str:

@@ -17,6 +17,7 @@ STARTED_SHARE = 0.02  # of the step: it has begun to move
 STEADY_S = 1.0  # the last part of the record
 FULL_PWM = 4095.0  # docs/robot.md#numbers
 LEAST_SAMPLES = 15
+CHANGING_SAMPLES = 4
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +45,11 @@ class Record:
     def target(self) -> float:
         """The speed that was requested last, as the robot has it."""
         return float(self.set_point[-1])
+
+    @property
+    def is_set_point_changing(self) -> bool:
+        """Whether it moves at the end: the record is too short."""
+        return abs(self.target - float(self.set_point[-CHANGING_SAMPLES])) > 0.001 * abs(self.target)
 
     def forwards(self) -> "Record":
         """The same, with the signs of a wheel that rolls forwards."""

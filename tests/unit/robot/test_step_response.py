@@ -97,3 +97,10 @@ def test_a_record_has_the_pwm_only_where_each_message_has_it() -> None:
     pwm = make_record("ticks/s", times_s, whole).pwm
     assert pwm is not None
     assert list(pwm) == [700.0] * 16
+
+
+def test_a_set_point_that_still_moves_at_the_end_is_noticed() -> None:
+    seen = step()
+    assert not seen.is_set_point_changing
+    seen.set_point[-1] += 1.0
+    assert seen.is_set_point_changing

@@ -1,0 +1,293 @@
+"""A robot that is driven through a step by the daemon's API, and what may come between."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hostlink.cli.step_recorder import (
+    Recording,
+    StepRecorder,
+    connected_state,
+    find_source,
+    require_robot,
+    separation_of,
+    wheel_parameter,
+)
+from hostlink.cli.step_stages import Stage, Wheel, make_stage
+from hostlink.cli.step_tuning import PAPER_GAINS, tune
+from hostlink.client import Host, connect
+from hostlink.config import Config, RobotConfig
+from hostlink.errors import DeviceGone, HostlinkError, RobotHeld, UnknownTopic
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
+from hostlink.robot.step_response import Record, step_figures
+from hostlink.robot.velocity import Velocity
+from hostlink.sim.robot import SimulatedRobot
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+SLOW = make_stage(0.04, 1.5, None, 0.21)  # 33 ticks/s: a set-point that is there after 0.6 s
+PLOT = topic(Id.PUBLISHER, 126, "/robot_0/plot_data", "geometry_msgs/Twist")
+
+
+@contextlib.asynccontextmanager
+async def bench(config: Config | None = None) -> AsyncIterator[tuple[Daemon, SimulatedRobot, Host]]:
+    """A daemon, a simulated robot that it knows, and a program."""
+    async with daemon(config) as host, simulated_robot(host.tcp) as robot, connect(host.url, reconnect=False) as me:
+        await expect(lambda: host.hub.robots.find("robot_0").link is not None)
+        await expect(lambda: robot.device.is_configured)
+        yield host, robot, me
+
+
+async def record(me: Host, stages: Sequence[Stage] = (SLOW,), wheel: Wheel | None = None) -> Recording:
+    robot = await require_robot(me, "robot_0")
+    source = await find_source(me, await connected_state(robot), wheel, 0.21)
+    return await StepRecorder(me, robot, source, show=lambda _: None).record(stages)
+
+
+async def stands(robot: SimulatedRobot) -> None:
+    await expect(lambda: robot.speed_m_s == 0 and all(wheel.speed_m_s == 0 for wheel in robot.wheels))
+
+
+async def stepping(host: Daemon) -> None:
+    """Until the step has begun."""
+    await expect(lambda: host.hub.robots.find("robot_0").gate.current.linear_x_m_s > 0.03)
+
+
+# -- a step -----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_step_is_recorded_from_a_standstill_and_ends_in_one() -> None:
+    async with bench() as (host, robot, me):
+        recording = await record(me)
+        assert host.hub.robots.find("robot_0").gate.holder is None
+        await stands(robot)
+    assert recording.source == "/robot_0/plot_data"
+    assert recording.accepted == (0.04, 0.0)
+    assert set(recording.records) == {"left", "right"}
+    for each in recording.records.values():
+        assert each.t_s[0] <= -0.3
+        assert each.t_s[-1] == pytest.approx(1.5, abs=0.2)
+        assert np.abs(each.measured[each.t_s < 0]).max() < 1.5
+        assert each.target == pytest.approx(0.04 / 1.2272e-3, rel=0.001)
+        assert each.pwm is not None
+        assert step_figures(each).steady_error_percent > -30
+
+
+async def test_one_wheel_alone_is_driven_and_recorded() -> None:
+    async with bench() as (_, robot, me):
+        recording = await record(me, [make_stage(-0.04, 1.5, Wheel.RIGHT, 0.21)], Wheel.RIGHT)
+        rolled_m = [wheel.rolled_rad * 0.045 for wheel in robot.wheels]
+    assert set(recording.records) == {"right"}
+    assert recording.records["right"].target < -30
+    assert rolled_m[0] == pytest.approx(0.0, abs=0.0005)
+    assert rolled_m[1] < -0.015
+
+
+async def test_whoever_is_less_important_gives_way_and_is_stopped_first() -> None:
+    async with bench() as (host, _, me), connect(host.url) as demo:
+        await demo.robot("robot_0", priority=0).drive(0.1, 0.0)
+        await expect(lambda: host.hub.robots.find("robot_0").gate.holder is not None)
+        recording = await record(me)
+    left = recording.records["left"]
+    assert np.abs(left.measured[left.t_s < 0]).max() < 1.5
+
+
+async def test_limits_of_the_daemon_are_noticed() -> None:
+    async with bench(Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.03)})) as (_, _, me):
+        recording = await record(me)
+    assert recording.accepted == (0.03, 0.0)
+
+
+async def test_a_cancelled_step_stops_the_robot_at_once() -> None:
+    async with bench() as (host, robot, me):
+        async with asyncio.TaskGroup() as tasks:
+            drive = tasks.create_task(record(me, [replace(SLOW, seconds=30.0)]))
+            await stepping(host)
+            drive.cancel()
+            await expect(lambda: host.hub.robots.find("robot_0").gate.current.is_zero, timeout_s=0.3)
+        await stands(robot)
+
+
+# -- what comes between -----------------------------------------------------------------------------------------------
+
+
+async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> None:
+    async with bench() as (host, _, me), asyncio.TaskGroup() as tasks:
+        drive = tasks.create_task(refused(record(me, [replace(SLOW, seconds=30.0)])))
+        await stepping(host)
+        robot = host.hub.robots.find("robot_0")
+        host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+        assert "a person drives it" in await drive
+
+
+async def test_an_emergency_stop_ends_the_step() -> None:
+    async with bench() as (host, robot, me), asyncio.TaskGroup() as tasks:
+        drive = tasks.create_task(refused(record(me, [replace(SLOW, seconds=30.0)])))
+        await stepping(host)
+        await me.robot("robot_0").lock("a cat")
+        assert "a cat" in await drive
+        await stands(robot)
+        assert "locked: a cat" in await refused(record(me))
+
+
+async def test_a_robot_that_leaves_ends_the_step() -> None:
+    async with daemon() as host, connect(host.url, reconnect=False) as me, asyncio.TaskGroup() as tasks:
+        async with simulated_robot(host.tcp) as robot:
+            await expect(lambda: robot.device.is_configured)
+            drive = tasks.create_task(refused(record(me, [replace(SLOW, seconds=30.0)])))
+            await stepping(host)
+        assert "robot_0" in await drive
+        with pytest.raises(DeviceGone):
+            await connected_state(me.robot("robot_0"))
+
+
+async def test_a_robot_that_somebody_drives_is_refused() -> None:
+    async with bench() as (host, _, me), connect(host.url) as other:
+        await other.robot("robot_0").drive(0.1, 0.0)
+        with pytest.raises(HostlinkError, match="drives it; end that first"):
+            await connected_state(me.robot("robot_0"))
+
+
+async def test_a_robot_that_nobody_knows_is_refused_with_those_that_are() -> None:
+    async with bench() as (_, _, me):
+        with pytest.raises(UnknownTopic, match="no robot named robot_7; known: robot_0"):
+            await require_robot(me, "robot_7")
+
+
+async def test_a_locked_robot_is_refused() -> None:
+    async with bench() as (_, _, me):
+        await me.robot("robot_0").lock("a cat")
+        with pytest.raises(RobotHeld, match="a cat"):
+            await connected_state(me.robot("robot_0"))
+
+
+async def refused(recording: object) -> str:
+    assert asyncio.iscoroutine(recording)
+    with pytest.raises(HostlinkError) as caught:
+        await recording
+    return str(caught.value)
+
+
+# -- robots of another make -------------------------------------------------------------------------------------------
+
+
+async def test_a_robot_without_plot_data_is_measured_by_its_odometry() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()) as device,
+        connect(host.url) as me,
+        asyncio.TaskGroup() as tasks,
+    ):
+        rolling = tasks.create_task(roll(device))
+        recording = await record(me, [make_stage(0.2, 2.0, None, 0.21)])
+        rolling.cancel()
+    assert recording.source == "/robot_0/odom"
+    robot = recording.records["robot"]
+    assert (robot.unit, robot.target, robot.pwm) == ("m/s", 0.2, None)
+    assert step_figures(robot).steady_error_percent == pytest.approx(0.0, abs=3.0)
+    with pytest.raises(HostlinkError, match="sends no PWM"):
+        identify_motor(robot)
+
+
+async def roll(device: FakeDevice) -> None:
+    """Ten poses a second, as commanded half a second ago."""
+    x_m = speed_m_s = 0.0
+    now_s = asyncio.get_running_loop().time
+    next_s = now_s()
+    while True:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(next_s := next_s + 0.1):
+                while True:
+                    speed_m_s = (await device.velocity())[0]
+        x_m += speed_m_s * 0.1
+        await device.send(pose(x_m))
+
+
+async def test_a_robot_that_sends_nothing_is_not_driven() -> None:
+    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), PLOT]) as device, connect(host.url) as me:
+        assert "nothing comes on /robot_0/plot_data" in await refused(record(me))
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.5):
+                await device.velocity_other_than((0.0, 0.0))
+
+
+async def test_a_robot_that_does_not_come_to_rest_is_not_driven() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, [*robot_topics(), PLOT]) as device,
+        connect(host.url) as me,
+        asyncio.TaskGroup() as tasks,
+    ):
+        rolling = tasks.create_task(run_away(device))
+        assert "does not come to rest" in await refused(record(me))
+        rolling.cancel()
+
+
+async def run_away(device: FakeDevice) -> None:
+    twist = np.array([50.0, 0, 0, 0, 0, 0]).tobytes()
+    while True:
+        await device.send(encode(126, twist))
+        await asyncio.sleep(0.1)
+
+
+# -- parameters and gains ---------------------------------------------------------------------------------------------
+
+
+def motor_record() -> Record:
+    """Of a motor with K 0.07, T 0.4 s and no dead time, along a ramp."""
+    t_s = np.arange(80) / 10
+    pwm = 900 + 1500 * np.clip((t_s - 1) / 3, 0, 1)
+    measured = np.zeros(80)
+    for at in range(1, 80):
+        measured[at] = measured[at - 1] * np.exp(-0.25) + 0.07 * pwm[at - 1] * (1 - np.exp(-0.25))
+    return Record("ticks/s", t_s, measured, measured, pwm)
+
+
+async def test_gains_are_sent_only_when_requested() -> None:
+    records = {"left": motor_record(), "right": motor_record()}
+    async with bench() as (_, robot, me):
+        before = [control.pid.gains for control in robot.controllers]
+        tuning = await tune(me, "robot_0", records, sends=False)
+        await me.settle()
+        assert [control.pid.gains for control in robot.controllers] == before
+        assert not tuning.is_sent
+        await tune(me, "robot_0", records, sends=True)
+        expected = simc_gains(identify_motor(motor_record()))
+        await expect(lambda: robot.controllers[0].pid.gains.kp == pytest.approx(expected.kp))
+        await expect(lambda: robot.controllers[1].pid.gains.ki == pytest.approx(expected.ki))
+    assert tuning.wheels["left"].present == PAPER_GAINS["left"]
+    text = "\n".join(tuning.lines())
+    assert "not sent; --send sends them" in text
+    assert f'"/robot_0/gains_left" = [{expected.kp:.1f}, {expected.ki:.1f}, 0.0]' in text
+    assert json.loads(json.dumps(tuning.view(records)))["wheels"]["right"]["samples"]["unit"] == "ticks/s"
+
+
+async def test_present_gains_and_the_track_are_those_of_the_configuration() -> None:
+    config = Config(
+        parameters={"/robot_0/gains_left": [30.0, 50.0, 0.2], "/robot_0/wheel_separation": 0.3, "/robot_0/x": "a name"}
+    )
+    async with bench(config) as (_, _, me):
+        assert await separation_of(me, "robot_0") == 0.3
+        assert await wheel_parameter(me, "robot_0", "x") == []
+        tuning = await tune(me, "robot_0", {"left": motor_record()}, sends=False)
+    assert tuning.wheels["left"].present == PidGains(30.0, 50.0, 0.2)
+    assert any("of the configuration" in line for line in tuning.lines())
+
+
+async def test_without_a_configuration_the_track_is_the_paper_s() -> None:
+    async with bench() as (_, _, me):
+        assert await separation_of(me, "robot_0") == 0.210
+
+
+async def test_a_robot_that_accepts_no_gains_is_named() -> None:
+    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), PLOT]), connect(host.url) as me:
+        with pytest.raises(HostlinkError, match="robot_0 accepts no gains: it subscribes to no pid_tune_l"):
+            await tune(me, "robot_0", {"left": motor_record()}, sends=True)
