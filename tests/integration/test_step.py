@@ -140,8 +140,8 @@ async def test_an_emergency_stop_ends_the_step() -> None:
 
 async def test_a_robot_that_leaves_ends_the_step() -> None:
     async with daemon() as host, connect(host.url, reconnect=False) as me, asyncio.TaskGroup() as tasks:
-        async with simulated_robot(host.tcp) as robot:
-            await expect(lambda: robot.device.is_configured)
+        async with simulated_robot(host.tcp):
+            await expect(lambda: host.hub.robots.find("robot_0").link is not None)
             drive = tasks.create_task(refused(record(me, [replace(SLOW, seconds=30.0)])))
             await stepping(host)
         assert "robot_0" in await drive

@@ -1,0 +1,81 @@
+"""The Due's firmware in worlds that are drawn: its motors are found from plot_data, and the gains make it faster."""
+
+import math
+
+import pytest
+
+from hostlink.cli.step_stages import make_stage
+from hostlink.cli.step_tuning import PAPER_GAINS
+from hostlink.robot.motor_model import simc_gains
+from hostlink.robot.step_response import step_figures
+from hostlink.sim.controller import FILTER, LOOP_S, Feedback
+from hostlink.sim.drive_train import FULL_PWM
+from hostlink.sim.world_library import load_library
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+from tests.firmware.boards import build_native
+from tools.compare_gains import PAPER, SEPARATION_M, SIDES, compare, drawn_world, drive, identify, rows
+
+FILTER_S = -LOOP_S / math.log(1 - FILTER)  # time constant of the firmware's filter: 0.32 s
+LATE_S = 0.06  # what the firmware's turns, and the motor's lag behind the filter's, add at most
+SPEEDS_M_S = (0.1, 0.2, 0.3)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built() -> None:
+    """The library, compiled before the clock of the first test runs."""
+    build_native()
+    load_library.cache_clear()
+
+
+def true_gain(world: WorldParameters, wheel: WheelParameters) -> float:
+    """Ticks/s for a count of PWM, above the dead zone."""
+    driven_pwm = FULL_PWM if wheel.has_jump else FULL_PWM - wheel.dead_zone_pwm
+    return wheel.full_speed_ticks_s / driven_pwm * world.battery_v / world.rated_v
+
+
+@pytest.mark.parametrize("seed", range(1, 13))
+def test_motors_of_drawn_worlds_are_found(seed: int) -> None:
+    world = drawn_world(seed)
+    for (side, model), wheel in zip(identify(world).items(), (world.left, world.right), strict=True):
+        assert model.gain == pytest.approx(true_gain(world, wheel), rel=0.06), side
+        lag_s = model.time_constant_s + model.dead_time_s
+        assert lag_s - wheel.rise_constant_s - FILTER_S == pytest.approx(LATE_S / 2, abs=LATE_S), side
+        assert model.explained > 0.995, side
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_tuned_gains_follow_the_set_point_better_than_table_1_and_do_not_swing(seed: int) -> None:
+    world = drawn_world(seed)
+    tuned = {side: simc_gains(model) for side, model in identify(world).items()}
+    for speed_m_s in SPEEDS_M_S:
+        step = [make_stage(speed_m_s, 6.0, None, SEPARATION_M)]
+        before, after = drive(world, PAPER_GAINS, step), drive(world, tuned, step)
+        for side in SIDES:
+            old, new = step_figures(before[side]), step_figures(after[side])
+            assert new.tracking_error < 0.95 * old.tracking_error
+            assert new.overshoot_percent < 2
+            assert abs(new.steady_error_percent) < 1
+            assert new.settling_s is not None
+            assert old.settling_s is not None
+            assert new.settling_s <= old.settling_s
+
+
+def test_backwards_the_same_motor_is_found() -> None:
+    forwards, backwards = identify(PAPER, 0.2), identify(PAPER, -0.2)
+    for side in SIDES:
+        assert backwards[side].gain == pytest.approx(forwards[side].gain, rel=0.02)
+
+
+def test_the_paper_s_feedback_stays_five_percent_low() -> None:
+    step = [make_stage(0.2, 6.0, None, SEPARATION_M)]
+    paper = step_figures(drive(PAPER, PAPER_GAINS, step, feedback=Feedback.PAPER)["left"])
+    ours = step_figures(drive(PAPER, PAPER_GAINS, step)["left"])
+    assert paper.steady_error_percent == pytest.approx(-5.4, abs=0.5)
+    assert abs(ours.steady_error_percent) < 1.0
+
+
+def test_the_table_has_a_row_for_each_way_and_speed() -> None:
+    lines = list(rows(compare([PAPER], [0.2])))
+    assert len(lines) == 5
+    assert all(line.count("|") == 9 for line in lines)
+    assert "never" not in lines[-1]

@@ -1,0 +1,99 @@
+"""`hostlink step` as a person and as a program use it."""
+
+import asyncio
+import json
+import math
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hostlink.client import RobotState, connect
+from tests.support.fork_server import start
+from tests.support.process import run, serve, simulated
+
+
+async def until(url: str, is_so: Callable[[RobotState], bool]) -> None:
+    """Until the daemon shows the robot so."""
+    async with connect(url) as host, asyncio.timeout(10):
+        async for event in host.watch():
+            if event.name == "robots" and any(is_so(state) for state in event.data["robots"]):
+                return
+
+
+async def connected(url: str) -> None:
+    await until(url, lambda state: state["connected"])
+
+
+async def test_a_step_is_driven_reported_and_drawn(tmp_path: Path) -> None:
+    picture = tmp_path / "step.svg"
+    step = ("step", "robot_0", "--speed", "0.05", "--seconds", "2", "--yes")
+    async with serve() as daemon, simulated(daemon.tcp):
+        await connected(daemon.url)
+        status, out, err = await run(*step, "--json", "--picture", str(picture), "--url", daemon.url)
+        assert (status, err) == (0, "")
+        view = json.loads(out)
+        assert view["source"] == "/robot_0/plot_data"
+        assert view["notes"] == []
+        for wheel in ("left", "right"):
+            figures = view["wheels"][wheel]["figures"]
+            assert figures["target"] == pytest.approx(0.05 / (math.tau * 0.045 / 230.4), rel=0.001)
+            assert figures["set_point_rise_s"] == pytest.approx(0.37, abs=0.06)
+            assert len(view["wheels"][wheel]["samples"]["t_s"]) > 20
+        assert "<svg" in picture.read_text()
+
+        status, out, err = await run(*step, "--wheel", "right", "--url", daemon.url)
+        assert status == 0
+        assert err == (
+            "robot_0's right wheel rolls 0.10 m forwards round the left one at up to 0.05 m/s for 2.0 s; "
+            "keep a circle of 0.9 m free.\n"
+        )
+        assert "settled (within 5 %)" in out
+
+
+async def test_tuning_proposes_gains_and_sends_them() -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await connected(daemon.url)
+        status, out, err = await run("step", "robot_0", "--relay", "--send", "--yes", "--json", "--url", daemon.url)
+    assert status == 0, err
+    view = json.loads(out)
+    assert view["is_sent"]
+    for wheel in view["wheels"].values():
+        assert wheel["model"]["gain"] == pytest.approx(280 / 4095, rel=0.06)
+        assert wheel["model"]["time_constant_s"] + wheel["model"]["dead_time_s"] == pytest.approx(0.46, abs=0.1)
+        assert 10 < wheel["proposed"]["kp"] < 50
+        assert wheel["present"]["is_configured"] is False
+
+
+async def test_ctrl_c_ends_the_step_and_the_robot_is_stopped() -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await connected(daemon.url)
+        child = await start("step", "robot_0", "--seconds", "30", "--yes", "--url", daemon.url)
+        await until(daemon.url, lambda state: state["velocity"]["linear_m_s"] == 0.2)
+        child.send_signal(signal.SIGINT)
+        await until(daemon.url, lambda state: state["velocity"]["linear_m_s"] == 0 and state["holder"] is None)
+        async with asyncio.timeout(5):
+            assert await child.wait() == 130
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "complaint"),
+    [
+        (("nobody", "--yes"), 1, "hostlink: no robot named nobody"),
+        (("robot_0",), 2, "hostlink: --yes: is needed where nobody can be asked: the robot will move"),
+        (("robot_0", "--json"), 2, "hostlink: --yes: is needed"),
+        (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is not 0.02 to 2, either way"),
+        (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: --speed: nan m/s is not"),
+        (("robot_0", "--yes", "--send"), 2, "hostlink: --send: sends the gains that --tune computes; name both"),
+        (("robot_0", "--yes", "--picture", "step.gif"), 2, "hostlink: --picture: step.gif must end in one of"),
+        (("robot_0", "--yes", "--url", "http://127.0.0.1:1"), 1, "hostlink: no hostlink at http://127.0.0.1:1"),
+    ],
+)
+async def test_what_a_user_makes_wrong_is_one_line(arguments: tuple[str, ...], status: int, complaint: str) -> None:
+    async with serve() as daemon:
+        url = () if "--url" in arguments else ("--url", daemon.url)
+        found, out, err = await run("step", *arguments, *url)
+    assert (found, out) == (status, "")
+    assert err.startswith(complaint)
+    assert len(err.splitlines()) == 1

@@ -1,0 +1,166 @@
+"""Compare PID gains on the firmware in simulated worlds: the paper's, and those of `hostlink step --tune`.
+
+    make world && .venv/bin/python tools/compare_gains.py
+
+The same stages, identification and figures as the command's, in virtual time; docs/tuning.md has the tables.
+"""
+
+import argparse
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hostlink.cli.step_stages import Stage, make_stage, rising_stages
+from hostlink.cli.step_tuning import PAPER_GAINS
+from hostlink.errors import HostlinkError
+from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
+from hostlink.robot.step_response import Record, Sample, StepFigures, make_record, step_figures
+from hostlink.sim.controller import Feedback
+from hostlink.sim.firmware_world import FirmwareWorld
+from hostlink.sim.world_parameters import WheelParameters, WorldParameters
+
+SEPARATION_M = 0.21
+BEFORE_S = 0.5
+MESSAGE_S = 0.1
+STEP_S = 6.0
+SIDES = ("left", "right")
+PAPER = WorldParameters()
+
+Gains = Mapping[str, PidGains]
+
+
+class Compared(NamedTuple):
+    """One way of control, at one speed, in some worlds."""
+
+    name: str
+    speed_m_s: float
+    figures: Sequence[StepFigures]
+
+
+def drawn_world(seed: int) -> WorldParameters:
+    """Motors, load and battery as in docs/robot.md#what-its-encoders-cannot-see, of robots that reach 0.3 m/s."""
+    random = np.random.default_rng(seed)
+
+    def draw(low: float, high: float) -> float:
+        return float(random.uniform(low, high))
+
+    def wheel() -> WheelParameters:
+        return WheelParameters(
+            full_speed_rad_s=PAPER.left.full_speed_rad_s * draw(0.97, 1.07),
+            dead_zone_pwm=draw(0, 400),
+            has_jump=float(random.integers(2)),
+            rise_constant_s=draw(0.03, 0.2),
+            coast_constant_s=draw(0.1, 1.0),
+            friction_rad_s=PAPER.left.friction_rad_s * draw(0.2, 1.0),
+        )
+
+    return WorldParameters(
+        seed=float(seed), floor_pwm=draw(0, 100), battery_v=draw(11.5, 13.0), left=wheel(), right=wheel()
+    )
+
+
+def drive(
+    world: WorldParameters, gains: Gains, stages: Sequence[Stage], *, feedback: Feedback = Feedback.WASHED_OUT
+) -> dict[str, Record]:
+    """The plot_data of a drive from rest, as the robot sends it."""
+    robot = FirmwareWorld(world, feedback=feedback)
+    robot.connect()
+    for side in SIDES:
+        each = gains[side]
+        robot.publish(f"pid_tune_{side[0]}", struct.pack("<3d", each.kp, each.ki, each.kd))
+    robot.run(1.0)
+    robot.forget()
+    robot.run(BEFORE_S)
+    for stage in stages:
+        robot.drive(stage.linear_m_s, stage.angular_rad_s, stage.seconds)
+    plots = [
+        struct.unpack("<6d", frame.payload) for frame in robot.frames if frame.topic_id == robot.topics["plot_data"]
+    ]
+    times_s = [MESSAGE_S * number - BEFORE_S for number in range(len(plots))]
+    return {
+        side: make_record("ticks/s", times_s, [Sample(row[3 + at], row[at], row[2 + 3 * at]) for row in plots])
+        for at, side in enumerate(SIDES)
+    }
+
+
+def identify(world: WorldParameters, speed_m_s: float = 0.2) -> dict[str, MotorModel]:
+    """The motors of a world, as `hostlink step --tune` finds them with the paper's gains."""
+    records = drive(world, PAPER_GAINS, rising_stages(speed_m_s, None, SEPARATION_M))
+    return {side: identify_motor(record) for side, record in records.items()}
+
+
+def compare(worlds: Sequence[WorldParameters], speeds_m_s: Sequence[float]) -> Iterator[Compared]:
+    """Three ways of control in the same worlds."""
+    tuned = [{side: simc_gains(model) for side, model in identify(world).items()} for world in worlds]
+    papers = [PAPER_GAINS] * len(worlds)
+    ways = (
+        ("table 1, the paper's feedback", papers, Feedback.PAPER),
+        ("table 1, washed-out feedback", papers, Feedback.WASHED_OUT),
+        ("tuned, washed-out feedback", tuned, Feedback.WASHED_OUT),
+    )
+    for speed_m_s in speeds_m_s:
+        step = [make_stage(speed_m_s, STEP_S, None, SEPARATION_M)]
+        for name, gains, feedback in ways:
+            drives = [drive(world, each, step, feedback=feedback) for world, each in zip(worlds, gains, strict=True)]
+            figures = [step_figures(record) for records in drives for record in records.values()]
+            yield Compared(name, speed_m_s, figures)
+
+
+def rows(compared: Iterator[Compared]) -> Iterator[str]:
+    """A table for a document: the median, and the range of 90 %."""
+    names = (
+        "m/s",
+        "control",
+        "rise, s",
+        "behind, s",
+        "overshoot, %",
+        "settled, s",
+        "steady error, %",
+        "tracking, ticks/s",
+    )
+    yield f"| {' | '.join(names)} |"
+    yield "|---" * len(names) + "|"
+    for name, speed_m_s, figures in compared:
+        cells = (
+            _spread([each.rise_s for each in figures], 2),
+            _spread([each.lag_s for each in figures], 2),
+            _spread([each.overshoot_percent for each in figures], 1),
+            _spread([each.settling_s for each in figures], 1),
+            _spread([each.steady_error_percent for each in figures], 1),
+            _spread([each.tracking_error for each in figures], 1),
+        )
+        yield f"| {speed_m_s:.1f} | {name} | {' | '.join(cells)} |"
+
+
+def _spread(values: Sequence[float | None], digits: int) -> str:
+    """What never happened counts as later than all."""
+    found = np.array([float("inf") if value is None else value for value in values])
+    low, middle, high = (_number(value, digits) for value in np.quantile(found, (0.05, 0.5, 0.95), method="nearest"))
+    return middle if low == high else f"{middle} ({low} to {high})"
+
+
+def _number(value: float, digits: int) -> str:
+    return "never" if value == float("inf") else f"{value:.{digits}f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--worlds", type=int, default=30, help="how many are drawn")
+    parser.add_argument("--speed", type=float, nargs="*", default=[0.1, 0.2, 0.3], help="of the steps, m/s")
+    arguments = parser.parse_args()
+    try:
+        print("The paper's robot without a flaw:\n")
+        for side, model in identify(PAPER).items():
+            print(f"{side}: {model}; {simc_gains(model)}")
+        print("", *rows(compare([PAPER], arguments.speed)), sep="\n")
+        worlds = [drawn_world(seed) for seed in range(1, arguments.worlds + 1)]
+        print(f"\n{arguments.worlds} worlds that are drawn (median, 5 to 95 %):\n")
+        print(*rows(compare(worlds, arguments.speed)), sep="\n")
+    except HostlinkError as error:
+        raise SystemExit(f"compare_gains: {error}") from None
+
+
+if __name__ == "__main__":
+    main()
