@@ -8,10 +8,12 @@ The same stages, identification and figures as the command's, in virtual time; d
 import argparse
 import struct
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from hostlink.cli.step_picture import draw_picture
 from hostlink.cli.step_stages import Stage, make_stage, rising_stages
 from hostlink.cli.step_tuning import PAPER_GAINS
 from hostlink.errors import HostlinkError
@@ -29,6 +31,14 @@ SIDES = ("left", "right")
 PAPER = WorldParameters()
 
 Gains = Mapping[str, PidGains]
+
+
+class Control(NamedTuple):
+    """A way of control: gains for each world, and the firmware's feedback."""
+
+    name: str
+    gains: Sequence[Gains]
+    feedback: Feedback
 
 
 class Compared(NamedTuple):
@@ -91,21 +101,35 @@ def identify(world: WorldParameters, speed_m_s: float = 0.2) -> dict[str, MotorM
     return {side: identify_motor(record) for side, record in records.items()}
 
 
-def compare(worlds: Sequence[WorldParameters], speeds_m_s: Sequence[float]) -> Iterator[Compared]:
-    """Three ways of control in the same worlds."""
+def controls(worlds: Sequence[WorldParameters]) -> tuple[Control, ...]:
+    """The paper's, the paper's gains in this firmware, and tuned ones."""
     tuned = [{side: simc_gains(model) for side, model in identify(world).items()} for world in worlds]
     papers = [PAPER_GAINS] * len(worlds)
-    ways = (
-        ("table 1, the paper's feedback", papers, Feedback.PAPER),
-        ("table 1, washed-out feedback", papers, Feedback.WASHED_OUT),
-        ("tuned, washed-out feedback", tuned, Feedback.WASHED_OUT),
+    return (
+        Control("table 1, the paper's feedback", papers, Feedback.PAPER),
+        Control("table 1, washed-out feedback", papers, Feedback.WASHED_OUT),
+        Control("tuned, washed-out feedback", tuned, Feedback.WASHED_OUT),
     )
+
+
+def compare(worlds: Sequence[WorldParameters], speeds_m_s: Sequence[float]) -> Iterator[Compared]:
+    """Three ways of control in the same worlds."""
+    ways = controls(worlds)
     for speed_m_s in speeds_m_s:
         step = [make_stage(speed_m_s, STEP_S, None, SEPARATION_M)]
         for name, gains, feedback in ways:
             drives = [drive(world, each, step, feedback=feedback) for world, each in zip(worlds, gains, strict=True)]
             figures = [step_figures(record) for records in drives for record in records.values()]
             yield Compared(name, speed_m_s, figures)
+
+
+def draw(path: Path) -> None:
+    """The left wheel of the paper's robot, a column for each way of control."""
+    step = [make_stage(0.2, STEP_S, None, SEPARATION_M)]
+    steps = {
+        name: drive(PAPER, gains[0], step, feedback=feedback)["left"] for name, gains, feedback in controls([PAPER])
+    }
+    draw_picture(path, "A step to 0.2 m/s, left wheel", steps)
 
 
 def rows(compared: Iterator[Compared]) -> Iterator[str]:
@@ -142,14 +166,17 @@ def _spread(values: Sequence[float | None], digits: int) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    return "never" if value == float("inf") else f"{value:.{digits}f}"
+    return "never" if value == float("inf") else f"{round(value, digits) + 0.0:.{digits}f}"  # no -0.0
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--worlds", type=int, default=30, help="how many are drawn")
     parser.add_argument("--speed", type=float, nargs="*", default=[0.1, 0.2, 0.3], help="of the steps, m/s")
+    parser.add_argument("--picture", type=Path, help="draw a step to 0.2 m/s into this file")
     arguments = parser.parse_args()
+    if arguments.picture is not None:
+        draw(arguments.picture)
     try:
         print("The paper's robot without a flaw:\n")
         for side, model in identify(PAPER).items():

@@ -16,7 +16,8 @@ from tests.firmware.boards import build_native
 from tools.compare_gains import PAPER, SEPARATION_M, SIDES, compare, drawn_world, drive, identify, rows
 
 FILTER_S = -LOOP_S / math.log(1 - FILTER)  # time constant of the firmware's filter: 0.32 s
-LATE_S = 0.06  # what the firmware's turns, and the motor's lag behind the filter's, add at most
+LATE_S = 0.1  # what the turns of its loop add at most
+COASTS = 0.2  # share of the time in which the PWM is below what the wheel's speed needs: then it coasts, more slowly
 SPEEDS_M_S = (0.1, 0.2, 0.3)
 
 
@@ -39,7 +40,7 @@ def test_motors_of_drawn_worlds_are_found(seed: int) -> None:
     for (side, model), wheel in zip(identify(world).items(), (world.left, world.right), strict=True):
         assert model.gain == pytest.approx(true_gain(world, wheel), rel=0.06), side
         lag_s = model.time_constant_s + model.dead_time_s
-        assert lag_s - wheel.rise_constant_s - FILTER_S == pytest.approx(LATE_S / 2, abs=LATE_S), side
+        assert 0 < lag_s - wheel.rise_constant_s - FILTER_S < LATE_S + COASTS * wheel.coast_constant_s, side
         assert model.explained > 0.995, side
 
 
