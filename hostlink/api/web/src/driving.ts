@@ -8,7 +8,7 @@ import type { Velocity } from "./views";
 export const TICK_MS = 80; // more than ten a second, as every base expects
 const ZEROS = 3; // one may be lost on a radio
 
-export type Source = "joystick" | "keys" | "gamepad";
+export type Source = "joystick" | "keys" | "gamepad" | "step";
 
 /** Parts of the full speeds, -1 to 1: forward, and counter-clockwise. */
 export interface Deflection {
@@ -29,6 +29,10 @@ export class Driving {
 
   get isHeld(): boolean {
     return this.held.size > 0;
+  }
+
+  holds(source: Source): boolean {
+    return this.held.has(source);
   }
 
   hold(source: Source, deflection: Deflection): void {

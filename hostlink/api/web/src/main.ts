@@ -20,6 +20,7 @@ import { Odometry } from "./odometry";
 import { type PlotData, Plots } from "./plots";
 import type { Refused } from "./rest";
 import { RobotList } from "./robots";
+import { Step } from "./step";
 import { Stop } from "./stop";
 import { connectTheme } from "./theme";
 import { moveTokenFromAddress, token } from "./token";
@@ -69,6 +70,7 @@ const connection = new Connection(
 );
 const drive = new Drive(fleet, connection);
 const stop = new Stop(fleet, drive.driving);
+const step = new Step(drive.driving);
 const robots = new RobotList(fleet, (robot) => drive.driver(robot));
 const map = new RobotMap();
 const plots = new Plots();
@@ -79,7 +81,10 @@ const plotData = new Followed<PlotData>(
   connection,
   "plot_data",
   "geometry_msgs/Twist",
-  (data) => plots.add(data),
+  (data) => {
+    plots.add(data);
+    step.add(data);
+  },
   () => plots.clear(),
 );
 const battery = new Followed<BatteryState>(
@@ -163,6 +168,7 @@ function show(): void {
   stop.show();
   odometry.show();
   tuning.show();
+  step.show(robot?.connected === true && plotData.topic !== "");
   health.show(robot, fleet.links, connection.roundTripMs);
   find("#plots-note").hidden = !robot?.connected || !link || plotData.topic !== "";
   showConnection();

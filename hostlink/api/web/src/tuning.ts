@@ -22,7 +22,7 @@ export class Tuning {
     private readonly fleet: Fleet,
     private readonly connection: Connection,
   ) {
-    const rows = document.querySelectorAll("#tuning tbody tr");
+    const rows = document.querySelectorAll("#tuning form tbody tr");
     SIDES.forEach((side, index) => {
       for (const gain of GAINS) {
         const name = `${side === "l" ? "Left" : "Right"} ${NAMES[gain]}`;
@@ -40,7 +40,7 @@ export class Tuning {
   show(): void {
     const { robot } = this.fleet;
     const isTunable = SIDES.every((side) => this.topic(side) !== null);
-    for (const control of document.querySelectorAll<HTMLInputElement>("#tuning input, #tuning button")) {
+    for (const control of document.querySelectorAll<HTMLInputElement>("#tuning form input, #tuning form button")) {
       control.disabled = !isTunable;
     }
     if (robot && robot.name !== this.shown) {

@@ -1,0 +1,133 @@
+/** A step of speed: straight ahead at the full speed of the drive panel while a button is held, and its figures. */
+
+import { digits, find, setText } from "./dom";
+import type { Driving } from "./driving";
+import type { PlotData } from "./plots";
+
+const RISE = [0.1, 0.9] as const;
+const SETTLED = 0.05; // of the target, to each side
+const LEAST_S = 1.5; // a shorter one has no figures
+const MOST_S = 30; // a longer one ends by itself
+const STANDING = 1.5; // ticks/s
+const HELD_KEY = "Enter"; // a space stops
+
+interface Sample {
+  seconds: number; // since the button was pressed
+  setPoint: number;
+  measured: number;
+}
+
+interface Figures {
+  rise: number | null; // s; null: not reached
+  overshoot: number; // percent
+  settled: number | null; // s
+}
+
+const WHEELS: { row: string; read: (data: PlotData) => [setPoint: number, measured: number] }[] = [
+  { row: "#step-left", read: (data) => [data.angular.x, data.linear.x] },
+  { row: "#step-right", read: (data) => [data.angular.y, data.linear.y] },
+];
+
+export class Step {
+  private readonly button = find<HTMLButtonElement>("#step");
+  private readonly state = find("#step-state");
+  private pressedAt: number | null = null; // null: no step is driven
+  private newest: PlotData | null = null;
+  private samples: Sample[][] = WHEELS.map(() => []);
+
+  constructor(private readonly driving: Driving) {
+    this.button.addEventListener("pointerdown", (event) => {
+      if (event.button === 0) this.press();
+    });
+    this.button.addEventListener("keydown", (event) => {
+      if (event.key === HELD_KEY && !event.repeat) this.press();
+    });
+    this.button.addEventListener("keyup", (event) => event.key === HELD_KEY && this.release());
+    for (const lost of ["pointerleave", "blur"]) this.button.addEventListener(lost, () => this.release());
+    // of the window: a button that is disabled meanwhile gets none
+    for (const lost of ["pointerup", "pointercancel", "blur", "pagehide"]) {
+      addEventListener(lost, () => this.release());
+    }
+    document.addEventListener("visibilitychange", () => this.release());
+  }
+
+  /** Only a robot with plot_data can be measured. */
+  show(isMeasured: boolean): void {
+    this.button.disabled = !isMeasured;
+    if (isMeasured) return;
+    this.newest = null;
+    this.release();
+  }
+
+  add(data: PlotData): void {
+    this.newest = data;
+    if (this.pressedAt === null) return;
+    const seconds = (performance.now() - this.pressedAt) / 1000;
+    WHEELS.forEach(({ read }, index) => {
+      const [setPoint, measured] = read(data);
+      this.samples[index]?.push({ seconds, setPoint, measured });
+    });
+    if (seconds > MOST_S || !this.driving.holds("step")) this.release(); // or a stop, or a refusal, came between
+  }
+
+  private press(): void {
+    if (this.button.disabled || this.pressedAt !== null) return;
+    const { newest } = this;
+    if (newest === null || WHEELS.some(({ read }) => read(newest).some((speed) => Math.abs(speed) > STANDING))) {
+      setText(this.state, "A step begins with a robot that stands.");
+      return;
+    }
+    this.pressedAt = performance.now();
+    this.samples = WHEELS.map(() => []);
+    setText(this.state, "Hold until the speed is steady.");
+    this.driving.hold("step", { forward: 1, turn: 0 });
+  }
+
+  private release(): void {
+    this.driving.release("step");
+    if (this.pressedAt === null) return;
+    this.pressedAt = null;
+    const shown = WHEELS.map(({ row }, index) => showFigures(row, figuresOf(this.samples[index] ?? [])));
+    setText(this.state, shown.every(Boolean) ? "" : "Too short: hold until the speed is steady.");
+  }
+}
+
+function showFigures(row: string, figures: Figures | null): boolean {
+  const cells = find(row).querySelectorAll("td");
+  const texts =
+    figures === null
+      ? ["–", "–", "–"]
+      : [seconds(figures.rise), `${digits(figures.overshoot, 1)} %`, seconds(figures.settled)];
+  cells.forEach((cell, index) => setText(cell, texts[index] ?? ""));
+  return figures !== null;
+}
+
+function seconds(value: number | null): string {
+  return value === null ? "never" : `${digits(value, 2)} s`;
+}
+
+/** As `hostlink step` has them: docs/tuning.md. */
+function figuresOf(samples: Sample[]): Figures | null {
+  const last = samples.at(-1);
+  const moving = samples.filter(({ setPoint }) => setPoint !== 0).at(-1);
+  if (last === undefined || moving === undefined || last.seconds < LEAST_S) return null;
+  const target = moving.setPoint;
+  const shares = samples.map((sample) => ({ seconds: sample.seconds, share: sample.measured / target }));
+  const [begin, end] = RISE.map((level) => crossing(shares, level));
+  const settled = shares.map(({ share }) => Math.abs(share - 1) > SETTLED).lastIndexOf(true) + 1;
+  return {
+    rise: begin == null || end == null ? null : end - begin,
+    overshoot: Math.max(0, ...shares.map(({ share }) => 100 * (share - 1))),
+    settled: shares[settled]?.seconds ?? null,
+  };
+}
+
+/** When a share of the target is reached first, on the line between two samples. */
+function crossing(shares: { seconds: number; share: number }[], level: number): number | null {
+  const at = shares.findIndex(({ share }) => share >= level);
+  const [before, after] = [shares[at - 1], shares[at]];
+  if (after === undefined) return null;
+  if (before === undefined) return after.seconds;
+  const part = (level - before.share) / (after.share - before.share);
+  return before.seconds + part * (after.seconds - before.seconds);
+}
