@@ -107,12 +107,14 @@ def step_figures(record: Record, *, full_pwm: float = FULL_PWM) -> StepFigures:
     """The figures of a step from rest.
 
     Raises:
-        HostlinkError: the record ends with a set-point of zero, so there was no step.
+        HostlinkError: the set-point is zero at the end or in between: there was no step.
     """
     target = record.target
-    if target == 0:
+    driven = np.flatnonzero(record.set_point)
+    if target == 0 or not record.set_point[driven[0] :].all():
         raise HostlinkError(
-            "the robot's set-point is 0 at the end of the step: it stopped by itself; see its log lines"
+            "the robot's set-point fell to 0 during the step: a fault of its own or of the link stopped it; "
+            "see its log lines and `hostlink doctor`"
         )
     seen = record.forwards()
     size = abs(target)

@@ -63,10 +63,11 @@ def test_full_pwm_is_a_saturation_from_the_first_command_on() -> None:
     assert step_figures(seen, full_pwm=1000.0).saturated_percent == 50.0
 
 
-def test_a_set_point_of_zero_at_the_end_is_no_step() -> None:
+@pytest.mark.parametrize("when", [slice(-1, None), slice(20, 23), slice(None)])
+def test_a_set_point_that_falls_to_zero_is_no_step(when: slice) -> None:
     seen = step()
-    seen.set_point[-1] = 0.0
-    with pytest.raises(HostlinkError, match="stopped by itself"):
+    seen.set_point[when] = 0.0
+    with pytest.raises(HostlinkError, match="fell to 0 during the step"):
         step_figures(seen)
 
 
