@@ -24,7 +24,7 @@ WORKERS ?= $(shell echo $$((2 * $(CORES))))# of make test: half of its time is w
 QUIET_WORKERS ?= $(CORES)# of the tests that a busy machine disturbs
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware world chain soak netns format clean
+.PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -36,6 +36,7 @@ help:
 	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make world   build the firmware in its world for Python, in virtual time (hostlink/sim/firmware_world.py)"
+	@echo "make lab     drive the paper's measurements again: causes, tables, fit, claims and pictures, into build/lab"
 	@echo "make web     build the browser's page from $(WEB)/src (needs Node 20.19 or newer)"
 	@echo "make screenshots  pictures of the page, into build/screenshots"
 	@echo "make chain   hostlink, the ESP8266's sketch and the Due's firmware on an emulated Cortex-M3 (NATIVE=1: on the PC;"
@@ -137,6 +138,14 @@ world:
 	@tools/require.sh cmake g++
 	cd firmware && cmake --preset native >/dev/null && cmake --build --preset native --target firmware_world
 	@touch build/firmware/native/libfirmware_world.so # newer than each of its sources, whatever had to be compiled
+
+lab: $(VENV)/.dev world
+	@mkdir -p build/lab
+	$(BIN)/hostlink lab tables --fit | tee build/lab/tables.md
+	$(BIN)/hostlink lab claims | tee build/lab/claims.md
+	$(BIN)/hostlink lab causes | tee build/lab/causes.md
+	$(BIN)/hostlink lab pictures -o build/lab/paths.png
+	HOSTLINK_LAB_RUNS=30 $(BIN)/python -m pytest tests/firmware/test_laboratory.py
 
 chain: $(VENV)/.hostlink
 	@tools/require.sh cmake g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm

@@ -25,6 +25,7 @@ COMMANDS = {
     "top": "Watch links and robots, live.",
     "capture": "Save the raw bytes of a link.",
     "inspect": "Decode a recording of a link.",
+    "lab": "Drive the paper's measurements again, in a world that is known.",
 }
 FAILED, MISUSED = 1, 2
 

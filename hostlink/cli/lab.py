@@ -1,0 +1,95 @@
+"""`hostlink lab`: the paper's measurements, driven again."""
+
+import contextlib
+import importlib.util
+import json as json_text
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hostlink.cli.output import show_progress, write, write_error
+from hostlink.errors import ConfigError
+from hostlink.lab import reports
+from hostlink.lab.tables import CASTER_WORLD
+from hostlink.sim.world_library import WorldLibraryMissing
+from hostlink.sim.world_parameters import WorldParameters, read
+
+
+class What(StrEnum):
+    """What to find out."""
+
+    CAUSES = "causes"
+    TABLES = "tables"
+    CLAIMS = "claims"
+    PICTURES = "pictures"
+
+
+def command(
+    what: Annotated[What, typer.Argument(help="causes, tables, claims or pictures.", show_default=False)],
+    *,
+    runs: Annotated[
+        int | None, typer.Option(min=2, max=1000, help="Of each pattern.", show_default="12; causes 4")
+    ] = None,
+    world: Annotated[
+        Path | None, typer.Option(help="Lines name=value: the world of tables and pictures.", show_default=False)
+    ] = None,
+    fit: Annotated[bool, typer.Option("--fit", help="tables: fit the causes to the paper's numbers.")] = False,
+    output: Annotated[Path, typer.Option("-o", "--output", help="pictures: the PNG.")] = Path("laboratory.png"),
+    json: Annotated[bool, typer.Option("--json", help="One JSON object for programs.")] = False,
+) -> None:
+    """Drive the paper's measurements again, in a world that is known, with its software and with ours.
+
+    causes: what each cause alone does to each of the paper's patterns. tables: tables 2-5 beside the paper's numbers.
+    claims: which numbers the paper's tables need, with intervals. pictures: each path, true and by odometry.
+    """
+    if fit and what is not What.TABLES:
+        raise ConfigError("--fit", "goes with: hostlink lab tables")
+    _require("matplotlib" if what is What.PICTURES else "scipy" if fit else None)
+    chosen = CASTER_WORLD if world is None else _read(world)
+    try:
+        report = _report(what, runs, chosen, fit, output)
+    except WorldLibraryMissing as error:
+        raise ConfigError("hostlink lab", str(error)) from None
+    except OSError as error:
+        raise ConfigError(str(output), error.strerror or str(error)) from None
+    finally:
+        with contextlib.suppress(OSError):
+            show_progress("")
+    write(*([json_text.dumps(report.view)] if json else report.lines))
+
+
+def _report(what: What, runs: int | None, world: WorldParameters, fit: bool, output: Path) -> reports.Report:
+    match what:
+        case What.CAUSES:
+            return reports.causes(runs or reports.CAUSE_RUNS, show_progress)
+        case What.CLAIMS:
+            return reports.claims(show_progress)
+        case What.PICTURES:
+            from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
+
+            draw_software(world, runs or reports.PICTURE_RUNS, output)
+            write_error(f"{output}: {output.stat().st_size // 1024} KiB")
+            return reports.Report([], {"file": str(output)})
+        case What.TABLES:
+            report = reports.tables(world, runs or reports.TABLE_RUNS, show_progress)
+            return report + _fit() if fit else report
+
+
+def _fit() -> reports.Report:
+    from hostlink.lab.fit_report import report_fit  # noqa: PLC0415 - needs scipy
+
+    return report_fit(show_progress)
+
+
+def _require(library: str | None) -> None:
+    if library is not None and importlib.util.find_spec(library) is None:
+        raise ConfigError("hostlink lab", f"needs {library}: run  pip install 'hostlink[lab]'")
+
+
+def _read(file: Path) -> WorldParameters:
+    try:
+        return read(file.read_text())
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise ConfigError(str(file), str(error)) from None

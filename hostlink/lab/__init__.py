@@ -1,0 +1,1 @@
+"""The laboratory: the paper's measurements, driven again in a world that is known."""

@@ -1,0 +1,194 @@
+"""Fit: the causes that bring the paper's software nearest to the paper's tables, by least squares.
+
+Needs scipy, which only this module imports.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from hostlink.lab.causes import RADIUS_M, TRACK_M
+from hostlink.lab.experiment import PAPER_WORLD, Experiment, Setup, Software, in_world, measure_all
+from hostlink.lab.paper_results import PAPER_CM, axes_of
+from hostlink.lab.patterns import PATTERNS, Pattern
+from hostlink.sim.world_parameters import WorldParameters
+
+_Array = NDArray[np.float64]
+
+_LEAST_ERROR_CM = 0.3  # of a mean of three readings to a centimetre
+_NORMAL_95 = 1.959963985
+_LEAST_INFORMATION = 1e-6  # of a number that the tables know
+
+
+@dataclass(frozen=True, slots=True)
+class FittedCause:
+    """A number that the fit may change."""
+
+    name: str
+    unit: str
+    start: float
+    step: float  # for the derivative
+    low: float
+    high: float
+
+
+FITTED = (
+    FittedCause("radius", "%, both wheels", 0.5, 0.2, -3.0, 3.0),
+    FittedCause("radius_difference", "%, right less left", 0.0, 0.2, -3.0, 3.0),
+    FittedCause("track", "%", 0.0, 1.0, -10.0, 10.0),
+    FittedCause("caster_twist", "rad", 0.05, 0.01, -0.2, 0.2),
+    FittedCause("caster_random", "share", 0.4, 0.2, 0.0, 3.0),
+)
+COUNT = len(FITTED)
+
+
+def world_of(numbers: _Array) -> WorldParameters:
+    """The paper's world with these causes."""
+    radius, difference, track, twist, random = (float(number) for number in numbers)
+    return PAPER_WORLD.changed(
+        {
+            "left.radius_m": RADIUS_M * (1 + (radius - difference / 2) / 100),
+            "right.radius_m": RADIUS_M * (1 + (radius + difference / 2) / 100),
+            "track_m": TRACK_M * (1 + track / 100),
+            "caster_twist_rad": twist,
+            "caster_random": random,
+        }
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """A mean of the paper's beside the fit's."""
+
+    pattern: Pattern
+    axis: str
+    paper_cm: float
+    uncertainty_cm: float  # standard error of the paper's mean
+    fitted_cm: float
+
+    @property
+    def deviations(self) -> float:
+        """How many standard errors lie between them."""
+        return (self.fitted_cm - self.paper_cm) / self.uncertainty_cm
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What came out."""
+
+    tables: tuple[int, ...]  # of the paper, that were fitted
+    numbers: _Array
+    intervals: _Array  # half of what contains the number with 95 %, were the model right; NaN: these tables do not say
+    residuals: tuple[Residual, ...]
+    evaluations: int
+
+    @property
+    def chi_square(self) -> float:
+        """The sum of the squared deviations, of the fitted tables."""
+        return sum(residual.deviations**2 for residual in self.residuals if residual.pattern.table in self.tables)
+
+    @property
+    def unreached(self) -> tuple[Residual, ...]:
+        """The means that lie outside of the 95 % of the paper's own scatter."""
+        return tuple(residual for residual in self.residuals if abs(residual.deviations) > _NORMAL_95)
+
+
+def fit(
+    tables: tuple[int, ...] = (2, 3, 4, 5),
+    *,
+    runs: int = 6,
+    rounds: int = 8,
+    report: Callable[[str], None] = lambda _: None,
+) -> Fit:
+    """Fit the causes to some of the paper's tables."""
+    model = _Model(tables, runs, report)
+    scale = np.array([cause.step for cause in FITTED])
+    bounds = (np.array([cause.low for cause in FITTED]), np.array([cause.high for cause in FITTED]))
+    start = np.array([cause.start for cause in FITTED])
+    found = least_squares(
+        model.deviations,
+        start,
+        jac=model.slopes,
+        bounds=bounds,
+        x_scale=scale * 5,
+        max_nfev=rounds,
+        xtol=1e-2,
+        ftol=1e-2,
+    )
+    residuals = tuple(model.residuals(model.means(found.x)))
+    return Fit(tables, found.x, _intervals(found.jac), residuals, model.evaluations)
+
+
+def uncertainty_cm(sizes_cm: _Array) -> _Array:
+    """The standard error of the mean of some runs."""
+    errors: _Array = np.maximum(sizes_cm.std(axis=0, ddof=1) / np.sqrt(len(sizes_cm)), _LEAST_ERROR_CM)
+    return errors
+
+
+class _Model:
+    """Means of the patterns as functions of the causes; the seeds are the same each time."""
+
+    def __init__(self, tables: tuple[int, ...], runs: int, report: Callable[[str], None]) -> None:
+        self.evaluations = 0
+        self._fitted = [pattern for pattern in PATTERNS if pattern.table in tables]
+        self._runs, self._report = runs, report
+        self._setup = Setup(software=Software.PAPER)
+        self._at: tuple[bytes, dict[Pattern, _Array]] = (b"", {})
+
+    def means(self, *points: _Array) -> dict[Pattern, _Array]:
+        """The means of all patterns at the last of some points."""
+        return self._means_at(list(points), list(PATTERNS))[-1]
+
+    def residuals(self, means: dict[Pattern, _Array]) -> list[Residual]:
+        """One for each mean."""
+        found = []
+        for pattern, mean_cm in means.items():
+            paper = PAPER_CM[pattern.table]
+            columns = zip(axes_of(pattern.table), paper.mean(axis=0), uncertainty_cm(paper), mean_cm, strict=True)
+            found += [Residual(pattern, *(axis, float(a), float(b), float(c))) for axis, a, b, c in columns]
+        return found
+
+    def deviations(self, numbers: _Array) -> _Array:
+        """Of the fitted tables."""
+        (means,) = self._means_at([numbers], self._fitted)
+        self._at = (numbers.tobytes(), means)
+        return self._deviations(means)
+
+    def slopes(self, numbers: _Array) -> _Array:
+        """The derivatives of the deviations, by steps as large as their noise asks for."""
+        if self._at[0] != numbers.tobytes():
+            self.deviations(numbers)
+        base = self._deviations(self._at[1])
+        steps = np.diag([_inward(cause, number) for cause, number in zip(FITTED, numbers, strict=True)])
+        around = self._means_at([numbers + step for step in steps], self._fitted)
+        columns = [(self._deviations(means) - base) / step.sum() for means, step in zip(around, steps, strict=True)]
+        return np.array(columns).T
+
+    def _deviations(self, means: dict[Pattern, _Array]) -> _Array:
+        return np.array([residual.deviations for residual in self.residuals(means)])
+
+    def _means_at(self, points: list[_Array], patterns: list[Pattern]) -> list[dict[Pattern, _Array]]:
+        setups = [in_world(self._setup, world_of(point)) for point in points]
+        experiments = [Experiment(setup, pattern, self._runs) for setup in setups for pattern in patterns]
+        measured = [errors.means_cm for errors in measure_all(experiments)]
+        self.evaluations += len(points)
+        self._report(f"fit: {self.evaluations} worlds driven")
+        count = len(patterns)
+        return [dict(zip(patterns, measured[i * count : (i + 1) * count], strict=True)) for i in range(len(points))]
+
+
+def _inward(cause: FittedCause, number: float) -> float:
+    """The step, away from the bound where it would pass it."""
+    return cause.step if number + cause.step <= cause.high else -cause.step
+
+
+def _intervals(slopes: _Array) -> _Array:
+    """From the curvature at the optimum."""
+    information = slopes.T @ slopes
+    covariance = np.linalg.pinv(information, rcond=_LEAST_INFORMATION)
+    known = np.diag(information) > _LEAST_INFORMATION
+    half: _Array = np.where(known, _NORMAL_95 * np.sqrt(np.abs(np.diag(covariance))), np.nan)
+    return half

@@ -1,0 +1,66 @@
+"""The report of a fit. Needs scipy."""
+
+from collections.abc import Callable
+from typing import Any
+
+from hostlink.lab.fit import FITTED, Fit, fit
+from hostlink.lab.reports import Report, text_table
+
+FIT_RUNS = 6
+
+
+def report_fit(progress: Callable[[str], None], *, runs: int = FIT_RUNS) -> Report:
+    """Fit all tables at once.
+
+    Raises:
+        WorldLibraryMissing: the firmware is not built.
+    """
+    found = fit(runs=runs, report=progress)
+    free = sum(len(residual.axis) > 0 for residual in found.residuals) - len(FITTED)
+    causes = [
+        [cause.name, f"{number:.3f}", f"+- {half:.3f}", cause.unit]
+        for cause, number, half in zip(FITTED, found.numbers, found.intervals, strict=True)
+    ]
+    residuals = [
+        [
+            str(residual.pattern.table),
+            residual.axis,
+            f"{residual.paper_cm:.1f} +- {residual.uncertainty_cm:.1f}",
+            f"{residual.fitted_cm:.1f}",
+            f"{residual.deviations:+.1f}",
+        ]
+        for residual in found.residuals
+    ]
+    unreached = ", ".join(f"table {residual.pattern.table} {residual.axis}" for residual in found.unreached)
+    lines = [
+        f"The paper's software, fitted to tables 2-5 ({found.evaluations} worlds driven):",
+        "",
+        *text_table(["cause", "fitted", "95 %", "unit"], causes),
+        "",
+        *text_table(["table", "axis", "paper (cm)", "fitted (cm)", "deviations"], residuals),
+        "",
+        f"Sum of squared deviations: {found.chi_square:.0f}, with {free} degrees of freedom (95 %: below 6.0).",
+        f"Not reached: {unreached or 'nothing'}.",
+    ]
+    return Report(lines, {"fit": _view(found)})
+
+
+def _view(found: Fit) -> dict[str, Any]:
+    return {
+        "causes": {
+            cause.name: {"value": float(number), "half_interval": float(half), "unit": cause.unit}
+            for cause, number, half in zip(FITTED, found.numbers, found.intervals, strict=True)
+        },
+        "residuals": [
+            {
+                "table": residual.pattern.table,
+                "axis": residual.axis,
+                "paper_cm": residual.paper_cm,
+                "uncertainty_cm": residual.uncertainty_cm,
+                "fitted_cm": residual.fitted_cm,
+            }
+            for residual in found.residuals
+        ],
+        "chi_square": found.chi_square,
+        "worlds": found.evaluations,
+    }

@@ -1,0 +1,129 @@
+"""PaperWheel: one wheel of the paper's sketch, with its mistakes by name; each can be mended by itself. Pure.
+
+Rebuilt from what the paper and its sketch describe: docs/robot.md#where-the-paper-and-its-code-are-wrong.
+"""
+
+import struct
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+from hostlink.sim.controller import FILTER, LOOP_S, S_PER_TICK_S, Gains, motor_output
+from hostlink.sim.drive_train import FULL_PWM, FULL_SPEED_TICKS_S
+
+_INTEGRAL_LIMIT = 4095.0  # of the sum of errors, before Ki: it limits nothing
+_WASHOUT_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mistakes:
+    """What the paper's software does wrong; each False is what is right."""
+
+    sign_by_direction_pin: bool = True  # else the true direction, as an encoder of two channels has it
+    drives_against: bool = True  # the PID's output may turn against the set-point; else it ends at zero
+    filtered_odometry: bool = True  # adds up the filtered speed; else ticks
+    rising_edges_only: bool = True  # else both edges, half a tick each
+    slow_stop: bool = True  # zero is approached along minimum jerk, 3.6 s from 200 ticks/s; else at once
+    steady_feedback: bool = True  # 5 % low for ever; else washed out
+    wrong_derivative: bool = True  # the sign
+    wound_integral: bool = True  # never reset, limited to 4095 before Ki; else reset at rest, stands at the limit
+    single_precision_time: bool = True  # microseconds in a float of 32 bits
+    never_brakes: bool = True  # BRAKE stays low: PWM 0 lets the motor run free
+
+    @classmethod
+    def none(cls) -> Self:
+        """All mended."""
+        return cls(**dict.fromkeys(names(), False))
+
+    def changed(self, name: str, *, is_made: bool) -> Self:
+        """The same with one made or mended."""
+        return replace(self, **{name: is_made})
+
+
+def names() -> list[str]:
+    """Of all mistakes."""
+    return [item.name for item in fields(Mistakes)]
+
+
+class PaperWheel:
+    """Set-point, filter, PID, and what odometry adds up, of one wheel."""
+
+    def __init__(self, gains: Gains, mistakes: Mistakes) -> None:
+        self.gains, self.mistakes = gains, mistakes
+        self.pwm = 0
+        self.speed_ticks_s = 0.0  # filtered
+        self.set_point_ticks_s = 0.0
+        self._from = self._target = 0.0
+        self._begun_us = self._end_us = 0.0
+        self._edges = 0  # since the start: the level of the encoder's pin is their parity
+        self._integral = self._last_error = self._output = self._steady_ticks_s = 0.0
+
+    def aim(self, ticks_s: float, now_s: float) -> None:
+        """A command has come; it begins at the measured speed, not at the set-point."""
+        self._from, self._target = self.speed_ticks_s, ticks_s
+        self._begun_us = self._time(now_s)
+        length_s = abs(self._target - self._from) * S_PER_TICK_S
+        if ticks_s == 0.0 and not self.mistakes.slow_stop:
+            length_s = 0.0
+        self._end_us = self._time(now_s + length_s)
+
+    def step(self, edges: int, true_sign: int, now_s: float) -> float:
+        """A turn of the loop; returns the ticks that odometry adds. `edges` of both kinds, `true_sign` of their way."""
+        ticks = self._ticks(edges) * (self._pin_sign() if self.mistakes.sign_by_direction_pin else true_sign)
+        self.speed_ticks_s += FILTER * (ticks / LOOP_S - self.speed_ticks_s)
+        self._step_set_point(now_s)
+        self._output = self._regulate()
+        self.pwm = motor_output(self._output)
+        return self.speed_ticks_s * LOOP_S if self.mistakes.filtered_odometry else ticks
+
+    def _ticks(self, edges: int) -> float:
+        before = self._edges
+        self._edges += edges
+        if not self.mistakes.rising_edges_only:
+            return edges / 2
+        return float((self._edges + 1) // 2 - (before + 1) // 2)
+
+    def _pin_sign(self) -> int:
+        return -1 if self._output < 0.0 else 1
+
+    def _time(self, time_s: float) -> float:
+        microseconds = float(int(time_s * 1e6))
+        if not self.mistakes.single_precision_time:
+            return microseconds
+        single: float = struct.unpack("f", struct.pack("f", microseconds))[0]
+        return single
+
+    def _step_set_point(self, now_s: float) -> None:
+        length_us = self._end_us - self._begun_us
+        share = 1.0 if length_us <= 0.0 else min((self._time(now_s) - self._begun_us) / length_us, 1.0)
+        curve = 10 * share**3 - 15 * share**4 + 6 * share**5
+        self.set_point_ticks_s = self._from + (self._target - self._from) * curve
+
+    def _regulate(self) -> float:
+        if self.set_point_ticks_s == 0.0 and not self.mistakes.wound_integral:
+            self._integral = self._last_error = self._steady_ticks_s = 0.0
+            return 0.0
+        gains, mistakes = self.gains, self.mistakes
+        error = self.set_point_ticks_s - self.speed_ticks_s - gains.feedback * self._fed_back_ticks_s()
+        slope = (error - self._last_error) / LOOP_S * (-1.0 if mistakes.wrong_derivative else 1.0)
+        integral = max(-_INTEGRAL_LIMIT, min(_INTEGRAL_LIMIT, self._integral + error * LOOP_S))
+        free = gains.kp * error + gains.ki * integral + gains.kd * slope
+        low, high = self._limits()
+        output = max(low, min(high, free))
+        if mistakes.wound_integral or output == free or (free > 0) != (error > 0):
+            self._integral = integral
+        self._last_error = error
+        return output
+
+    def _limits(self) -> tuple[float, float]:
+        full = float(FULL_PWM)
+        if self.mistakes.drives_against:
+            return -full, full
+        return (0.0, full) if (self.set_point_ticks_s or self._from) >= 0.0 else (-full, 0.0)
+
+    def _fed_back_ticks_s(self) -> float:
+        last_ticks_s = self._output / FULL_PWM * FULL_SPEED_TICKS_S
+        if self.mistakes.steady_feedback:
+            return last_ticks_s
+        quick_ticks_s = last_ticks_s - self._steady_ticks_s
+        self._steady_ticks_s += quick_ticks_s * LOOP_S / (_WASHOUT_S + LOOP_S)
+        return quick_ticks_s

@@ -1,0 +1,226 @@
+"""Reports: what the laboratory found, as lines for people and as one object for programs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hostlink.lab.causes import CAUSES, MISTAKES, Cause
+from hostlink.lab.experiment import Errors, Experiment, Software, measure_all
+from hostlink.lab.paper_results import axes_of
+from hostlink.lab.patterns import PATTERNS
+from hostlink.lab.tables import Column, Table
+from hostlink.lab.tables import tables as driven_tables
+from hostlink.lab.turns import BestTurns, Needed, best_turns, chance_of_table_2, needed_radius, needed_twists
+from hostlink.sim.world_parameters import WorldParameters
+
+TABLE_RUNS = 12
+CAUSE_RUNS = 4
+PICTURE_RUNS = 5
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The same twice."""
+
+    lines: list[str]
+    view: dict[str, Any]
+
+    def __add__(self, other: "Report") -> "Report":
+        return Report([*self.lines, "", *other.lines], self.view | other.view)
+
+
+def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """As Markdown, so that it may be pasted."""
+    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+    lines = [
+        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in rows
+    ]
+    first = "| " + " | ".join(cell.ljust(width) for cell, width in zip(head, widths, strict=True)) + " |"
+    return [first, "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines]
+
+
+# -- causes -----------------------------------------------------------------------------------------------------------
+
+
+def causes(runs: int, progress: Progress) -> Report:
+    """What each cause alone does to each pattern: means of |x| / |y|, of the line |length|, in cm.
+
+    Raises:
+        WorldLibraryMissing: the firmware is not built.
+    """
+    listed = [*CAUSES, *MISTAKES]
+    experiments = [
+        Experiment(cause.setup(software), pattern, runs)
+        for cause in listed
+        for software in Software
+        for pattern in PATTERNS
+    ]
+    measured = []
+    for number, errors in enumerate(measure_all(experiments), start=1):
+        progress(f"{number} of {len(experiments)} experiments driven")
+        measured.append(errors)
+    width = len(PATTERNS) * len(Software)
+    cells = {cause.name: measured[i * width : (i + 1) * width] for i, cause in enumerate(listed)}
+    lines = [
+        f"Means of {runs} runs: |x| / |y| in cm, of the line |length|. ccw, cw: the squares; back: there and back.",
+        "",
+        "A cause alone, with our firmware and with the paper's software:",
+        "",
+        *_cause_table(CAUSES, cells, "cause", ("ours", "paper")),
+        "",
+        "A mistake of the paper's software alone, and all its others without this one:",
+        "",
+        *_cause_table(MISTAKES, cells, "mistake", ("alone", "without")),
+    ]
+    return Report(lines, {"runs": runs, "causes": [_cause_view(cause, cells[cause.name]) for cause in listed]})
+
+
+def _cause_table(
+    listed: Sequence[Cause], cells: dict[str, list[Errors]], head: str, columns: tuple[str, str]
+) -> list[str]:
+    heads = [head, *(f"{column}: {pattern.short}" for column in columns for pattern in PATTERNS)]
+    return text_table(heads, [[cause.title, *map(_sizes, cells[cause.name])] for cause in listed])
+
+
+def _sizes(errors: Errors) -> str:
+    return " / ".join(f"{mean:.1f}" for mean in errors.means_cm)
+
+
+def _cause_view(cause: Cause, cells: list[Errors]) -> dict[str, Any]:
+    half = len(PATTERNS)
+    names = ("alone", "without") if cause.mistake else ("ours", "paper")
+    return {
+        "name": cause.name,
+        "title": cause.title,
+        "values": dict(cause.values),
+        **{
+            name: {errors.pattern.name: _errors_view(errors) for errors in part}
+            for name, part in zip(names, (cells[:half], cells[half:]), strict=True)
+        },
+    }
+
+
+def _errors_view(errors: Errors) -> dict[str, Any]:
+    axes = axes_of(errors.pattern.table)
+    return {
+        "mean_abs_cm": dict(zip(axes, errors.means_cm.tolist(), strict=True)),
+        "xy_cm": errors.xy_cm.tolist(),
+        "length_cm": errors.length_cm.tolist(),
+    }
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+def tables(world: WorldParameters, runs: int, progress: Progress) -> Report:
+    """Tables 2-5, side by side.
+
+    Raises:
+        WorldLibraryMissing: the firmware is not built.
+    """
+    driven = driven_tables(world, runs=runs, report=progress)
+    heads = ["table", "pattern", "axis", *(column.title for column in driven[0].columns)]
+    rows = [row for table in driven for row in _table_rows(table)]
+    lines = [
+        f"|error| in cm: mean +- standard error; the paper's of 3 runs (table 4: 5), others of {runs}.",
+        "",
+        *text_table(heads, rows),
+        "",
+        "World: " + (", ".join(world.text().split("\n")).rstrip(", ") or "without a flaw"),
+    ]
+    views = [_table_view(table) for table in driven]
+    return Report(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})
+
+
+def _table_rows(table: Table) -> list[list[str]]:
+    return [
+        [str(table.pattern.table), table.pattern.title, axis, *(_mean(column, i) for column in table.columns)]
+        for i, axis in enumerate(axes_of(table.pattern.table))
+    ]
+
+
+def _mean(column: Column, axis: int) -> str:
+    return f"{column.means_cm[axis]:.1f} +- {column.errors_cm[axis]:.1f}"
+
+
+def _table_view(table: Table) -> dict[str, Any]:
+    return {
+        "table": table.pattern.table,
+        "pattern": table.pattern.name,
+        "axes": axes_of(table.pattern.table),
+        "columns": [
+            {
+                "title": column.title,
+                "mean_cm": column.means_cm.tolist(),
+                "standard_error_cm": column.errors_cm.tolist(),
+                "runs_cm": column.sizes_cm.tolist(),
+            }
+            for column in table.columns
+        ],
+    }
+
+
+def _changed(world: WorldParameters) -> list[tuple[str, float]]:
+    pairs = [line.split("=") for line in world.text().splitlines()]
+    return [(name, float(value)) for name, value in pairs]
+
+
+# -- claims -----------------------------------------------------------------------------------------------------------
+
+
+def claims(progress: Progress) -> Report:
+    """Which numbers the paper's tables need, and whether one set of them can serve all."""
+    progress("solving")
+    radius, twists = needed_radius(), needed_twists()
+    progress("drawing squares like table 2")
+    chance, chance_turns = chance_of_table_2()
+    progress("drawing laboratories")
+    best = {has_loss: best_turns(has_loss=has_loss) for has_loss in (False, True)}
+    lines = [
+        f"radius for table 4: +{radius.mean * 100:.2f} % [{radius.low * 100:.2f}, {radius.high * 100:.2f}]",
+        "",
+        "Overturning that each column needs, if all turns err equally (95 % of 3 runs):",
+        "",
+        *text_table(["column", "rad a turn", "95 %"], [_needed_row(needed) for needed in twists]),
+        "",
+        f"Three runs like table 2 (|x| 26 to 36, |y| to 6 cm): at most {chance:.1g}, with turns of"
+        f" {chance_turns.mean_rad:.2f} +- {chance_turns.random_rad:.2f} rad.",
+        "",
+        *(line for has_loss, found in best.items() for line in _best_lines(found, has_loss=has_loss)),
+    ]
+    return Report(
+        lines,
+        {
+            "radius": _needed_view(radius),
+            "twists": [_needed_view(twist) for twist in twists],
+            "table_2": {"chance": chance, **_turns_view(chance_turns)},
+            "best": [
+                {**_turns_view(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
+                for found in best.values()
+            ],
+        },
+    )
+
+
+def _needed_row(needed: Needed) -> list[str]:
+    return [needed.what, f"{needed.mean:.3f}", f"{needed.low:.3f} to {needed.high:.3f}"]
+
+
+def _needed_view(needed: Needed) -> dict[str, Any]:
+    return {"what": needed.what, "mean": needed.mean, "low": needed.low, "high": needed.high}
+
+
+def _turns_view(turns: Any) -> dict[str, float]:
+    return {"mean_rad": turns.mean_rad, "random_rad": turns.random_rad, "loss_m": turns.loss_m}
+
+
+def _best_lines(found: BestTurns, *, has_loss: bool) -> list[str]:
+    turns = found.turns
+    loss = f", and {turns.loss_m * 100:.0f} cm of slip after each turn" if has_loss else ""
+    pairs = ", ".join(f"{found.means_cm[i]:.0f}/{found.means_cm[i + 1]:.0f}" for i in range(0, len(found.means_cm), 2))
+    return [
+        f"Best for tables 2, 3 and 5 at once: turns of {turns.mean_rad:.2f} +- {turns.random_rad:.2f} rad{loss}:",
+        f"  {pairs} cm of 30/3, 40/30, 3/7; worse in {found.p_value * 100:.1f} % of drawn laboratories",
+    ]

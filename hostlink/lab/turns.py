@@ -1,0 +1,146 @@
+"""Turns: a square as legs and turns alone, without motors: quick enough to draw a hundred thousand runs. Pure.
+
+Each turn leaves the odometry's heading off by an angle, each leg its length by a share, each leg after a turn by a
+length. What no such numbers can give, no caster, no slip and no radius can.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hostlink.lab.paper_results import LINE_M, LINE_TABLE, PAPER_CM
+from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT, Pattern
+
+_Array = NDArray[np.float64]
+
+RUNS = 3  # of each of the paper's tables
+TURNING = (SQUARE_LEFT, SQUARE_RIGHT, BACK)
+T_95 = {2: 4.302653, 4: 2.776445}  # of Student's distribution, by degrees of freedom
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurnErrors:
+    """How turns and legs go wrong."""
+
+    mean_rad: float  # by which the robot turns farther than its odometry says, at each turn
+    random_rad: float = 0.0  # standard deviation of that
+    loss_m: float = 0.0  # by which odometry runs ahead at the start of each leg after a turn: wheels that slip
+
+
+def errors_cm(pattern: Pattern, turns: TurnErrors, normal: _Array) -> _Array:
+    """Odometry less truth, x and y, a row each run; `normal`: random numbers, a row each run, a column each turn."""
+    marks = np.array([(0.0, 0.0), *pattern.marks_of(0)])
+    legs = np.diff(marks[:, 0] + 1j * marks[:, 1])
+    sense = np.sign(np.angle(legs[1:] / legs[:-1]))
+    off_rad = -sense * (turns.mean_rad + turns.random_rad * normal[:, : len(sense)])
+    headings = np.exp(1j * np.concatenate([np.zeros((len(normal), 1)), np.cumsum(off_rad, axis=1)], axis=1))
+    losses = np.array([0.0] + [turns.loss_m] * len(sense)) * legs / np.abs(legs)
+    total = ((legs + losses) * headings - legs).sum(axis=1) * 100
+    return np.stack([total.real, total.imag], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Needed:
+    """The number that one column of the paper's tables needs, alone."""
+
+    what: str
+    mean: float
+    low: float
+    high: float  # of the 95 % interval
+
+    def overlaps(self, other: "Needed") -> bool:
+        """Whether one number may serve both."""
+        return self.low <= other.high and other.low <= self.high
+
+
+def needed_radius() -> Needed:
+    """By which share the wheels must be larger than 45 mm for table 4."""
+    shares = PAPER_CM[LINE_TABLE][:, 0] / 100 / np.array(LINE_M)
+    return _needed("line", shares)
+
+
+def needed_twists() -> list[Needed]:
+    """By how much each turn must twist the robot for each column of tables 2, 3 and 5: solved run by run."""
+    found = []
+    for pattern in TURNING:
+        axes = ("y",) if pattern is BACK else ("x", "y")  # a twist moves x of there and back by its square only
+        for axis in axes:
+            sizes = PAPER_CM[pattern.table][:, "xy".index(axis)]
+            twists = np.array([_twist_for(pattern, "xy".index(axis), size) for size in sizes])
+            found.append(_needed(f"table {pattern.table}, {axis}", twists))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class BestTurns:
+    """The turn errors under which the paper's means are the most likely, and how likely worse ones are then."""
+
+    turns: TurnErrors
+    means_cm: _Array  # |x| and |y| of tables 2, 3, 5
+    paper_cm: _Array
+    p_value: float  # share of drawn laboratories whose means lie farther out than the paper's
+
+
+def best_turns(*, has_loss: bool, draws: int = 4000) -> BestTurns:
+    """Search a grid; equal random numbers at each of its points."""
+    normal = np.random.default_rng(1).standard_normal((len(TURNING), draws * RUNS, RUNS))
+    paper = np.concatenate([PAPER_CM[pattern.table].mean(axis=0) for pattern in TURNING])
+    grid = [
+        TurnErrors(mean_rad=mean / 100, random_rad=random / 100, loss_m=loss / 100)
+        for mean in range(13)
+        for random in range(1, 19)
+        for loss in (range(-30, 31, 5) if has_loss else (0,))
+    ]
+    likely = max(grid, key=lambda turns: _log_likelihood(paper, _means(turns, normal[:, : 400 * RUNS])))
+    means = _means(likely, normal)
+    distances, distance = _distances(means, means), _distances(means, paper[np.newaxis])[0]
+    return BestTurns(likely, means.mean(axis=0), paper, float((distances >= distance).mean()))
+
+
+def chance_of_table_2(draws: int = 20000) -> tuple[float, TurnErrors]:
+    """The highest probability that any turn errors give three runs like table 2: |x| from 26, |y| up to 6 cm."""
+    normal = np.random.default_rng(2).standard_normal((draws, RUNS))
+    grid = [TurnErrors(mean_rad=mean / 100, random_rad=random / 100) for mean in range(16) for random in range(19)]
+
+    def chance(turns: TurnErrors) -> float:
+        x_cm, y_cm = np.abs(errors_cm(SQUARE_LEFT, turns, normal)).T
+        return float(((x_cm >= 26.0) & (x_cm <= 36.0) & (y_cm <= 6.0)).mean()) ** RUNS  # noqa: PLR2004 - table 2's
+
+    best = max(grid, key=chance)
+    return chance(best), best
+
+
+def _means(turns: TurnErrors, normal: _Array) -> _Array:
+    """The means of |x| and |y| of tables 2, 3, 5, a row each drawn laboratory."""
+    sizes = [np.abs(errors_cm(pattern, turns, normal[i])) for i, pattern in enumerate(TURNING)]
+    return np.concatenate([size.reshape(-1, RUNS, 2).mean(axis=1) for size in sizes], axis=1)
+
+
+def _spread(means: _Array) -> _Array:
+    """The covariance; readings are whole centimetres."""
+    spread: _Array = np.cov(means.T) + np.eye(means.shape[1]) * (1.0 / 12.0 / RUNS + 0.25)
+    return spread
+
+
+def _distances(means: _Array, points: _Array) -> _Array:
+    off = points - means.mean(axis=0)
+    squares: _Array = np.einsum("ij,jk,ik->i", off, np.linalg.inv(_spread(means)), off)
+    return squares
+
+
+def _log_likelihood(paper: _Array, means: _Array) -> float:
+    sign_and_log = np.linalg.slogdet(_spread(means))
+    return float(-_distances(means, paper[np.newaxis])[0] - sign_and_log[1])
+
+
+def _twist_for(pattern: Pattern, axis: int, size_cm: float) -> float:
+    twists = np.linspace(0.0, 0.3, 301)
+    sizes = [abs(errors_cm(pattern, TurnErrors(mean_rad=twist), np.zeros((1, RUNS)))[0, axis]) for twist in twists]
+    return float(np.interp(size_cm, sizes, twists))
+
+
+def _needed(what: str, values: _Array) -> Needed:
+    mean, count = float(values.mean()), len(values)
+    half = T_95[count - 1] * float(values.std(ddof=1)) / count**0.5
+    return Needed(what, mean, mean - half, mean + half)
