@@ -5,13 +5,14 @@ import importlib.util
 import json as json_text
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, assert_never
 
 import typer
 
-from hostlink.cli.output import show_progress, write, write_error
+from hostlink.cli.output import show_progress, write
 from hostlink.errors import ConfigError
 from hostlink.lab import reports
+from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
 from hostlink.sim.world_library import WorldLibraryMissing
 from hostlink.sim.world_parameters import WorldParameters, read
@@ -49,7 +50,9 @@ def command(
     _require("matplotlib" if what is What.PICTURES else "scipy" if fit else None)
     chosen = CASTER_WORLD if world is None else _read(world)
     try:
-        report = _report(what, runs, chosen, fit, output)
+        with Laboratory() as laboratory:
+            report = _report(laboratory, what, runs, chosen, output)
+            report = report + _fit(laboratory) if fit else report
     except WorldLibraryMissing as error:
         raise ConfigError("hostlink lab", str(error)) from None
     except OSError as error:
@@ -60,35 +63,53 @@ def command(
     write(*([json_text.dumps(report.view)] if json else report.lines))
 
 
-def _report(what: What, runs: int | None, world: WorldParameters, fit: bool, output: Path) -> reports.Report:
+def _report(
+    laboratory: Laboratory, what: What, runs: int | None, world: WorldParameters, output: Path
+) -> reports.Report:
     match what:
         case What.CAUSES:
-            return reports.causes(runs or reports.CAUSE_RUNS, show_progress)
+            return reports.causes(laboratory, runs or reports.CAUSE_RUNS, show_progress)
+        case What.TABLES:
+            return reports.tables(laboratory, world, runs or reports.TABLE_RUNS, show_progress)
         case What.CLAIMS:
             return reports.claims(show_progress)
         case What.PICTURES:
-            from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
-
-            draw_software(world, runs or reports.PICTURE_RUNS, output)
-            write_error(f"{output}: {output.stat().st_size // 1024} KiB")
-            return reports.Report([], {"file": str(output)})
-        case What.TABLES:
-            report = reports.tables(world, runs or reports.TABLE_RUNS, show_progress)
-            return report + _fit() if fit else report
+            return _draw(world, runs or reports.PICTURE_RUNS, output)
+        case _:
+            assert_never(what)
 
 
-def _fit() -> reports.Report:
+def _draw(world: WorldParameters, runs: int, output: Path) -> reports.Report:
+    from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
+
+    show_progress("drawing")
+    draw_software(world, runs, output)
+    kibibytes = output.stat().st_size // 1024
+    return reports.Report([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
+
+
+def _fit(laboratory: Laboratory) -> reports.Report:
     from hostlink.lab.fit_report import report_fit  # noqa: PLC0415 - needs scipy
 
-    return report_fit(show_progress)
+    return report_fit(laboratory, show_progress)
 
 
 def _require(library: str | None) -> None:
+    """Refuse before anything is driven.
+
+    Raises:
+        ConfigError: the library is not installed.
+    """
     if library is not None and importlib.util.find_spec(library) is None:
         raise ConfigError("hostlink lab", f"needs {library}: run  pip install 'hostlink[lab]'")
 
 
 def _read(file: Path) -> WorldParameters:
+    """A world from a file.
+
+    Raises:
+        ConfigError: it cannot be read, or is none.
+    """
     try:
         return read(file.read_text())
     except (OSError, UnicodeDecodeError, ValueError) as error:

@@ -1,15 +1,17 @@
 """Experiment: a pattern that is driven several times with one software in one world, and its errors."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from multiprocessing import get_context
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.lab.operator import Habits, RollOn, Run, drive, rehearse
+from hostlink.lab.operator import Habits, Practice, Run, drive, rehearse
 from hostlink.lab.paper_results import LINE_TABLE
 from hostlink.lab.paper_software import Mistakes
 from hostlink.lab.patterns import Pattern
@@ -25,6 +27,7 @@ PAPER_WORLD = WorldParameters().changed(
         for name, value in (("dead_zone_pwm", THRESHOLD_PWM), ("has_jump", 0.0))
     }
 )
+_POOLED_RUNS = 40  # fewer are driven before a process has started
 
 
 class Software(StrEnum):
@@ -93,16 +96,18 @@ def conduct(experiment: Experiment) -> list[Run]:
         WorldLibraryMissing: the firmware is not built.
     """
     setup = experiment.setup
-    roll_on = practise(setup)
+    practice = practise(setup)
     return [
-        drive(setup.robot(setup.first_seed + run), experiment.pattern, run=run, roll_on=roll_on, habits=setup.habits)
+        drive(setup.robot(setup.first_seed + run), experiment.pattern, run=run, practice=practice, habits=setup.habits)
         for run in range(experiment.runs)
     ]
 
 
-def practise(setup: Setup) -> RollOn:
-    """What the operator learns before: how far this robot rolls on."""
-    return rehearse(lambda: setup.robot(0), setup.habits)
+def practise(setup: Setup) -> Practice:
+    """What the operator has learnt of this robot: chance averages out."""
+    steady = {"caster_random": 0.0, "left.slip_noise_m": 0.0, "right.slip_noise_m": 0.0}
+    usual = in_world(setup, setup.world.changed(steady))
+    return rehearse(lambda: usual.robot(1), setup.habits)
 
 
 def errors_of(runs: Iterable[Run]) -> Errors:
@@ -113,7 +118,7 @@ def errors_of(runs: Iterable[Run]) -> Errors:
 
 
 def measure(experiment: Experiment) -> Errors:
-    """Drive, and keep the errors alone.
+    """Drive one, and keep the errors alone.
 
     Raises:
         WorldLibraryMissing: the firmware is not built.
@@ -121,18 +126,32 @@ def measure(experiment: Experiment) -> Errors:
     return errors_of(conduct(experiment))
 
 
-def measure_all(experiments: list[Experiment]) -> Iterator[Errors]:
-    """The errors of each, in their order, on all cores.
+class Laboratory:
+    """Drives many experiments, on all cores where that is worth a process: `with Laboratory() as laboratory`."""
 
-    Raises:
-        WorldLibraryMissing: the firmware is not built.
-    """
-    workers = os.cpu_count() or 1
-    if workers == 1 or len(experiments) == 1:
-        yield from map(measure, experiments)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        yield from pool.map(measure, experiments)
+    def __init__(self, workers: int | None = None) -> None:
+        """`workers`: processes; None: one for each core."""
+        self._workers = workers or os.cpu_count() or 1
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def measure(self, experiments: Sequence[Experiment]) -> Iterator[Errors]:
+        """The errors of each, in their order.
+
+        Raises:
+            WorldLibraryMissing: the firmware is not built.
+        """
+        if self._workers == 1 or sum(experiment.runs for experiment in experiments) < _POOLED_RUNS:
+            return map(measure, experiments)
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(self._workers, get_context("spawn"))
+        return self._pool.map(measure, experiments)
 
 
 def in_world(setup: Setup, world: WorldParameters) -> Setup:

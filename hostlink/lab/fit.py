@@ -3,7 +3,7 @@
 Needs scipy, which only this module imports.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from hostlink.lab.causes import RADIUS_M, TRACK_M
-from hostlink.lab.experiment import PAPER_WORLD, Experiment, Setup, Software, in_world, measure_all
+from hostlink.lab.experiment import PAPER_WORLD, Experiment, Laboratory, Setup, Software, in_world
 from hostlink.lab.paper_results import PAPER_CM, axes_of
 from hostlink.lab.patterns import PATTERNS, Pattern
 from hostlink.sim.world_parameters import WorldParameters
@@ -97,14 +97,21 @@ class Fit:
 
 
 def fit(
+    laboratory: Laboratory,
     tables: tuple[int, ...] = (2, 3, 4, 5),
     *,
     runs: int = 6,
     rounds: int = 8,
+    measured_cm: Mapping[int, _Array] = PAPER_CM,
     report: Callable[[str], None] = lambda _: None,
 ) -> Fit:
-    """Fit the causes to some of the paper's tables."""
-    model = _Model(tables, runs, report)
+    """Fit the causes to some of the tables; `measured_cm`: a row each run, by the table's number.
+
+    Raises:
+        WorldLibraryMissing: the firmware is not built.
+    """
+    model = _Model(laboratory, {pattern: measured_cm[pattern.table] for pattern in PATTERNS}, runs, report)
+    model.fit_only(tables)
     scale = np.array([cause.step for cause in FITTED])
     bounds = (np.array([cause.low for cause in FITTED]), np.array([cause.high for cause in FITTED]))
     start = np.array([cause.start for cause in FITTED])
@@ -131,22 +138,30 @@ def uncertainty_cm(sizes_cm: _Array) -> _Array:
 class _Model:
     """Means of the patterns as functions of the causes; the seeds are the same each time."""
 
-    def __init__(self, tables: tuple[int, ...], runs: int, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, laboratory: Laboratory, measured_cm: dict[Pattern, _Array], runs: int, report: Callable[[str], None]
+    ) -> None:
         self.evaluations = 0
-        self._fitted = [pattern for pattern in PATTERNS if pattern.table in tables]
+        self._laboratory = laboratory
+        self._measured_cm = measured_cm
+        self._fitted = list(measured_cm)
         self._runs, self._report = runs, report
         self._setup = Setup(software=Software.PAPER)
         self._at: tuple[bytes, dict[Pattern, _Array]] = (b"", {})
 
-    def means(self, *points: _Array) -> dict[Pattern, _Array]:
-        """The means of all patterns at the last of some points."""
-        return self._means_at(list(points), list(PATTERNS))[-1]
+    def fit_only(self, tables: tuple[int, ...]) -> None:
+        """Leave the other tables out of the deviations."""
+        self._fitted = [pattern for pattern in self._measured_cm if pattern.table in tables]
+
+    def means(self, numbers: _Array) -> dict[Pattern, _Array]:
+        """The means of all patterns."""
+        return self._means_at([numbers], list(self._measured_cm))[0]
 
     def residuals(self, means: dict[Pattern, _Array]) -> list[Residual]:
         """One for each mean."""
         found = []
         for pattern, mean_cm in means.items():
-            paper = PAPER_CM[pattern.table]
+            paper = self._measured_cm[pattern]
             columns = zip(axes_of(pattern.table), paper.mean(axis=0), uncertainty_cm(paper), mean_cm, strict=True)
             found += [Residual(pattern, *(axis, float(a), float(b), float(c))) for axis, a, b, c in columns]
         return found
@@ -173,7 +188,7 @@ class _Model:
     def _means_at(self, points: list[_Array], patterns: list[Pattern]) -> list[dict[Pattern, _Array]]:
         setups = [in_world(self._setup, world_of(point)) for point in points]
         experiments = [Experiment(setup, pattern, self._runs) for setup in setups for pattern in patterns]
-        measured = [errors.means_cm for errors in measure_all(experiments)]
+        measured = [errors.means_cm for errors in self._laboratory.measure(experiments)]
         self.evaluations += len(points)
         self._report(f"fit: {self.evaluations} worlds driven")
         count = len(patterns)

@@ -3,20 +3,21 @@
 from collections.abc import Callable
 from typing import Any
 
+from hostlink.lab.experiment import Laboratory
 from hostlink.lab.fit import FITTED, Fit, fit
 from hostlink.lab.reports import Report, text_table
 
 FIT_RUNS = 6
 
 
-def report_fit(progress: Callable[[str], None], *, runs: int = FIT_RUNS) -> Report:
+def report_fit(laboratory: Laboratory, progress: Callable[[str], None], *, runs: int = FIT_RUNS) -> Report:
     """Fit all tables at once.
 
     Raises:
         WorldLibraryMissing: the firmware is not built.
     """
-    found = fit(runs=runs, report=progress)
-    free = sum(len(residual.axis) > 0 for residual in found.residuals) - len(FITTED)
+    found = fit(laboratory, runs=runs, report=progress)
+    free = len(found.residuals) - len(FITTED)
     causes = [
         [cause.name, f"{number:.3f}", f"+- {half:.3f}", cause.unit]
         for cause, number, half in zip(FITTED, found.numbers, found.intervals, strict=True)

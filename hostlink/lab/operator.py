@@ -1,7 +1,8 @@
 """The operator: drives a robot from mark to mark as the paper's authors did, with a keyboard and his eyes. Pure.
 
 Each movement is completed before the next one: turn on the spot until the robot points to the next mark, stand, drive
-straight, stand. He knows by practice how far the robot rolls on after he lets go of the key.
+straight, stand. Nobody steers on the way. He knows by practice how far the robot rolls on after he lets go of the key,
+and how far the caster turns it afterwards.
 """
 
 import math
@@ -73,15 +74,16 @@ class Run:
         return wrap_angle(odometry.theta_rad - truth.theta_rad)
 
 
-class RollOn(NamedTuple):
-    """How far a robot goes on after a zero."""
+class Practice(NamedTuple):
+    """What the operator knows of a robot: how far it goes on after a zero, and how the caster turns it then."""
 
     forward_m: float
     turned_rad: float
+    kick_rad: float  # farther than it stood, once it drives straight after a turn
 
 
-def rehearse(new_robot: Callable[[], Robot], habits: Habits) -> RollOn:
-    """Find by practice how far the robot rolls on."""
+def rehearse(new_robot: Callable[[], Robot], habits: Habits) -> Practice:
+    """Find by practice how far the robot rolls on and overturns."""
     straight = _Driver(new_robot(), habits)
     straight.go(habits.linear_m_s, 0.0, _REHEARSED_S)
     begun_m = straight.robot.world.rolled_m
@@ -90,17 +92,20 @@ def rehearse(new_robot: Callable[[], Robot], habits: Habits) -> RollOn:
     turning.go(0.0, habits.angular_rad_s, _REHEARSED_S)
     begun_rad = turning.robot.world.theta_rad
     turning.stop()
-    return RollOn(straight.robot.world.rolled_m - begun_m, turning.robot.world.theta_rad - begun_rad)
+    stood_rad = turning.robot.world.theta_rad
+    turning.go(habits.linear_m_s, 0.0, _REHEARSED_S)
+    kick_rad = turning.robot.world.theta_rad - stood_rad
+    return Practice(straight.robot.world.rolled_m - begun_m, stood_rad - begun_rad, kick_rad)
 
 
-def drive(robot: Robot, pattern: Pattern, *, run: int, roll_on: RollOn, habits: Habits) -> Run:
+def drive(robot: Robot, pattern: Pattern, *, run: int, practice: Practice, habits: Habits) -> Run:
     """Drive one pattern. `run`: its number, from which lengths and the operator's inaccuracy follow."""
     noise = RandomNumbers(run, _STREAM)
     driver = _Driver(robot, habits)
     for number, mark in enumerate(pattern.marks_of(run)):
         if number > 0:
-            driver.turn_to(mark, roll_on.turned_rad, noise.normal() * habits.aim_noise_rad)
-        driver.drive_to(mark, roll_on.forward_m, noise.normal() * habits.mark_noise_m)
+            driver.turn_to(mark, practice.turned_rad + practice.kick_rad, noise.normal() * habits.aim_noise_rad)
+        driver.drive_to(mark, practice.forward_m, noise.normal() * habits.mark_noise_m)
         if number == 0:
             robot.world.shove(0.0, habits.push_m, 0.0)
             driver.stop()
@@ -120,25 +125,25 @@ class _Driver:
         world = self.robot.world
         return Pose(world.x_m, world.y_m, world.theta_rad)
 
-    def turn_to(self, mark: tuple[float, float], roll_on_rad: float, noise_rad: float) -> None:
+    def turn_to(self, mark: tuple[float, float], early_rad: float, noise_rad: float) -> None:
         """Turn on the spot until the robot points to the mark; half a turn goes to the left."""
         truth = self._truth
         wanted_rad = wrap_angle(math.atan2(mark[1] - truth.y_m, mark[0] - truth.x_m) - truth.theta_rad)
         if wanted_rad < -0.75 * math.pi:
             wanted_rad += math.tau
         sign = math.copysign(1.0, wanted_rad)
-        goal_rad = abs(wanted_rad) + noise_rad - roll_on_rad
+        goal_rad = abs(wanted_rad) + noise_rad - early_rad
         begun_rad = truth.theta_rad
         self._press(0.0, sign * self._habits.angular_rad_s)
         self._until(lambda: goal_rad - sign * (self._truth.theta_rad - begun_rad), self._habits.angular_rad_s)
         self.stop()
 
-    def drive_to(self, mark: tuple[float, float], roll_on_m: float, noise_m: float) -> None:
-        """Drive straight until the robot is beside the mark; nobody steers."""
+    def drive_to(self, mark: tuple[float, float], early_m: float, noise_m: float) -> None:
+        """Drive straight until the robot is beside the mark."""
         begun = self._truth
         way_m = math.hypot(mark[0] - begun.x_m, mark[1] - begun.y_m)
         along = ((mark[0] - begun.x_m) / way_m, (mark[1] - begun.y_m) / way_m)
-        goal_m = way_m + noise_m - roll_on_m
+        goal_m = way_m + noise_m - early_m
 
         def left_m() -> float:
             truth = self._truth

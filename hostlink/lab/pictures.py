@@ -16,6 +16,7 @@ from hostlink.sim.world_parameters import WorldParameters
 
 _TRUE, _ODOMETRY, _MARK = "#1b6ca8", "#d1495b", "#777777"
 _DPI = 80
+_SIDEWAYS_M = 0.6  # beside the line: stretched, else nothing could be seen
 
 
 def draw_software(world: WorldParameters, runs: int, file: Path) -> None:
@@ -57,7 +58,10 @@ def _draw_runs(axes: Axes, runs: list[Run], pattern: Pattern) -> None:
         axes.plot(*_xy(odometry), color=_ODOMETRY, linewidth=0.8, label="by odometry" if first else None)
     marks = pattern.marks_of(0)
     axes.plot(*zip(*marks, strict=True), "+", color=_MARK, markersize=8, label="marks on the floor")
-    axes.set_aspect("equal", adjustable="datalim")
+    if pattern.is_scaled:
+        axes.set_ylim(-_SIDEWAYS_M, _SIDEWAYS_M)
+    else:
+        axes.set_aspect("equal", adjustable="datalim")
     axes.tick_params(labelsize=7)
     axes.set_xlabel("x (m)", fontsize=7)
     axes.set_ylabel("y (m)", fontsize=7)

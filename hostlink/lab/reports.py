@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hostlink.lab.causes import CAUSES, MISTAKES, Cause
-from hostlink.lab.experiment import Errors, Experiment, Software, measure_all
+from hostlink.lab.experiment import Errors, Experiment, Laboratory, Software
 from hostlink.lab.paper_results import axes_of
 from hostlink.lab.patterns import PATTERNS
 from hostlink.lab.tables import Column, Table
@@ -44,7 +44,7 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 # -- causes -----------------------------------------------------------------------------------------------------------
 
 
-def causes(runs: int, progress: Progress) -> Report:
+def causes(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
     """What each cause alone does to each pattern: means of |x| / |y|, of the line |length|, in cm.
 
     Raises:
@@ -58,7 +58,7 @@ def causes(runs: int, progress: Progress) -> Report:
         for pattern in PATTERNS
     ]
     measured = []
-    for number, errors in enumerate(measure_all(experiments), start=1):
+    for number, errors in enumerate(laboratory.measure(experiments), start=1):
         progress(f"{number} of {len(experiments)} experiments driven")
         measured.append(errors)
     width = len(PATTERNS) * len(Software)
@@ -114,13 +114,13 @@ def _errors_view(errors: Errors) -> dict[str, Any]:
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
-def tables(world: WorldParameters, runs: int, progress: Progress) -> Report:
+def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: Progress) -> Report:
     """Tables 2-5, side by side.
 
     Raises:
         WorldLibraryMissing: the firmware is not built.
     """
-    driven = driven_tables(world, runs=runs, report=progress)
+    driven = driven_tables(world, laboratory, runs=runs, report=progress)
     heads = ["table", "pattern", "axis", *(column.title for column in driven[0].columns)]
     rows = [row for table in driven for row in _table_rows(table)]
     lines = [

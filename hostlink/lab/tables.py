@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hostlink.lab.calibrated import calibrated
 from hostlink.lab.causes import RADIUS_M
-from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Setup, Software, measure_all
+from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software
 from hostlink.lab.paper_results import PAPER_CM
 from hostlink.lab.patterns import PATTERNS, Pattern
 from hostlink.sim.world_parameters import WorldParameters
@@ -56,7 +56,9 @@ class Table:
     columns: tuple[Column, ...]
 
 
-def tables(world: WorldParameters, *, runs: int, report: Callable[[str], None] = lambda _: None) -> list[Table]:
+def tables(
+    world: WorldParameters, laboratory: Laboratory, *, runs: int, report: Callable[[str], None] = lambda _: None
+) -> list[Table]:
     """Drive all of them.
 
     Raises:
@@ -70,7 +72,7 @@ def tables(world: WorldParameters, *, runs: int, report: Callable[[str], None] =
         CALIBRATED: calibrated(firmware),
     }
     experiments = [Experiment(setup, pattern, runs) for pattern in PATTERNS for setup in setups.values()]
-    measured = _reported(measure_all(experiments), len(experiments), report)
+    measured = _reported(laboratory.measure(experiments), len(experiments), report)
     return [
         Table(
             pattern,

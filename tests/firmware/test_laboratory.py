@@ -1,0 +1,103 @@
+"""The laboratory drives the firmware as the board executes it (HOSTLINK_LAB_RUNS: so many of each pattern)."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hostlink.cli.main import build_app
+from hostlink.lab.causes import CAUSES, Cause
+from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software, measure
+from hostlink.lab.fit import FITTED, fit, world_of
+from hostlink.lab.patterns import BACK, LINE, SQUARE_LEFT, SQUARE_RIGHT, Pattern
+from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, Table, tables
+from tests.firmware.boards import build_native
+
+RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "4"))
+LABORATORY = Laboratory(workers=1)
+NAMED = {cause.name: cause for cause in CAUSES}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built() -> None:
+    """The library, compiled before the clock of the first test runs."""
+    build_native()
+
+
+def ours(cause: Cause, pattern: Pattern) -> Errors:
+    return measure(Experiment(cause.setup(Software.FIRMWARE), pattern, RUNS))
+
+
+@pytest.mark.parametrize("pattern", [SQUARE_LEFT, SQUARE_RIGHT], ids=lambda pattern: pattern.name)
+@pytest.mark.parametrize("world", [NAMED["none"], NAMED["jump"], NAMED["battery"]], ids=lambda cause: cause.name)
+def test_a_stop_and_go_square_in_a_perfect_world_ends_where_it_is_believed_to(world: Cause, pattern: Pattern) -> None:
+    assert np.hypot(*ours(world, pattern).xy_cm.T).max() < 0.002 * 800  # 0.2 % of the way
+
+
+def test_a_larger_wheel_shortens_the_line_that_odometry_measures() -> None:
+    errors = ours(NAMED["radius"], LINE)
+    lengths_cm = [LINE.marks_of(run)[0][0] * 100 for run in range(RUNS)]
+    assert errors.length_cm == pytest.approx([-0.005 * length for length in lengths_cm], abs=0.15)
+
+
+def test_a_caster_turns_squares_both_ways_and_leaves_lines() -> None:
+    left, right = ours(NAMED["caster_twist"], SQUARE_LEFT), ours(NAMED["caster_twist"], SQUARE_RIGHT)
+    assert np.all(left.xy_cm[:, 0] < 0.0)
+    assert np.all(left.xy_cm[:, 1] > 0.0)
+    assert np.all(right.xy_cm < 0.0)
+    assert left.means_cm == pytest.approx(right.means_cm, rel=0.2)
+    assert ours(NAMED["caster_twist"], LINE).means_cm < 0.2
+
+
+def column(table: Table, title: str) -> np.ndarray:
+    (found,) = [column.means_cm for column in table.columns if column.title == title]
+    return found
+
+
+def test_tables_stand_beside_the_paper_and_calibration_gains_threefold() -> None:
+    driven = {table.pattern: table for table in tables(CASTER_WORLD, LABORATORY, runs=RUNS)}
+    assert [table.pattern.table for table in driven.values()] == [2, 3, 4, 5]
+    assert driven[LINE].columns[0].means_cm == pytest.approx([1.84])
+    assert column(driven[LINE], REBUILT) == pytest.approx([1.84], abs=0.2)
+    squares = [driven[SQUARE_LEFT], driven[SQUARE_RIGHT]]
+    before, after = (sum(column(table, title).sum() for table in squares) for title in (OURS, CALIBRATED))
+    assert before > 3.0 * after
+    assert column(driven[LINE], CALIBRATED) < 0.2
+
+
+def test_a_fit_finds_the_radius_that_made_the_lines() -> None:
+    made = [0.8, 0.0, 0.0, 0.0, 0.0]
+    lines = measure(Experiment(Setup(software=Software.PAPER, world=world_of(np.array(made))), LINE, 5))
+    measured = {table: np.zeros((3, 2)) for table in (2, 3, 5)} | {4: lines.sizes_cm}
+    found = fit(LABORATORY, (4,), runs=2, rounds=4, measured_cm=measured)
+    assert found.numbers[0] == pytest.approx(0.8, abs=0.1)
+    assert found.intervals[0] < 0.5
+    assert FITTED[0].name == "radius"
+
+
+def test_a_push_spoils_any_software() -> None:
+    errors = ours(NAMED["push"], BACK)
+    assert np.abs(errors.xy_cm).max() > 4.0
+
+
+def test_the_command_prints_tables_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    world = tmp_path / "world.txt"
+    world.write_text(PAPER_WORLD.changed({"left.radius_m": 0.0452}).text())
+    app = build_app("lab")
+    app(["lab", "tables", "--runs", "2", "--world", str(world)], standalone_mode=False)
+    text = capsys.readouterr().out
+    assert "| 4     | straight line" in text
+    assert "left.radius_m=0.0452" in text
+    app(["lab", "tables", "--runs", "2", "--world", str(world), "--json"], standalone_mode=False)
+    view = json.loads(capsys.readouterr().out)
+    assert [table["table"] for table in view["tables"]] == [2, 3, 4, 5]
+    assert view["world"]["left.radius_m"] == 0.0452
+
+
+def test_pictures_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "paths.png"
+    build_app("lab")(["lab", "pictures", "--runs", "2", "-o", str(picture)], standalone_mode=False)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "KiB" in capsys.readouterr().out

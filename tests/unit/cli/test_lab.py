@@ -1,0 +1,46 @@
+"""`hostlink lab`: what is wrong is one line that says what to do."""
+
+from pathlib import Path
+
+import pytest
+
+from hostlink.cli import lab
+from hostlink.cli.main import build_app
+from hostlink.errors import ConfigError
+
+
+def run(*arguments: str) -> None:
+    build_app("lab")(["lab", *arguments], standalone_mode=False)
+
+
+def test_a_missing_library_names_the_extra() -> None:
+    with pytest.raises(ConfigError, match=r"needs no_such_library: run  pip install 'hostlink\[lab\]'"):
+        lab._require("no_such_library")
+    lab._require(None)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [("track=0.2\n", "meant track_m"), ("track_m=wide\n", "no number"), ("left.radius\n", "left.radius")],
+)
+def test_a_wrong_world_is_named(tmp_path: Path, text: str, problem: str) -> None:
+    world = tmp_path / "world.txt"
+    world.write_text(text)
+    with pytest.raises(ConfigError, match=problem):
+        run("tables", "--world", str(world))
+
+
+def test_a_world_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="No such file"):
+        run("tables", "--world", str(tmp_path / "none"))
+
+
+def test_a_fit_belongs_to_tables() -> None:
+    with pytest.raises(ConfigError, match="hostlink lab tables"):
+        run("causes", "--fit")
+
+
+@pytest.mark.parametrize("arguments", [("everything",), ("tables", "--runs", "1"), ()])
+def test_wrong_arguments_are_refused(arguments: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        build_app("lab")(["lab", *arguments])
