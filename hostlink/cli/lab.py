@@ -72,7 +72,7 @@ def _report(
         case What.TABLES:
             return reports.tables(laboratory, world, runs or reports.TABLE_RUNS, show_progress)
         case What.CLAIMS:
-            return reports.claims(show_progress)
+            return reports.claims(laboratory, runs or reports.TABLE_RUNS, show_progress)
         case What.PICTURES:
             return _draw(world, runs or reports.PICTURE_RUNS, output)
         case _:

@@ -55,7 +55,8 @@ CAUSES = (
         "weak_motor", "left motor 10 % slower", (("left.full_speed_rad_s", 280.0 * 0.9 * 6.283185307179586 / 230.4),)
     ),
     Cause("battery", "battery at 10.5 V, sagging by 1 V", (("battery_v", 10.5), ("battery_sag_v", 1.0))),
-    Cause("threshold", "motors turn from a PWM of 550", _both("dead_zone_pwm", 550.0)),
+    Cause("low_threshold", "motors turn from a PWM of 550", _both("dead_zone_pwm", 550.0)),
+    Cause("high_threshold", "motors turn from a PWM of 690", _both("dead_zone_pwm", 690.0)),
     Cause("jump", "motors start with a jump at 350", (*_both("dead_zone_pwm", 350.0), *_both("has_jump", 1.0))),
     Cause("push", "pushed 5 cm by hand", push_m=0.05),
 )

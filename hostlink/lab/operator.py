@@ -106,7 +106,7 @@ def drive(robot: Robot, pattern: Pattern, *, run: int, practice: Practice, habit
         if number > 0:
             driver.turn_to(mark, practice.turned_rad + practice.kick_rad, noise.normal() * habits.aim_noise_rad)
         driver.drive_to(mark, practice.forward_m, noise.normal() * habits.mark_noise_m)
-        if number == 0:
+        if number == 0 and habits.push_m:
             robot.world.shove(0.0, habits.push_m, 0.0)
             driver.stop()
     return Run(pattern, driver.samples)
@@ -117,13 +117,12 @@ class _Driver:
 
     def __init__(self, robot: Robot, habits: Habits) -> None:
         self.robot = robot
-        self.samples = [Sample(self._truth, robot.odometry)]
+        self.samples = [_sample(robot)]
         self._habits = habits
 
     @property
     def _truth(self) -> Pose:
-        world = self.robot.world
-        return Pose(world.x_m, world.y_m, world.theta_rad)
+        return self.samples[-1].truth
 
     def turn_to(self, mark: tuple[float, float], early_rad: float, noise_rad: float) -> None:
         """Turn on the spot until the robot points to the mark; half a turn goes to the left."""
@@ -184,4 +183,9 @@ class _Driver:
 
     def _advance(self, seconds: float) -> None:
         self.robot.advance(seconds)
-        self.samples.append(Sample(self._truth, self.robot.odometry))
+        self.samples.append(_sample(self.robot))
+
+
+def _sample(robot: Robot) -> Sample:
+    world = robot.world
+    return Sample(Pose(world.x_m, world.y_m, world.theta_rad), robot.odometry)

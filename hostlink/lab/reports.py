@@ -4,18 +4,30 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from hostlink.lab.causes import CAUSES, MISTAKES, Cause
-from hostlink.lab.experiment import Errors, Experiment, Laboratory, Software
+from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software
 from hostlink.lab.paper_results import axes_of
-from hostlink.lab.patterns import PATTERNS
+from hostlink.lab.patterns import PATTERNS, SQUARE_LEFT, SQUARE_RIGHT, Pattern
 from hostlink.lab.tables import Column, Table
 from hostlink.lab.tables import tables as driven_tables
-from hostlink.lab.turns import BestTurns, Needed, best_turns, chance_of_table_2, needed_radius, needed_twists
+from hostlink.lab.turns import (
+    BestTurns,
+    Needed,
+    TurnErrors,
+    best_turns,
+    chance_of_table_2,
+    mean_of,
+    needed_radius,
+    needed_twists,
+)
 from hostlink.sim.world_parameters import WorldParameters
 
 TABLE_RUNS = 12
 CAUSE_RUNS = 4
 PICTURE_RUNS = 5
+_THRESHOLDS_PWM = (690.0, 670.0, 650.0, 600.0, 550.0)
 
 Progress = Callable[[str], None]
 
@@ -170,8 +182,14 @@ def _changed(world: WorldParameters) -> list[tuple[str, float]]:
 # -- claims -----------------------------------------------------------------------------------------------------------
 
 
-def claims(progress: Progress) -> Report:
-    """Which numbers the paper's tables need, and whether one set of them can serve all."""
+def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
+    """Which numbers the paper's tables need, whether one set of them can serve all, and what its software adds.
+
+    Raises:
+        WorldLibraryMissing: the firmware is not built.
+    """
+    progress("driving the paper's software")
+    alone = software_alone(laboratory, runs)
     progress("solving")
     radius, twists = needed_radius(), needed_twists()
     progress("drawing squares like table 2")
@@ -189,6 +207,10 @@ def claims(progress: Progress) -> Report:
         f" {chance_turns.mean_rad:.2f} +- {chance_turns.random_rad:.2f} rad.",
         "",
         *(line for has_loss, found in best.items() for line in _best_lines(found, has_loss=has_loss)),
+        "",
+        f"The paper's software alone, without caster and slip: distance in cm after a square, {runs} runs:",
+        "",
+        *text_table(["motors turn from", "pattern", "mean", "95 % of the mean"], [_alone_row(each) for each in alone]),
     ]
     return Report(
         lines,
@@ -196,12 +218,51 @@ def claims(progress: Progress) -> Report:
             "radius": _needed_view(radius),
             "twists": [_needed_view(twist) for twist in twists],
             "table_2": {"chance": chance, **_turns_view(chance_turns)},
-            "best": [
-                {**_turns_view(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
-                for found in best.values()
+            "best": [_best_view(found) for found in best.values()],
+            "software_alone": [
+                {"threshold_pwm": each.threshold_pwm, "pattern": each.pattern.name, **_needed_view(each.distance_cm)}
+                for each in alone
             ],
         },
     )
+
+
+@dataclass(frozen=True, slots=True)
+class SoftwareAlone:
+    """What the paper's software errs by in a world without a flaw."""
+
+    threshold_pwm: float
+    pattern: Pattern
+    distance_cm: Needed
+
+
+def software_alone(laboratory: Laboratory, runs: int) -> list[SoftwareAlone]:
+    """The squares, with motors that begin to turn at different PWMs; 690 is what the Due's pin makes of 700.
+
+    Raises:
+        WorldLibraryMissing: the firmware is not built.
+    """
+    cases = [(pwm, pattern) for pwm in _THRESHOLDS_PWM for pattern in (SQUARE_LEFT, SQUARE_RIGHT)]
+    setups = [Setup(software=Software.PAPER, world=_with_threshold(pwm)) for pwm, _ in cases]
+    experiments = [Experiment(setup, pattern, runs) for setup, (_, pattern) in zip(setups, cases, strict=True)]
+    return [
+        SoftwareAlone(pwm, pattern, mean_of(pattern.name, np.hypot(*errors.xy_cm.T)))
+        for (pwm, pattern), errors in zip(cases, laboratory.measure(experiments), strict=True)
+    ]
+
+
+def _with_threshold(pwm: float) -> WorldParameters:
+    return PAPER_WORLD.changed({"left.dead_zone_pwm": pwm, "right.dead_zone_pwm": pwm})
+
+
+def _alone_row(alone: SoftwareAlone) -> list[str]:
+    distance = alone.distance_cm
+    interval = f"{distance.low:.1f} to {distance.high:.1f}"
+    return [f"{alone.threshold_pwm:.0f}", alone.pattern.title, f"{distance.mean:.1f}", interval]
+
+
+def _best_view(found: BestTurns) -> dict[str, Any]:
+    return {**_turns_view(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
 
 
 def _needed_row(needed: Needed) -> list[str]:
@@ -212,7 +273,7 @@ def _needed_view(needed: Needed) -> dict[str, Any]:
     return {"what": needed.what, "mean": needed.mean, "low": needed.low, "high": needed.high}
 
 
-def _turns_view(turns: Any) -> dict[str, float]:
+def _turns_view(turns: TurnErrors) -> dict[str, float]:
     return {"mean_rad": turns.mean_rad, "random_rad": turns.random_rad, "loss_m": turns.loss_m}
 
 

@@ -80,6 +80,7 @@ class PaperRobot:
         self.world: AnyWorld = open_world(_never_braking(parameters) if made.never_brakes else parameters)
         self.odometry = Pose()
         self._controllers = (PaperWheel(LEFT_GAINS, made), PaperWheel(RIGHT_GAINS, made))
+        self._sign_is_the_pin_s = made.sign_by_direction_pin
         self._drive = DifferentialDrive()
         self._edges = [0, 0]
         self._rolled_rad = [0.0, 0.0]
@@ -114,10 +115,15 @@ class PaperRobot:
         self.odometry = self._drive.integrate(self.odometry, metres[0], metres[1])
 
     def _step(self, side: int, wheel: AnyWheel) -> float:
-        edges, rolled_rad = wheel.edges, wheel.rolled_rad
-        counted, way_rad = edges - self._edges[side], rolled_rad - self._rolled_rad[side]
-        self._edges[side], self._rolled_rad[side] = edges, rolled_rad
-        return self._controllers[side].step(counted, -1 if way_rad < 0.0 else 1, self._turns * LOOP_S)
+        edges = wheel.edges
+        counted, self._edges[side] = edges - self._edges[side], edges
+        sign = 1 if self._sign_is_the_pin_s else self._true_sign(side, wheel)
+        return self._controllers[side].step(counted, sign, self._turns * LOOP_S)
+
+    def _true_sign(self, side: int, wheel: AnyWheel) -> int:
+        rolled_rad = wheel.rolled_rad
+        way_rad, self._rolled_rad[side] = rolled_rad - self._rolled_rad[side], rolled_rad
+        return -1 if way_rad < 0.0 else 1
 
 
 def _never_braking(parameters: WorldParameters) -> WorldParameters:

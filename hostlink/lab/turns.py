@@ -16,7 +16,15 @@ _Array = NDArray[np.float64]
 
 RUNS = 3  # of each of the paper's tables
 TURNING = (SQUARE_LEFT, SQUARE_RIGHT, BACK)
-T_95 = {2: 4.302653, 4: 2.776445}  # of Student's distribution, by degrees of freedom
+T_95 = {
+    1: 12.7062,
+    2: 4.302653,
+    3: 3.182446,
+    4: 2.776445,
+    5: 2.570582,
+    11: 2.200985,
+}  # Student's, by degrees of freedom
+_NORMAL_95 = 1.959963985  # of many
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +65,7 @@ class Needed:
 def needed_radius() -> Needed:
     """By which share the wheels must be larger than 45 mm for table 4."""
     shares = PAPER_CM[LINE_TABLE][:, 0] / 100 / np.array(LINE_M)
-    return _needed("line", shares)
+    return mean_of("line", shares)
 
 
 def needed_twists() -> list[Needed]:
@@ -68,7 +76,7 @@ def needed_twists() -> list[Needed]:
         for axis in axes:
             sizes = PAPER_CM[pattern.table][:, "xy".index(axis)]
             twists = np.array([_twist_for(pattern, "xy".index(axis), size) for size in sizes])
-            found.append(_needed(f"table {pattern.table}, {axis}", twists))
+            found.append(mean_of(f"table {pattern.table}, {axis}", twists))
     return found
 
 
@@ -140,7 +148,8 @@ def _twist_for(pattern: Pattern, axis: int, size_cm: float) -> float:
     return float(np.interp(size_cm, sizes, twists))
 
 
-def _needed(what: str, values: _Array) -> Needed:
+def mean_of(what: str, values: _Array) -> Needed:
+    """A mean and its 95 % interval."""
     mean, count = float(values.mean()), len(values)
-    half = T_95[count - 1] * float(values.std(ddof=1)) / count**0.5
+    half = T_95.get(count - 1, _NORMAL_95) * float(values.std(ddof=1)) / count**0.5
     return Needed(what, mean, mean - half, mean + half)
