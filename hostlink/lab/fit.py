@@ -20,7 +20,6 @@ _Array = NDArray[np.float64]
 
 _LEAST_ERROR_CM = 0.3  # of a mean of three readings to a centimetre
 _NORMAL_95 = 1.959963985
-_LEAST_INFORMATION = 1e-6  # of a number that the tables know
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,18 +30,19 @@ class FittedCause:
     unit: str
     start: float
     step: float  # for the derivative
+    spread: float  # of robots made by hand: a weak prior around zero, for what the tables do not say
     low: float
     high: float
 
 
 FITTED = (
-    FittedCause("radius", "%, both wheels", 0.5, 0.2, -3.0, 3.0),
-    FittedCause("radius_difference", "%, right less left", 0.0, 0.2, -3.0, 3.0),
-    FittedCause("track", "%", 0.0, 1.0, -10.0, 10.0),
-    FittedCause("caster_twist", "rad", 0.05, 0.01, -0.2, 0.2),
-    FittedCause("caster_random", "share", 0.4, 0.2, 0.0, 3.0),
+    FittedCause("radius", "%, both wheels", 0.5, 0.2, 2.0, -3.0, 3.0),
+    FittedCause("radius_difference", "%, right less left", 0.0, 0.2, 1.0, -3.0, 3.0),
+    FittedCause("track", "%", 0.0, 1.0, 3.0, -10.0, 10.0),
+    FittedCause("caster_twist", "rad", 0.05, 0.01, 0.1, -0.2, 0.2),
+    FittedCause("caster_random", "share", 0.4, 0.2, 1.0, 0.0, 3.0),
 )
-COUNT = len(FITTED)
+_SPREADS = np.array([cause.spread for cause in FITTED])
 
 
 def world_of(numbers: _Array) -> WorldParameters:
@@ -81,7 +81,7 @@ class Fit:
 
     tables: tuple[int, ...]  # of the paper, that were fitted
     numbers: _Array
-    intervals: _Array  # half of what contains the number with 95 %, were the model right; NaN: these tables do not say
+    intervals: _Array  # half of what contains the number with 95 %, were the model right
     residuals: tuple[Residual, ...]
     evaluations: int
 
@@ -170,7 +170,7 @@ class _Model:
         """Of the fitted tables."""
         (means,) = self._means_at([numbers], self._fitted)
         self._at = (numbers.tobytes(), means)
-        return self._deviations(means)
+        return np.concatenate([self._deviations(means), numbers / _SPREADS])
 
     def slopes(self, numbers: _Array) -> _Array:
         """The derivatives of the deviations, by steps as large as their noise asks for."""
@@ -180,7 +180,7 @@ class _Model:
         steps = np.diag([_inward(cause, number) for cause, number in zip(FITTED, numbers, strict=True)])
         around = self._means_at([numbers + step for step in steps], self._fitted)
         columns = [(self._deviations(means) - base) / step.sum() for means, step in zip(around, steps, strict=True)]
-        return np.array(columns).T
+        return np.vstack([np.array(columns).T, np.diag(1.0 / _SPREADS)])
 
     def _deviations(self, means: dict[Pattern, _Array]) -> _Array:
         return np.array([residual.deviations for residual in self.residuals(means)])
@@ -202,8 +202,5 @@ def _inward(cause: FittedCause, number: float) -> float:
 
 def _intervals(slopes: _Array) -> _Array:
     """From the curvature at the optimum."""
-    information = slopes.T @ slopes
-    covariance = np.linalg.pinv(information, rcond=_LEAST_INFORMATION)
-    known = np.diag(information) > _LEAST_INFORMATION
-    half: _Array = np.where(known, _NORMAL_95 * np.sqrt(np.abs(np.diag(covariance))), np.nan)
+    half: _Array = _NORMAL_95 * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
     return half

@@ -38,7 +38,7 @@ def draw(setups: dict[str, Setup], runs: int, file: Path) -> None:
         WorldLibraryMissing: the firmware is not built.
         OSError: the file cannot be written.
     """
-    figure = Figure(figsize=(13, 3.4 * len(setups)), layout="constrained")
+    figure = Figure(figsize=(13, 3.0 * len(setups)), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(setups), len(PATTERNS), squeeze=False)
     for row, (title, setup) in zip(grid, setups.items(), strict=True):
@@ -47,7 +47,7 @@ def draw(setups: dict[str, Setup], runs: int, file: Path) -> None:
             axes.set_title(f"{title}: {pattern.title}", fontsize=9)
     handles, labels = grid[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9)
-    figure.savefig(file, dpi=_DPI)
+    figure.savefig(file, dpi=_DPI, format="png", pil_kwargs={"optimize": True})
 
 
 def _draw_runs(axes: Axes, runs: list[Run], pattern: Pattern) -> None:

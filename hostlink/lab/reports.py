@@ -140,7 +140,7 @@ def tables(laboratory: Laboratory, world: WorldParameters, runs: int, progress: 
         "",
         *text_table(heads, rows),
         "",
-        "World: " + (", ".join(world.text().split("\n")).rstrip(", ") or "without a flaw"),
+        "World: " + (", ".join(f"{name}={value:.6g}" for name, value in _changed(world)) or "without a flaw"),
     ]
     views = [_table_view(table) for table in driven]
     return Report(lines, {"runs": runs, "world": dict(_changed(world)), "tables": views})

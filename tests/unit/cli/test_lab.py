@@ -21,7 +21,7 @@ def test_a_missing_library_names_the_extra() -> None:
 
 @pytest.mark.parametrize(
     ("text", "problem"),
-    [("track=0.2\n", "meant track_m"), ("track_m=wide\n", "no number"), ("left.radius\n", "left.radius")],
+    [("track=0.2\n", "meant track_m"), ("track_m=wide\n", "track_m=wide"), ("left.radius\n", "left.radius")],
 )
 def test_a_wrong_world_is_named(tmp_path: Path, text: str, problem: str) -> None:
     world = tmp_path / "world.txt"
