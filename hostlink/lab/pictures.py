@@ -16,7 +16,7 @@ from hostlink.sim.world_parameters import WorldParameters
 
 _TRUE, _ODOMETRY, _MARK = "#1b6ca8", "#d1495b", "#777777"
 _DPI = 80
-_SIDEWAYS_M = 0.6  # beside the line: stretched, else nothing could be seen
+_SIDEWAYS_M = 0.75  # beside the line: stretched, else nothing could be seen
 
 
 def draw_software(world: WorldParameters, runs: int, file: Path) -> None:
