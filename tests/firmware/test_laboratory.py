@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hostlink.cli.main import build_app
+from hostlink.lab.calibrated import calibrated
 from hostlink.lab.causes import CAUSES, Cause
 from hostlink.lab.experiment import PAPER_WORLD, Errors, Experiment, Laboratory, Setup, Software, measure
 from hostlink.lab.fit import FITTED, fit, world_of
@@ -65,6 +66,16 @@ def test_tables_stand_beside_the_paper_and_calibration_gains_threefold() -> None
     before, after = (sum(column(table, title).sum() for table in squares) for title in (OURS, CALIBRATED))
     assert before > 3.0 * after
     assert column(driven[LINE], CALIBRATED) < 0.2
+
+
+def test_calibration_finds_wheels_and_track_where_nothing_is_left_to_chance() -> None:
+    wheels = {"left.radius_m": 0.0452, "right.radius_m": 0.0447, "track_m": 0.215}
+    before = Setup(software=Software.FIRMWARE, world=PAPER_WORLD.changed(wheels))
+    after = calibrated(before)
+    for pattern in (SQUARE_LEFT, SQUARE_RIGHT):
+        error_cm, left_cm = (measure(Experiment(setup, pattern, RUNS)).means_cm.max() for setup in (before, after))
+        assert error_cm > 10.0
+        assert left_cm < error_cm / 100
 
 
 def test_a_fit_finds_the_radius_that_made_the_lines() -> None:
