@@ -30,7 +30,7 @@ class FittedCause:
     unit: str
     start: float
     step: float  # for the derivative
-    spread: float  # of robots made by hand: a weak prior around zero, for what the tables do not say
+    prior: float  # standard deviation among robots built by hand, around zero: for what the tables leave open
     low: float
     high: float
 
@@ -42,7 +42,7 @@ FITTED = (
     FittedCause("caster_twist", "rad", 0.05, 0.01, 0.1, -0.2, 0.2),
     FittedCause("caster_random", "share", 0.4, 0.2, 1.0, 0.0, 3.0),
 )
-_SPREADS = np.array([cause.spread for cause in FITTED])
+_PRIORS = np.array([cause.prior for cause in FITTED])
 
 
 def world_of(numbers: _Array) -> WorldParameters:
@@ -170,17 +170,17 @@ class _Model:
         """Of the fitted tables."""
         (means,) = self._means_at([numbers], self._fitted)
         self._at = (numbers.tobytes(), means)
-        return np.concatenate([self._deviations(means), numbers / _SPREADS])
+        return np.concatenate([self._deviations(means), numbers / _PRIORS])
 
     def slopes(self, numbers: _Array) -> _Array:
-        """The derivatives of the deviations, by steps as large as their noise asks for."""
+        """The derivatives of the deviations, by steps as large as their noise requires."""
         if self._at[0] != numbers.tobytes():
             self.deviations(numbers)
         base = self._deviations(self._at[1])
         steps = np.diag([_inward(cause, number) for cause, number in zip(FITTED, numbers, strict=True)])
         around = self._means_at([numbers + step for step in steps], self._fitted)
         columns = [(self._deviations(means) - base) / step.sum() for means, step in zip(around, steps, strict=True)]
-        return np.vstack([np.array(columns).T, np.diag(1.0 / _SPREADS)])
+        return np.vstack([np.array(columns).T, np.diag(1.0 / _PRIORS)])
 
     def _deviations(self, means: dict[Pattern, _Array]) -> _Array:
         return np.array([residual.deviations for residual in self.residuals(means)])

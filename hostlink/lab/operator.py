@@ -62,17 +62,6 @@ class Run:
         truth, odometry = self.samples[-1]
         return (math.hypot(odometry.x_m, odometry.y_m) - math.hypot(truth.x_m, truth.y_m)) * 100
 
-    @property
-    def true_turn_rad(self) -> float:
-        """How far the robot truly turned in all; whole turns stay in it."""
-        return self.samples[-1].truth.theta_rad
-
-    @property
-    def heading_error_rad(self) -> float:
-        """The same for the heading."""
-        truth, odometry = self.samples[-1]
-        return wrap_angle(odometry.theta_rad - truth.theta_rad)
-
 
 class Practice(NamedTuple):
     """What the operator knows of a robot: how far it goes on after a zero, and how the caster turns it then."""
@@ -113,7 +102,7 @@ def drive(robot: Robot, pattern: Pattern, *, run: int, practice: Practice, habit
 
 
 class _Driver:
-    """A robot under the operator's hands."""
+    """A robot at the operator's keyboard."""
 
     def __init__(self, robot: Robot, habits: Habits) -> None:
         self.robot = robot

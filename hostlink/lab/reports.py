@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -203,6 +204,8 @@ def claims(laboratory: Laboratory, runs: int, progress: Progress) -> Report:
         "",
         *text_table(["column", "rad a turn", "95 %"], [_needed_row(needed) for needed in twists]),
         "",
+        f"No one number serves both of: {'; '.join(f'{a} and {b}' for a, b in apart(twists)) or 'none'}.",
+        "",
         f"Three runs like table 2 (|x| 26 to 36, |y| to 6 cm): at most {chance:.1g}, with turns of"
         f" {chance_turns.mean_rad:.2f} +- {chance_turns.random_rad:.2f} rad.",
         "",
@@ -263,6 +266,11 @@ def _alone_row(alone: SoftwareAlone) -> list[str]:
 
 def _best_view(found: BestTurns) -> dict[str, Any]:
     return {**_turns_view(found.turns), "p": found.p_value, "means_cm": found.means_cm.tolist()}
+
+
+def apart(needed: Sequence[Needed]) -> list[tuple[str, str]]:
+    """The pairs whose intervals do not overlap."""
+    return [(a.what, b.what) for a, b in combinations(needed, 2) if not a.overlaps(b)]
 
 
 def _needed_row(needed: Needed) -> list[str]:

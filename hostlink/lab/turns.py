@@ -14,6 +14,7 @@ from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT, Pattern
 
 _Array = NDArray[np.float64]
 
+_READING_CM = 0.5  # standard deviation of a tape measure on the floor, of a mean of three
 RUNS = 3  # of each of the paper's tables
 TURNING = (SQUARE_LEFT, SQUARE_RIGHT, BACK)
 T_95 = {
@@ -31,7 +32,7 @@ _NORMAL_95 = 1.959963985  # of many
 class TurnErrors:
     """How turns and legs go wrong."""
 
-    mean_rad: float  # by which the robot turns farther than its odometry says, at each turn
+    mean_rad: float  # by which the robot turns farther than its odometry counts, at each turn
     random_rad: float = 0.0  # standard deviation of that
     loss_m: float = 0.0  # by which odometry runs ahead at the start of each leg after a turn: wheels that slip
 
@@ -125,20 +126,20 @@ def _means(turns: TurnErrors, normal: _Array) -> _Array:
     return np.concatenate([size.reshape(-1, RUNS, 2).mean(axis=1) for size in sizes], axis=1)
 
 
-def _spread(means: _Array) -> _Array:
-    """The covariance; readings are whole centimetres."""
-    spread: _Array = np.cov(means.T) + np.eye(means.shape[1]) * (1.0 / 12.0 / RUNS + 0.25)
-    return spread
+def _covariance(means: _Array) -> _Array:
+    """The covariance of the means, reading included."""
+    covariance: _Array = np.cov(means.T) + np.eye(means.shape[1]) * _READING_CM**2
+    return covariance
 
 
 def _distances(means: _Array, points: _Array) -> _Array:
     off = points - means.mean(axis=0)
-    squares: _Array = np.einsum("ij,jk,ik->i", off, np.linalg.inv(_spread(means)), off)
+    squares: _Array = np.einsum("ij,jk,ik->i", off, np.linalg.inv(_covariance(means)), off)
     return squares
 
 
 def _log_likelihood(paper: _Array, means: _Array) -> float:
-    sign_and_log = np.linalg.slogdet(_spread(means))
+    sign_and_log = np.linalg.slogdet(_covariance(means))
     return float(-_distances(means, paper[np.newaxis])[0] - sign_and_log[1])
 
 

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.lab.patterns import BACK, SQUARE_LEFT, SQUARE_RIGHT
+from hostlink.lab.reports import apart
 from hostlink.lab.turns import TurnErrors, best_turns, chance_of_table_2, errors_cm, needed_radius, needed_twists
 
 STEADY = np.zeros((1, 3))
@@ -40,10 +41,11 @@ def test_table_4_needs_a_radius_that_is_half_a_per_cent_larger() -> None:
 
 
 def test_the_two_columns_of_table_2_need_turns_that_no_one_robot_has() -> None:
-    needed = {each.what: each for each in needed_twists()}
-    assert not needed["table 2, x"].overlaps(needed["table 2, y"])
-    assert needed["table 3, x"].overlaps(needed["table 3, y"])
-    assert needed["table 5, y"].mean == pytest.approx(0.019, abs=0.001)
+    needed = needed_twists()
+    assert ("table 2, x", "table 2, y") in apart(needed)
+    assert ("table 3, x", "table 3, y") not in apart(needed)
+    assert needed[-1].what == "table 5, y"
+    assert needed[-1].mean == pytest.approx(0.019, abs=0.001)
 
 
 def test_no_turn_errors_give_three_runs_like_table_2() -> None:
