@@ -124,8 +124,7 @@ class Link:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
             self._close()
-            if end is not LinkEnd.PEER_CLOSED:
-                await self._send_last()
+            await self._send_last()
             await self._transport.aclose()
         raise_if_cancelled()
         return self._end or end
@@ -140,7 +139,7 @@ class Link:
             self._timer.cancel()
 
     async def _send_last(self) -> None:
-        """A link that ends from here leaves a standing robot; a connection that takes nothing is not waited for."""
+        """A link leaves a standing robot, also one that only sends no more; who takes nothing is not waited for."""
         if self.last_frame and not self.session.is_stopped:
             with contextlib.suppress(OSError):  # a TimeoutError is one
                 async with asyncio.timeout(LAST_FRAME_TIMEOUT_S):

@@ -147,6 +147,16 @@ async def test_a_robot_that_comes_back_while_its_old_link_seems_alive_replaces_i
     assert next(line["reason"] for line in lines if line["event"] == "link.closed") == "replaced"
 
 
+async def test_a_robot_that_sends_no_more_but_still_reads_receives_a_zero_before_its_link_ends() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host)
+        assert await device.velocity() == CURVE
+        device.end_sending()
+        assert await device.velocity_other_than(CURVE) == ZERO
+        await device.closed()
+
+
 async def test_two_robots_behind_one_address_live_side_by_side() -> None:
     async with (
         daemon() as host,

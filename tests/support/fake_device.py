@@ -92,6 +92,10 @@ class FakeDevice:
             if velocity != unwanted:
                 return velocity
 
+    def end_sending(self) -> None:
+        """Close this end's own direction; what the host sends is still read."""
+        self._writer.write_eof()
+
     def hang_up(self) -> None:
         """Close this end."""
         self._writer.close()
