@@ -124,8 +124,10 @@ class Link:
             log.debug("link.broken", cause=str(broken.exceptions[0]))
         finally:
             self._close()
-            await self._send_last()
-            await self._transport.aclose()
+            try:
+                await self._send_last()
+            finally:  # also when it is cancelled
+                await self._transport.aclose()
         raise_if_cancelled()
         return self._end or end
 

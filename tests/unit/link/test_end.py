@@ -1,0 +1,27 @@
+"""What is left of a link that has ended, in virtual time."""
+
+import asyncio
+
+from hostlink.config import LinkConfig
+from hostlink.link.link import LAST_FRAME_TIMEOUT_S, Link, LinkEnd
+from hostlink.protocol.session import Session
+from tests.support.memory_transport import memory_pair
+from tests.support.session_host import check
+from tests.support.virtual_loop import run_virtual
+
+
+def test_a_cancellation_while_the_last_frame_waits_closes_the_connection_all_the_same() -> None:
+    async def run() -> None:
+        transport, device = memory_pair(room_bytes=0)  # it reads nothing
+        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=lambda _link, _event: None)
+        link.last_frame = bytes(56)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(link.run())
+            await asyncio.sleep(1.0)
+            link.end(LinkEnd.EVICTED)
+            await asyncio.sleep(LAST_FRAME_TIMEOUT_S / 2)
+            running.cancel()
+        assert running.cancelled()
+        assert device.is_ended
+
+    run_virtual(run())
