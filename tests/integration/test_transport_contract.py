@@ -22,6 +22,7 @@ from tests.support.pty_pair import pty_pair
 pytestmark = pytest.mark.timeout(20)
 A_WHILE_S = 0.05
 DATA = bytes(range(256)) * 16
+CROWD = 40
 
 
 class Peer(ABC):
@@ -364,6 +365,26 @@ async def test_the_listener_outlives_a_lack_of_descriptors() -> None:
                 resource.setrlimit(resource.RLIMIT_NOFILE, usual)
             transport = await came.get()  # asyncio tries again after a second
             await transport.aclose()
+
+
+async def test_of_a_crowd_that_connects_at_once_few_are_accepted_in_one_turn_of_the_loop() -> None:
+    turn, turns = 0, []
+    accepted: list[Transport] = []
+
+    def accept(transport: Transport) -> None:
+        accepted.append(transport)
+        turns.append(turn)
+
+    async with serve_tcp(TcpConfig(host="127.0.0.1", port=0), accept) as listener:
+        with contextlib.ExitStack() as crowd:
+            for _ in range(CROWD):  # all of them in one turn
+                crowd.enter_context(socket.create_connection(listener.address))
+            while len(accepted) < CROWD:
+                turn += 1
+                await asyncio.sleep(0)
+        for transport in accepted:
+            await transport.aclose()
+    assert max(map(turns.count, turns)) <= 2  # newer Pythons accept one more than they are given
 
 
 async def test_a_port_that_vanishes_while_writing_leaves_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
