@@ -105,7 +105,7 @@ async def _send(host: Host, robot: str, wheels: Mapping[str, TunedWheel]) -> Non
         await host.publish(str(topic), {"x": gains.kp, "y": gains.ki, "z": gains.kd}, type_name=GAINS_TYPE)
     await host.settle()
     for topic in found.values():
-        if refusal := host.take_refusal(str(topic)):
+        if refusal := host.pop_refusal(str(topic)):
             raise HostlinkError(refusal)
 
 
