@@ -27,7 +27,7 @@ _TYPES = (
     "geometry_msgs/Pose2D",
     "geometry_msgs/Vector3",
     "sensor_msgs/BatteryState",
-    "std_msgs/UInt8MultiArray",
+    "std_msgs/UInt16MultiArray",
 )
 _UNMEASURED = dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), math.nan)
 _WHEEL_ERRORS = (
@@ -62,7 +62,7 @@ class SimulatedRobot:
         self._odometry = self._advertise("odometry", "Pose2D")
         self._plot = self._advertise("plot_data", "Twist")
         self._battery = self._advertise("battery", "BatteryState")
-        self._errors = self._advertise("errors", "UInt8MultiArray")
+        self._errors = self._advertise("errors", "UInt16MultiArray")
         self._subscribe_all(catalog)
 
     @property
@@ -159,7 +159,7 @@ class SimulatedRobot:
         is_due = self._turns % (PUBLISH_EVERY * REPORT_EVERY) == 0
         numbers = self.errors.numbers(self._now_s)
         if self.errors.has_changed(numbers) or is_due:
-            payload = self._types["UInt8MultiArray"].encode({"data": numbers})
+            payload = self._types["UInt16MultiArray"].encode({"data": numbers})
             self.device.publish(self._errors, payload, self._now_s)
         if is_due:
             state = {**_UNMEASURED, "voltage": self.battery.volts, "present": True}

@@ -35,7 +35,7 @@ def volts(track: Track) -> list[float]:
 
 
 def errors(track: Track) -> list[list[int]]:
-    return [list(message["data"]) for message in decoded(track, ERRORS, "std_msgs/UInt8MultiArray")]
+    return [list(message["data"]) for message in decoded(track, ERRORS, "std_msgs/UInt16MultiArray")]
 
 
 def test_its_topics_have_the_types_of_ros() -> None:

@@ -23,9 +23,9 @@ const size_t kBatteryVoltageAt = 16;  // behind the header; six more float32 fol
 const size_t kBatteryFloats = 7;
 const size_t kBatteryPresentAt = 47;
 const size_t kBatteryStateBytes = 64;  // with empty lists and texts
-const char kUInt8MultiArrayType[] = "std_msgs/UInt8MultiArray";
-const char kUInt8MultiArrayMd5[] = "82373f1612381bb6ee473b5cd6f5d89c";
-const size_t kUInt8MultiArrayBytes = 12;  // without its data; its last four are their number
+const char kUInt16MultiArrayType[] = "std_msgs/UInt16MultiArray";
+const char kUInt16MultiArrayMd5[] = "52f264f1c973c4b73790d384c6cb4484";
+const size_t kUInt16MultiArrayBytes = 12;  // without its data; its last four are their number
 const char kEmptyType[] = "std_msgs/Empty";
 const char kEmptyMd5[] = "d41d8cd98f00b204e9800998ecf8427e";
 

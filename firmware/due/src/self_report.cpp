@@ -63,17 +63,19 @@ void Battery::add(float volts) {
 
 void SelfReport::advertise(NodeHandle& node, const char* ns) {
   battery_id_ = node.advertise(ns, "battery", kBatteryStateType, kBatteryStateMd5);
-  errors_id_ = node.advertise(ns, "errors", kUInt8MultiArrayType, kUInt8MultiArrayMd5);
+  errors_id_ = node.advertise(ns, "errors", kUInt16MultiArrayType, kUInt16MultiArrayMd5);
 }
 
 void SelfReport::publish(NodeHandle& node, float battery_v, uint32_t now_ms) {
   check_battery(node, battery_v, now_ms);
   check_link(node, now_ms);
-  uint8_t payload[kUInt8MultiArrayBytes + Errors::kMost] = {};
-  const size_t count = errors_.list(payload + kUInt8MultiArrayBytes, now_ms);
-  payload[kUInt8MultiArrayBytes - 4] = static_cast<uint8_t>(count);
+  uint8_t numbers[Errors::kMost];
+  const size_t count = errors_.list(numbers, now_ms);
+  uint8_t payload[kUInt16MultiArrayBytes + 2 * Errors::kMost] = {};
+  for (size_t i = 0; i < count; ++i) payload[kUInt16MultiArrayBytes + 2 * i] = numbers[i];
+  payload[kUInt16MultiArrayBytes - 4] = static_cast<uint8_t>(count);
   const bool is_due = ++turns_ >= kEvery;
-  if (errors_.has_changed() || is_due) node.publish(errors_id_, payload, kUInt8MultiArrayBytes + count);
+  if (errors_.has_changed() || is_due) node.publish(errors_id_, payload, kUInt16MultiArrayBytes + 2 * count);
   if (!is_due) return;
   turns_ = 0;
   if (battery_.is_measured()) publish_battery(node);

@@ -277,7 +277,7 @@ def published(track: Track, topic_id: int, type_name: str) -> list[dict[str, Any
 
 
 def numbers(track: Track) -> list[list[int]]:
-    return [list(message["data"]) for message in published(track, ERRORS_ID, "std_msgs/UInt8MultiArray")]
+    return [list(message["data"]) for message in published(track, ERRORS_ID, "std_msgs/UInt16MultiArray")]
 
 
 def test_it_publishes_its_battery_and_that_nothing_is_wrong_once_a_second() -> None:

@@ -42,11 +42,6 @@ const ERRORS: Record<number, string> = {
 };
 const BATTERY_LOW = 51;
 
-/** Of a uint8[], which rosbridge sends as base64. */
-export function numbersOf(data: number[] | string): number[] {
-  return typeof data === "string" ? Array.from(atob(data), (char) => char.charCodeAt(0)) : data;
-}
-
 export class Health {
   private readonly values = new Map<Tile, HTMLElement>();
   private isBatteryLow = false;

@@ -12,7 +12,7 @@ import { Drive } from "./drive";
 import { Events } from "./events";
 import { Fleet } from "./fleet";
 import { Followed } from "./followed";
-import { type BatteryState, Health, numbersOf } from "./health";
+import { type BatteryState, Health } from "./health";
 import { DeviceLog } from "./log";
 import { RobotMap } from "./map";
 import { notice } from "./notice";
@@ -94,11 +94,11 @@ const battery = new Followed<BatteryState>(
   (state) => health.setBattery(state.voltage),
   () => health.setBattery(null),
 );
-const errors = new Followed<{ data: number[] | string }>(
+const errors = new Followed<{ data: number[] }>(
   connection,
   "errors",
-  "std_msgs/UInt8MultiArray",
-  ({ data }) => health.setErrors(numbersOf(data)),
+  "std_msgs/UInt16MultiArray",
+  ({ data }) => health.setErrors(data),
   () => health.setErrors(null),
 );
 const log = new DeviceLog();
