@@ -158,7 +158,7 @@ class GuidedCalibration:
                     write_error(f"  {error}")
                     continue
             run = MeasuredRun(step.kind, step.size, path, self._session.measure(step))
-            complaint = complaint_of_run(run, self._saved.nominal)
+            complaint = complaint_of_run(run, correction)
             if not complaint:
                 return run
             if self._session.drives_again(complaint):

@@ -18,25 +18,29 @@ from hostlink.robot.calibration import (
     end_of,
     uncorrected,
 )
+from hostlink.robot.odometry_correction import OdometryCorrection
 
 MOST_OFF = 0.15  # of a length or an angle: wheels that were measured at all are not farther off
-MOST_OFF_SQUARE = 0.6  # of the side: the same wheels after four sides and corners
+MOST_OFF_SQUARE = 1.0  # of the side: the same wheels after four sides and corners
 MOST_APART = 0.2  # of the side, between two squares driven alike; a random caster makes a tenth
 MOST_APART_LINE = 0.02  # of the length, between two lines
 MOST_LEFT = 0.1  # of the side, that no wheels explain
 MUCH_BETTER = 3.0  # how many times smaller the remains of another reading of the same numbers are
 LEAST_LEFT_M = 0.01  # remains that need no other reading
 TURNS_DIFFER = 0.08  # between the separations by turns and by squares; 5 % is a caster that twists each corner
-CONFIRMED = 0.5  # of the error before: what a check drive may leave at most
-CONFIRMED_LINE = 0.01  # of a length: what is no error worth speaking of
-MOST_LEFT_CHECK = 0.05  # of the side: more is an error in any case
+CONFIRMED = 0.5  # of the error before: what a check drive may leave at most,
+SMALLER = 0.8  # or so much where the robot's noise explains what is left
+NOISE = 2.5  # times what the calibration left of a square
+SMALL = 0.01  # of a length or a side: no error worth a word
+WORTH_LINE = 0.003  # of its length
+MOST_NOISE = 0.1  # of the side: more is an error in any case
 
 _SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
 
 
-def complaint_of_run(run: MeasuredRun, nominal: WheelGeometry) -> str:
-    """Of one drive, against the robot's own odometry."""
-    odometry = end_of(run, uncorrected(nominal))
+def complaint_of_run(run: MeasuredRun, correction: OdometryCorrection) -> str:
+    """Of one drive, against the odometry that led it."""
+    odometry = end_of(run, correction)
     if run.kind is Kind.STRAIGHT:
         return _complaint_of_line(run.measured, odometry, run.size)
     if run.kind in _SQUARES:
@@ -78,51 +82,67 @@ def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> st
 class Confirmation(NamedTuple):
     """The result of the check drives."""
 
-    before_m: float  # the farthest end of the check's squares from the robot's own odometry
+    before_m: float  # how far the check's squares end from the robot's own odometry, root mean square
     after_m: float  # the same from the corrected one
     complaint: str  # empty: it is confirmed
 
 
 class _Check(NamedTuple):
-    run: MeasuredRun
+    """The errors of one kind of drive, with the old numbers and with the new ones."""
+
+    name: str
     before_m: float
     after_m: float
-    most_m: float  # that may be left where there was little to gain
+    most_m: float  # what the robot's own noise explains
+    worth_m: float  # an error before that is worth a calibration
 
     @property
-    def is_better(self) -> bool:
-        return self.after_m <= CONFIRMED * self.before_m
+    def is_gain(self) -> bool:
+        share = SMALLER if self.after_m <= self.most_m else CONFIRMED
+        return self.before_m > self.worth_m and self.after_m <= share * self.before_m
 
     @property
     def complaint(self) -> str:
-        if self.is_better or self.after_m <= self.most_m:
+        if self.after_m <= max(CONFIRMED * self.before_m, self.most_m):
             return ""
         return (
-            f"the check drive does not confirm it: the {self.run.kind} was {self.before_m * 100:.1f} cm off with the "
-            f"old numbers and is {self.after_m * 100:.1f} cm off with the new ones. Nothing is kept: find a "
-            "decimal slip, or left and right exchanged, in what was entered"
+            f"the check drive does not confirm it: the {self.name} {self.before_m * 100:.1f} cm off with the old "
+            f"numbers, {self.after_m * 100:.1f} cm with the new ones. Nothing is kept: find a slip, or left and "
+            "right exchanged, in what was entered"
         )
 
 
 def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirmation:
     """Whether drives that the calibration does not know end at its odometry, and not at the robot's own."""
-    found = [_check(calibration, run) for run in checks]
-    squares = [check for check in found if check.run.kind in _SQUARES]
+    runs = list(checks)
+    squares = _check_squares(calibration, [run for run in runs if run.kind in _SQUARES])
+    found = [squares, *(_check_line(calibration, run) for run in runs if run.kind is Kind.STRAIGHT)]
     complaint = next((check.complaint for check in found if check.complaint), "")
-    if not complaint and not any(check.is_better for check in found):
+    if not complaint and not any(check.is_gain for check in found):
         complaint = (
-            "there is nothing to gain: the check drives end where the old numbers have them, too. Nothing is kept"
+            f"there is nothing to gain: the squares of the check end {squares.before_m * 100:.1f} cm off with the old "
+            f"numbers, {squares.after_m * 100:.1f} cm with the new ones. Nothing is kept"
         )
-    return Confirmation(max(check.before_m for check in squares), max(check.after_m for check in squares), complaint)
+    return Confirmation(squares.before_m, squares.after_m, complaint)
 
 
-def _check(calibration: Calibration, run: MeasuredRun) -> _Check:
+def _check_squares(calibration: Calibration, runs: Sequence[MeasuredRun]) -> _Check:
+    """Root mean squares; a single square of a noisy robot may end anywhere."""
+    old, new = uncorrected(calibration.nominal), calibration.correction
+    before_m, after_m = (
+        math.sqrt(sum(math.dist(run.measured[:2], end_of(run, correction)[:2]) ** 2 for run in runs) / len(runs))
+        for correction in (old, new)
+    )
+    side_m = runs[0].size
+    most_m = min(NOISE * calibration.residual_m + SMALL * side_m, MOST_NOISE * side_m)
+    return _Check("squares are", before_m, after_m, most_m, SMALL * side_m)
+
+
+def _check_line(calibration: Calibration, run: MeasuredRun) -> _Check:
+    """Along the line: across it the mark's direction counts more than the wheels."""
     old, new = end_of(run, uncorrected(calibration.nominal)), end_of(run, calibration.correction)
-    if run.kind is Kind.STRAIGHT:
-        x_m = run.measured.x_m
-        return _Check(run, abs(x_m - old.x_m), abs(x_m - new.x_m), CONFIRMED_LINE * run.size)
-    most_m = min(2 * calibration.residual_m + CONFIRMED_LINE * run.size, MOST_LEFT_CHECK * run.size)
-    return _Check(run, math.dist(run.measured[:2], old[:2]), math.dist(run.measured[:2], new[:2]), most_m)
+    x_m = run.measured.x_m
+    return _Check("line is", abs(x_m - old.x_m), abs(x_m - new.x_m), SMALL * run.size, WORTH_LINE * run.size)
 
 
 def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: float) -> str:
