@@ -100,7 +100,9 @@ def command(  # noqa: PLR0913 - the options of a command line
     try:
         found, confirmation = calibration.run()
     except KeyboardInterrupt:
-        write_error("", f"the robot is stopped; the same command goes on: {path} has {len(saved.saved.runs)} drives")
+        write_error(
+            "", f"the robot is stopped; drives done: {len(saved.saved.runs)}. The same command goes on, from {path}"
+        )
         raise
     settings = settings_of(name, found, chosen, write_to)
     if json:

@@ -2,6 +2,8 @@
 
 import asyncio
 import math
+import sys
+import termios
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
@@ -77,11 +79,13 @@ class AtTheTerminal:
             f"  Put the robot down with {step.room}.",
             "  Mark on the floor the middle of its axle (between the wheels) and the line along which it points.",
         )
+        _forget_keys()
         _prompt("  Enter starts the drive, Ctrl-C stops the robot at any time: ")
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
         def show(left: int, seconds: float) -> None:
-            show_progress(f"  driving: {seconds:.0f} s, {left} of {len(legs)} legs left; Ctrl-C stops it")
+            number = min(len(legs) - left + 1, len(legs))
+            show_progress(f"  driving: {seconds:.0f} s, leg {number} of {len(legs)}; Ctrl-C stops it")
 
         try:
             return asyncio.run(self._drives.follow(legs, correction, show))
@@ -157,6 +161,12 @@ class Simulated:
 
     def choose(self, *_: object) -> int | None:
         return None
+
+
+def _forget_keys() -> None:
+    """An Enter that was pressed before its question must not start a robot."""
+    if sys.stdin.isatty():
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 def _prompt(prompt: str) -> str:

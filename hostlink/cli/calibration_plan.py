@@ -67,7 +67,7 @@ class Step:
             case Kind.STRAIGHT:
                 return f"a line of {self.size:g} m"
             case Kind.TURNS_CCW | Kind.TURNS_CW:
-                return f"{self.size:g} turns on the spot, {way}"
+                return f"{self.size:g} turn{'' if self.size == 1 else 's'} on the spot, {way}"
             case _:
                 return f"a square of {self.size:g} m, {way}"
 

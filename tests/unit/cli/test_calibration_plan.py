@@ -63,6 +63,7 @@ def test_lines_turns_and_squares_both_ways_are_driven() -> None:
     ]
     assert [step.kind for step in checks_of(Sizes())] == [Kind.STRAIGHT, Kind.SQUARE_CW, Kind.SQUARE_CCW]
     assert all("turns" not in step.kind for step in steps_of(Sizes(turns=0)))
+    assert steps_of(Sizes(turns=1))[2].title == "1 turn on the spot, counter-clockwise"
     titles = {step.title: step.room for step in steps_of(Sizes())}
     assert titles["a square of 2 m, clockwise"] == "2.5 m of free floor before it and to its right"
 
