@@ -16,7 +16,7 @@ from hostlink.lab.patterns import BACK, LINE, SQUARE_LEFT, SQUARE_RIGHT, Pattern
 from hostlink.lab.tables import CALIBRATED, CASTER_WORLD, OURS, REBUILT, Table, tables
 from tests.firmware.boards import build_native
 
-RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "4"))
+RUNS = int(os.environ.get("HOSTLINK_LAB_RUNS", "3"))
 LABORATORY = Laboratory(workers=1)
 NAMED = {cause.name: cause for cause in CAUSES}
 
