@@ -234,7 +234,7 @@ async def test_reset_makes_this_the_origin_and_gains_reach_the_robot(scene: Scen
         await tab.page.get_by_label("Right Kd").fill("0.25")
         await tab.page.get_by_role("button", name="Send").click()
         left, right = scene.robot.controllers
-        await expect(lambda: (left.gains.kp, right.gains.kd) == (12.5, 0.25))
+        await expect(lambda: (left.pid.gains.kp, right.pid.gains.kd) == (12.5, 0.25))
         await tab.shows("#tuning-state", "Sent")
 
 
