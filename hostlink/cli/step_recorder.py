@@ -17,6 +17,7 @@ COMMAND_INTERVAL_S = 0.1  # a fifth of the lease
 LONGEST_PAUSE_S = 0.4  # of this program; after a lease the robot has stopped
 CREEP_M_S = 0.01  # a zero takes a robot over from nobody
 STANDING_S = 0.5
+STOP_INTERVAL_S = 1.0
 STANDING_TIMEOUT_S = 5.0
 STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
 FIRST_MESSAGE_S = 2.0
@@ -170,21 +171,27 @@ class StepRecorder:
                 await self._robot.stop()
 
     async def _stand(self, messages: Mailbox[dict[str, Any]]) -> None:
-        """Take over what somebody less important drives, stop it, and keep the last half second of its standing."""
-        state = await connected_state(self._robot)
-        self._link = state["link"]
-        if state["holder"] is not None:
-            await self._robot.command(CREEP_M_S, 0.0, link=self._link)
-        await self._robot.stop()
-        began_s = _now_s()
+        """Stop the robot, and keep the last half second of its standing."""
+        began_s, stopped_s = _now_s(), -math.inf
         rest = Stage(0.0, 0.0, 0.0, 0.0)
         while not self._stands():
+            if _now_s() >= stopped_s + STOP_INTERVAL_S:
+                stopped_s = _now_s()
+                await self._take_over()
             await asyncio.sleep(TICK_S)
             self._receive(messages, rest)
             if not self._is_measured and _now_s() > began_s + FIRST_MESSAGE_S:
                 raise HostlinkError(f"nothing comes on {self._source.topic}; see `hostlink doctor`")
             if _now_s() > began_s + STANDING_TIMEOUT_S:
                 raise HostlinkError(f"{self._robot.name} does not come to rest; a step begins with a robot that stands")
+
+    async def _take_over(self) -> None:
+        """Stop what somebody less important drives; he may have begun since."""
+        state = await connected_state(self._robot)
+        self._link = state["link"]
+        if state["holder"] is not None:
+            await self._robot.command(CREEP_M_S, 0.0, link=self._link)
+        await self._robot.stop()
 
     def _stands(self) -> bool:
         """For half a second; what came before that is forgotten."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hostlink.cli.demo import drive_robots
 from hostlink.cli.step_recorder import (
     Recording,
     StepRecorder,
@@ -98,6 +99,19 @@ async def test_whoever_is_less_important_gives_way_and_is_stopped_first() -> Non
         recording = await record(me)
     left = recording.records["left"]
     assert np.abs(left.measured[left.t_s < 0]).max() < 1.5
+
+
+async def test_whoever_begins_meanwhile_and_is_less_important_gives_way_too() -> None:
+    """As the demo does: it drives whenever nobody else has for a while."""
+    async with bench() as (host, _, me), asyncio.TaskGroup() as tasks:
+        idle = host.hub.join("demo", priority=0)
+        step = tasks.create_task(record(me))
+        await expect(lambda: host.hub.robots.find("robot_0").gate.counts.stops > 0)
+        demo = tasks.create_task(drive_robots(host.hub, idle))
+        recording = await step
+        demo.cancel()
+        idle.leave()
+    assert recording.records["left"].target > 30
 
 
 async def test_limits_of_the_daemon_are_noticed() -> None:

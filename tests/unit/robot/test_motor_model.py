@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hostlink.errors import HostlinkError
 from hostlink.robot.motor_model import MotorModel, driven_part, identify_motor, simc_gains
-from hostlink.robot.step_response import Record
+from hostlink.robot.step_response import Record, Sample, make_record
 
 LOOP_S = 1 / 30
 SETTLE_S = 1.5
@@ -149,3 +149,18 @@ def test_model_and_gains_are_readable() -> None:
     model = identify_motor(drive())
     assert str(model).startswith("K 0.07")
     assert str(simc_gains(model)).startswith("Kp ")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_messages_that_come_late_or_never_cost_digits_and_no_more(seed: int) -> None:
+    """A mean delay of half the time between two messages, and one of 25 lost."""
+    random = np.random.default_rng(seed)
+    sent = drive(noise=0.3, seed=seed)
+    assert sent.pwm is not None
+    arrivals_s = np.maximum.accumulate(sent.t_s + random.exponential(0.05, len(sent.t_s)))  # none overtakes another
+    rows = zip(arrivals_s, sent.set_point, sent.measured, sent.pwm, strict=True)
+    received = [(float(at_s), Sample(*row)) for at_s, *row in rows if random.random() > 0.04]
+    model = identify_motor(make_record("ticks/s", *zip(*received, strict=True)))
+    assert model.gain == pytest.approx(0.07, rel=0.05)
+    assert model.time_constant_s == pytest.approx(0.4, rel=0.2)
+    assert model.dead_time_s == pytest.approx(3.5 * LOOP_S, abs=0.04)
