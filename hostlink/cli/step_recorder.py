@@ -130,13 +130,14 @@ def _odometry_reader(wheel: Wheel | None, separation_m: float) -> Reader:
 
 
 class StepRecorder:
-    """Drives one robot; whatever ends `record`, the robot is stopped."""
+    """Drives one robot; whatever ends `record`, the robot is stopped, unless somebody else has it."""
 
     def __init__(self, host: Host, robot: Robot, source: Source, *, show: Callable[[str], None]) -> None:
         self._host, self._robot, self._source, self._show = host, robot, source, show
         self._arrivals_s: list[float] = []
         self._samples: list[Samples] = []
         self._is_measured = False  # a message came
+        self._has_commanded = False
         self._link: int | None = None
         self._ran_at_s = 0.0
         self._commanded_at_s = -math.inf
@@ -167,8 +168,15 @@ class StepRecorder:
         try:
             yield
         finally:
-            with contextlib.suppress(HostlinkError):  # without a connection the daemon has stopped it
-                await self._robot.stop()
+            if self._may_move:
+                with contextlib.suppress(HostlinkError):  # without a connection the daemon has stopped it
+                    await self._robot.stop()
+
+    @property
+    def _may_move(self) -> bool:
+        """Whether it moves as commanded here; a stop would end another's drive, too."""
+        refusal = self._robot.refusal
+        return self._has_commanded and (refusal is None or refusal.kind != "RobotHeld")
 
     async def _stand(self, messages: Mailbox[dict[str, Any]]) -> None:
         """Stop the robot, and keep the last half second of its standing."""
@@ -190,6 +198,7 @@ class StepRecorder:
         state = await connected_state(self._robot)
         self._link = state["link"]
         if state["holder"] is not None:
+            self._has_commanded = True
             await self._robot.command(CREEP_M_S, 0.0, link=self._link)
         await self._robot.stop()
 
@@ -222,7 +231,7 @@ class StepRecorder:
         if refusal is not None:
             raise HostlinkError(refusal.reason)
         if now_s >= self._commanded_at_s + COMMAND_INTERVAL_S:
-            self._commanded_at_s = now_s
+            self._has_commanded, self._commanded_at_s = True, now_s
             await self._robot.command(stage.linear_m_s, stage.angular_rad_s, link=self._link)
 
     def _receive(self, messages: Mailbox[dict[str, Any]], stage: Stage) -> None:

@@ -14,7 +14,7 @@ from hostlink.robot.step_response import Floats, Record
 
 LEAST_TIME_CONSTANT_S, MOST_TIME_CONSTANT_S = 0.02, 5.0
 MOST_DEAD_TIME_S = 0.5
-LEAST_DEAD_TIME_S = 0.05  # half of the time between two messages: less cannot be told apart, and would give wild gains
+LEAST_DEAD_TIME_S = 0.05  # half of the time between two messages: less is not measured, and would give wild gains
 LEAST_DRIVEN = 25  # samples
 LEAST_EXPLAINED = 0.9  # share of the variance
 GRID_S = 1 / 60  # of the simulated motor: half a turn of the robot's loop

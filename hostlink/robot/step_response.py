@@ -116,9 +116,9 @@ def step_figures(record: Record, *, full_pwm: float = FULL_PWM) -> StepFigures:
             "the robot's set-point fell to 0 during the step: a fault of its own or of the link stopped it; "
             "see its log lines and `hostlink doctor`"
         )
-    seen = record.forwards()
+    forwards = record.forwards()
     size = abs(target)
-    t_s, measured, set_point = seen.t_s, seen.measured, seen.set_point
+    t_s, measured, set_point = forwards.t_s, forwards.measured, forwards.set_point
     half_s, set_half_s = crossing_s(t_s, measured, size / 2), crossing_s(t_s, set_point, size / 2)
     return StepFigures(
         target=target,
@@ -130,7 +130,7 @@ def step_figures(record: Record, *, full_pwm: float = FULL_PWM) -> StepFigures:
         settling_s=_settling_s(t_s, measured, size),
         steady_error_percent=100 * (float(measured[t_s > t_s[-1] - STEADY_S].mean()) / size - 1),
         tracking_error=float(np.sqrt(np.mean((set_point - measured) ** 2))),
-        saturated_percent=_saturated_percent(seen, full_pwm),
+        saturated_percent=_saturated_percent(forwards, full_pwm),
     )
 
 

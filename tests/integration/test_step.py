@@ -138,8 +138,22 @@ async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> No
         drive = tasks.create_task(refused(record(me, [replace(SLOW, seconds=30.0)])))
         await stepping(host)
         robot = host.hub.robots.find("robot_0")
+        stops = robot.gate.counts.stops
         host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
         assert "a person drives it" in await drive
+        assert robot.gate.counts.stops == stops
+        assert robot.gate.holder == "a person"
+
+
+async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> None:
+    async with bench() as (host, _, me), connect(host.url) as other, asyncio.TaskGroup() as tasks:
+        step = tasks.create_task(refused(record(me)))
+        gate = host.hub.robots.find("robot_0").gate
+        await expect(lambda: gate.counts.stops > 0)
+        await other.robot("robot_0").drive(0.1, 0.0)
+        assert "drives it; end that first" in await step
+        assert gate.counts.stops == 1
+        assert gate.holder is not None
 
 
 async def test_an_emergency_stop_ends_the_step() -> None:

@@ -30,7 +30,7 @@ def test_the_figures_of_a_first_order_step_are_those_of_the_textbook() -> None:
     assert figures.saturated_percent == 0.0
 
 
-def test_an_overshoot_is_told_in_percent_of_the_target() -> None:
+def test_an_overshoot_is_in_percent_of_the_target() -> None:
     seen = step()
     seen.measured[20] = 117.0
     assert step_figures(seen).overshoot_percent == pytest.approx(17.0)
