@@ -141,9 +141,9 @@ world:
 
 lab: $(VENV)/.dev world
 	@mkdir -p build/lab
-	$(BIN)/hostlink lab tables --fit | tee build/lab/tables.md
-	$(BIN)/hostlink lab claims | tee build/lab/claims.md
-	$(BIN)/hostlink lab causes | tee build/lab/causes.md
+	set -o pipefail; $(BIN)/hostlink lab tables --fit | tee build/lab/tables.md
+	set -o pipefail; $(BIN)/hostlink lab claims | tee build/lab/claims.md
+	set -o pipefail; $(BIN)/hostlink lab causes | tee build/lab/causes.md
 	$(BIN)/hostlink lab pictures -o build/lab/paths.png
 	HOSTLINK_LAB_RUNS=30 $(BIN)/python -m pytest tests/firmware/test_laboratory.py
 
