@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hostlink.cli.main import build_app
 from hostlink.lab.calibrated import calibrated
@@ -66,6 +68,27 @@ def test_tables_stand_beside_the_paper_and_calibration_gains_threefold() -> None
     before, after = (sum(column(table, title).sum() for table in squares) for title in (OURS, CALIBRATED))
     assert before > 3.0 * after
     assert column(driven[LINE], CALIBRATED) < 0.2
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    left_m=st.floats(0.044, 0.046),
+    right_m=st.floats(0.044, 0.046),
+    track_m=st.floats(0.2, 0.22),
+    threshold_pwm=st.floats(0.0, 680.0),
+    has_jump=st.booleans(),
+)
+def test_a_firmware_that_has_the_true_numbers_ends_where_it_believes_to(
+    left_m: float, right_m: float, track_m: float, threshold_pwm: float, has_jump: bool
+) -> None:
+    wheels = {"left.radius_m": left_m, "right.radius_m": right_m, "track_m": track_m}
+    motors = {"dead_zone_pwm": threshold_pwm, "has_jump": float(has_jump)}
+    both = {f"{side}.{name}": value for side in ("left", "right") for name, value in motors.items()}
+    numbers = (("wheel_radius", (left_m, right_m)), ("wheel_separation", (track_m,)))
+    world = PAPER_WORLD.changed(wheels | both)
+    setup = Setup(software=Software.FIRMWARE, world=world, device_parameters=numbers)
+    errors = measure(Experiment(setup, SQUARE_RIGHT, 2))
+    assert np.hypot(*errors.xy_cm.T).max() < 0.002 * 800  # 0.2 % of the way
 
 
 def test_calibration_finds_wheels_and_track_where_nothing_is_left_to_chance() -> None:
