@@ -68,7 +68,7 @@ async def stepping(host: Daemon) -> None:
 async def test_a_step_is_recorded_from_a_standstill_and_ends_in_one() -> None:
     async with bench() as (host, robot, me):
         recording = await record(me)
-        assert host.hub.robots.find("robot_0").gate.holder is None
+        assert host.hub.robots.find("robot_0").gate.owner_name is None
         await stands(robot)
     assert recording.source == "/robot_0/plot_data"
     assert recording.accepted == (0.04, 0.0)
@@ -95,7 +95,7 @@ async def test_one_wheel_alone_is_driven_and_recorded() -> None:
 async def test_whoever_is_less_important_gives_way_and_is_stopped_first() -> None:
     async with bench() as (host, _, me), connect(host.url) as demo:
         await demo.robot("robot_0", priority=0).drive(0.1, 0.0)
-        await expect(lambda: host.hub.robots.find("robot_0").gate.holder is not None)
+        await expect(lambda: host.hub.robots.find("robot_0").gate.owner_name is not None)
         recording = await record(me)
     left = recording.records["left"]
     assert np.abs(left.measured[left.t_s < 0]).max() < 1.5
@@ -142,7 +142,7 @@ async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> No
         host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
         assert "a person drives it" in await drive
         assert robot.gate.counts.stops == stops
-        assert robot.gate.holder == "a person"
+        assert robot.gate.owner_name == "a person"
 
 
 async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> None:
@@ -153,7 +153,7 @@ async def test_a_program_that_begins_while_the_step_waits_keeps_the_robot() -> N
         await other.robot("robot_0").drive(0.1, 0.0)
         assert "drives it; end that first" in await step
         assert gate.counts.stops == 1
-        assert gate.holder is not None
+        assert gate.owner_name is not None
 
 
 async def test_an_emergency_stop_ends_the_step() -> None:

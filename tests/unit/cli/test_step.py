@@ -121,7 +121,7 @@ def test_a_robot_s_own_topic_comes_first() -> None:
         link=1,
         velocity_topic="/robot_0/velocity_commands",
         odometry_topic="/robot_0/odometry",
-        holder=None,
+        owner=None,
         velocity={"linear_m_s": 0.0, "angular_rad_s": 0.0},
         odometry=None,
     )

@@ -31,9 +31,9 @@ def test_the_figures_of_a_first_order_step_are_those_of_the_textbook() -> None:
 
 
 def test_an_overshoot_is_in_percent_of_the_target() -> None:
-    seen = step()
-    seen.measured[20] = 117.0
-    assert step_figures(seen).overshoot_percent == pytest.approx(17.0)
+    observed = step()
+    observed.measured[20] = 117.0
+    assert step_figures(observed).overshoot_percent == pytest.approx(17.0)
 
 
 def test_a_step_backwards_has_the_figures_of_one_forwards() -> None:
@@ -56,19 +56,19 @@ def test_one_that_never_leaves_the_target_has_settled_at_once() -> None:
 
 
 def test_full_pwm_is_a_saturation_from_the_first_command_on() -> None:
-    seen = step()
-    assert step_figures(seen, full_pwm=1000.0).saturated_percent == 100.0
-    assert seen.pwm is not None
-    seen.pwm[35:] = 500.0
-    assert step_figures(seen, full_pwm=1000.0).saturated_percent == 50.0
+    observed = step()
+    assert step_figures(observed, full_pwm=1000.0).saturated_percent == 100.0
+    assert observed.pwm is not None
+    observed.pwm[35:] = 500.0
+    assert step_figures(observed, full_pwm=1000.0).saturated_percent == 50.0
 
 
 @pytest.mark.parametrize("when", [slice(-1, None), slice(20, 23), slice(None)])
 def test_a_set_point_that_falls_to_zero_is_no_step(when: slice) -> None:
-    seen = step()
-    seen.set_point[when] = 0.0
+    observed = step()
+    observed.set_point[when] = 0.0
     with pytest.raises(HostlinkError, match="fell to 0 during the step"):
-        step_figures(seen)
+        step_figures(observed)
 
 
 def test_a_level_is_crossed_between_two_samples() -> None:
@@ -101,7 +101,7 @@ def test_a_record_has_the_pwm_only_where_each_message_has_it() -> None:
 
 
 def test_a_set_point_that_still_moves_at_the_end_is_noticed() -> None:
-    seen = step()
-    assert not seen.is_set_point_changing
-    seen.set_point[-1] += 1.0
-    assert seen.is_set_point_changing
+    observed = step()
+    assert not observed.is_set_point_changing
+    observed.set_point[-1] += 1.0
+    assert observed.is_set_point_changing
