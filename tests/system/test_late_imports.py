@@ -44,6 +44,8 @@ async def use(daemon: Process) -> None:
         assert (await run("doctor", "--url", url))[0] in (0, 1)
         async with session.ws_connect(url) as program:
             await program.send_json({"op": "subscribe", "topic": "/robot_0/odometry", "compression": "cbor"})
+            await program.send_json({"op": "call_service", "id": 1, "service": "/rosapi/get_time"})
+            assert (await program.receive()).data  # so the subscription has arrived, too
             await device.send(pose(1.0))
             async with asyncio.timeout(5):
                 assert (await program.receive()).data
