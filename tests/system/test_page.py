@@ -14,6 +14,7 @@ from hostlink.config import Config, RobotConfig
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.velocity_gate import LEASE_S
 from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.world_parameters import WorldParameters
 from tests.support.browser import PHONE, Visit, chromium, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, proxy
@@ -372,10 +373,10 @@ async def test_it_shows_the_battery_the_signal_and_what_is_wrong_in_words(scene:
         await tab.shows("#link", "WiFi–")
         scene.robot.device.log(0, "WiFi signal -67 dBm", asyncio.get_running_loop().time())
         await tab.shows("#link", "WiFi−67 dBm")
-        scene.robot.battery_v = 9.5
+        scene.robot.world.be(WorldParameters(battery_v=9.5))
         await tab.shows("#link", "51 battery low", timeout_s=10.0)
         await tab.shows("#link", "Battery9.5 V")
         await tab.shows("#link .diagnosis", "limit for five seconds")
-        scene.robot.battery_v = 12.0
+        scene.robot.world.be(WorldParameters(battery_v=12.0))
         await tab.shows("#link", "Errorsnone", timeout_s=15.0)
         assert tab.complaints == []

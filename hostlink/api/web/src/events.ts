@@ -5,6 +5,7 @@
  */
 
 import { Refused, refusalOf, request } from "./rest";
+import { token } from "./token";
 import type { ClientView, LinkView, LogLine, RobotView } from "./views";
 
 const PATH = "api/events";
@@ -49,10 +50,12 @@ export class Events {
     while (true) {
       this.attempt = new AbortController();
       this.heardAt = performance.now();
+      const tried = token();
       try {
         await this.read();
       } catch (error) {
-        if (error instanceof Refused) this.onRefusal(error);
+        // One that is aborted for a new token may have been refused already.
+        if (error instanceof Refused && tried === token()) this.onRefusal(error);
       }
       this.change(false);
       await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
