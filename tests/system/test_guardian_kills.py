@@ -30,6 +30,7 @@ async def kill_one(server: Daemons, chance: random.Random) -> float:
         return await end_at(drive, after_s, killer(signal.SIGKILL))
 
 
+@pytest.mark.alone
 @pytest.mark.timeout(60 + 3 * KILLS)
 async def test_a_daemon_killed_at_a_random_moment_leaves_no_robot_moving(tmp_path: Path) -> None:
     seed = int(os.environ.get("HOSTLINK_SEED", random.randrange(2**32)))
