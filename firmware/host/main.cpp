@@ -22,12 +22,11 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "../due/src/hal.h"
 #include "../due/src/robot.h"
 #include "activity_recorder.h"
 #include "uart_out.h"
 #include "uart_ring.h"
-#include "world.h"
+#include "world_hal.h"
 
 namespace {
 
@@ -36,7 +35,7 @@ const uint32_t kReconnectMs = 200;
 const uint32_t kReportMs = 500;
 const uint32_t kPaperBaud = 38400;
 
-class PosixHal : public hostlink::Hal {
+class PosixHal : public hostlink::WorldHal {
  public:
   PosixHal(const sockaddr_in& host, uint32_t baud) : baud_(baud), ring_(baud), out_(baud), host_(host) {}
 
@@ -50,15 +49,6 @@ class PosixHal : public hostlink::Hal {
     send();
     return accepted;
   }
-
-  void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
-
-  void edges(uint32_t& left, uint32_t& right) override {
-    left = world_.left().edges();
-    right = world_.right().edges();
-  }
-
-  float battery_v() override { return static_cast<float>(world_.battery_v()); }
 
   // What the hardware does by itself between two turns of the loop.
   void run() {
@@ -129,7 +119,6 @@ class PosixHal : public hostlink::Hal {
   uint32_t baud_;
   hostlink::UartRing ring_;
   hostlink::UartOut out_;
-  hostlink::World world_;
   sockaddr_in host_;
   int socket_ = -1;
   uint32_t tried_at_ms_ = 0;

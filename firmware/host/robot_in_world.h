@@ -5,15 +5,14 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "../due/src/hal.h"
 #include "../due/src/robot.h"
 #include "uart_out.h"
 #include "uart_ring.h"
-#include "world.h"
+#include "world_hal.h"
 
 namespace hostlink {
 
-class VirtualBoard : public Hal {
+class VirtualBoard : public WorldHal {
  public:
   explicit VirtualBoard(uint32_t baud) : ring_(baud), out_(baud) {}
 
@@ -21,14 +20,6 @@ class VirtualBoard : public Hal {
   uint32_t micros() override { return static_cast<uint32_t>(now_us_); }
   int read() override { return ring_.read(); }
   size_t write(const uint8_t* data, size_t size) override { return out_.put(data, size, micros()); }
-  void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
-  void edges(uint32_t& left, uint32_t& right) override {
-    left = world_.left().edges();
-    right = world_.right().edges();
-  }
-
-  float battery_v() override { return static_cast<float>(world_.battery_v()); }
-
   void step_us(uint32_t us);  // what the hardware does between two passes of the loop
   uint64_t now_us() const { return now_us_; }
   World& world() { return world_; }
@@ -40,7 +31,6 @@ class VirtualBoard : public Hal {
   uint64_t now_us_ = 0;
   UartRing ring_;
   UartOut out_;
-  World world_;
 };
 
 class RobotInWorld {

@@ -1,11 +1,10 @@
 // The Due's firmware on an emulated Cortex-M3. UART0 is the line to the host, UART1 a line of text for people; the
 // motors and the floor are host/world.h's, with the numbers that mps2::loaded_text() has. QEMU has no baud rate, so
 // host/uart_ring.h makes one, with the Due's 127 bytes behind it.
-#include "../due/src/hal.h"
 #include "../due/src/robot.h"
 #include "../host/activity_recorder.h"
 #include "../host/uart_ring.h"
-#include "../host/world.h"
+#include "../host/world_hal.h"
 #include "mps2.h"
 
 extern "C" void leave(int status);
@@ -31,7 +30,7 @@ void receive_bytes() {
   }
 }
 
-class QemuHal : public hostlink::Hal {
+class QemuHal : public hostlink::WorldHal {
  public:
   void begin() {
     // A free-running counter: interrupts of a tick coalesce when the emulator is late.
@@ -64,15 +63,6 @@ class QemuHal : public hostlink::Hal {
     }
     return accepted;
   }
-
-  void drive(int16_t left_pwm, int16_t right_pwm) override { world_.drive(left_pwm, right_pwm); }
-
-  void edges(uint32_t& left, uint32_t& right) override {
-    left = world_.left().edges();
-    right = world_.right().edges();
-  }
-
-  float battery_v() override { return static_cast<float>(world_.battery_v()); }
 
   // What the hardware does by itself between two turns of the loop.
   void run() {
@@ -111,7 +101,6 @@ class QemuHal : public hostlink::Hal {
   }
 
   hostlink::UartRing ring_{kBaud};
-  hostlink::World world_;
   uint64_t cycles_ = 0;
   uint32_t last_count_ = 0;
   uint32_t sent_at_us_ = 0;

@@ -6,6 +6,7 @@ The twin of firmware/host/drive_train.cpp, operation by operation.
 import math
 
 from hostlink.sim.random_numbers import RandomNumbers
+from hostlink.sim.rolling import Rolling
 from hostlink.sim.world_parameters import WheelParameters
 
 FULL_PWM = 4095
@@ -14,7 +15,7 @@ FULL_SPEED_TICKS_S = 280.0  # docs/robot.md#numbers: the top speed
 _NOISE_M = 0.01  # rolled between two numbers of the slip's noise
 
 
-class DriveTrain:
+class DriveTrain(Rolling):
     """One wheel. It turns at `speed_rad_s`, signed; its encoder counts `edges`, two a tick, without a sign."""
 
     def __init__(self, wheel: WheelParameters | None = None, *, stream: int = 1) -> None:
@@ -34,21 +35,6 @@ class DriveTrain:
         """Another wheel from now on, that has rolled as far."""
         self.wheel = wheel
         self._random = RandomNumbers(seed, self._stream)
-
-    @property
-    def speed_m_s(self) -> float:
-        """How fast it rolls."""
-        return self.speed_rad_s * self.wheel.radius_m
-
-    @property
-    def speed_ticks_s(self) -> float:
-        """How fast its encoder counts, with the sign that the encoder has not."""
-        return self.speed_rad_s * self.wheel.ticks_per_turn / math.tau
-
-    @property
-    def rolled_ticks(self) -> float:
-        """How far it has rolled, signed, exact: the truth that odometry estimates."""
-        return self.rolled_rad * self.wheel.ticks_per_turn / math.tau
 
     def grip(self, ticks_s: float) -> None:
         """Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does."""

@@ -1,11 +1,11 @@
 """The shared library of the C++ world and of the firmware in it: where it is, how it is loaded, and NativeWorld."""
 
 import ctypes
-import math
 import weakref
 from functools import cache
 from pathlib import Path
 
+from hostlink.sim.rolling import Rolling
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters, names
 
 # Built from the sources beside the package, by `make world`; an installed hostlink has neither.
@@ -91,7 +91,7 @@ def array_of(parameters: WorldParameters) -> ctypes.Array[ctypes.c_double]:
     return (ctypes.c_double * len(values))(*values)
 
 
-class NativeWheel:
+class NativeWheel(Rolling):
     """One wheel of a NativeWorld, with the names of DriveTrain."""
 
     def __init__(self, world: "NativeWorld", side: int) -> None:
@@ -117,21 +117,6 @@ class NativeWheel:
     def rolled_rad(self) -> float:
         """How far it has turned, signed."""
         return self._world.state[7 + 2 * self._side]
-
-    @property
-    def speed_m_s(self) -> float:
-        """How fast it rolls."""
-        return self.speed_rad_s * self.wheel.radius_m
-
-    @property
-    def speed_ticks_s(self) -> float:
-        """How fast its encoder counts, with the sign that the encoder has not."""
-        return self.speed_rad_s * self.wheel.ticks_per_turn / math.tau
-
-    @property
-    def rolled_ticks(self) -> float:
-        """How far it has rolled, signed, exact."""
-        return self.rolled_rad * self.wheel.ticks_per_turn / math.tau
 
     def grip(self, ticks_s: float) -> None:
         """Somebody turns the wheel by hand, at this speed, or blocks it (0), whatever the motor does."""
