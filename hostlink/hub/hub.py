@@ -18,6 +18,7 @@ from hostlink.hub.device_events import DeviceEvents, Receivers
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import Gates
+from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.guard import Guard
 from hostlink.hub.identities import Affected, Identities
 from hostlink.hub.isolation import Isolation
@@ -60,11 +61,12 @@ class Hub:
         self.refused: Counter[str] = Counter()  # connections that were not served or were evicted, by cause
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
-        self.topics = TopicGraph(catalog)
-        self.services = Services(catalog)
+        changes = GraphChanges()
+        self.topics = TopicGraph(catalog, changes)
+        self.services = Services(catalog, changes)
         self.gates = Gates(self.isolation, guard)
         self.diagnoses = Diagnoses(self.isolation)
-        self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation)
+        self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes)
         self._node = Node(DAEMON, is_daemon=True)
         self._share = FairShare()
         self.device_calls = DeviceCalls(
@@ -80,6 +82,7 @@ class Hub:
             self.gates,
             forget_after_s=config.link.forget_robot_after_s,
             on_forgotten=self._forget_robot,
+            on_change=changes.note,
         )
         self.emergency_stop = EmergencyStop(self.robots, self.gates, self.join_daemon())
         robot_topics = RobotTopicPublisher(config.robots, self.topics, self.gates, self._node, catalog)
@@ -132,10 +135,14 @@ class Hub:
         *,
         role: Role = Role.DRIVE,
         priority: int = PROGRAM_PRIORITY,
+        group: str = "",
         on_end: Callable[[], None] = lambda: None,
     ) -> Participant:
-        """A program takes part from now on, until it leaves; `on_end` is called when a failure of its own ends it."""
-        return Participant(self._parts, name, role=role, priority=priority, on_end=on_end)
+        """A program takes part from now on, until it leaves; `on_end` is called when a failure of its own ends it.
+
+        `group`: the foreign graph for which it stands, with others. What the group publishes does not come back to it.
+        """
+        return Participant(self._parts, name, role=role, priority=priority, group=group, on_end=on_end)
 
     def join_daemon(self) -> Participant:
         """A part of the daemon takes part; whatever of it fails, it stays."""

@@ -13,9 +13,13 @@ class Role(IntEnum):
 class Node:
     """The key of what a program, or a part of the daemon, publishes, subscribes and serves."""
 
-    def __init__(self, name: str, *, is_daemon: bool = False) -> None:
-        """`is_daemon`: a part of hostlink itself, whose types and services precede those of programs."""
-        self.name, self.is_daemon = name, is_daemon
+    def __init__(self, name: str, *, is_daemon: bool = False, group: str = "") -> None:
+        """Make a key.
+
+        `is_daemon`: a part of hostlink itself, whose types and services precede those of programs. `group`: the foreign
+        graph for which it stands, with others; empty: none.
+        """
+        self.name, self.is_daemon, self.group = name, is_daemon, group
 
     def __str__(self) -> str:
         return self.name

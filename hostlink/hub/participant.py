@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.gates import ENDING, Gates
+from hostlink.hub.graph import Graph, graph_of
+from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node, Role
@@ -40,6 +42,7 @@ class Parts:
     services: Services
     gates: Gates
     isolation: Isolation
+    changes: GraphChanges
 
 
 class Participant(Node):
@@ -57,10 +60,14 @@ class Participant(Node):
         role: Role = Role.DRIVE,
         priority: int = PROGRAM_PRIORITY,
         is_daemon: bool = False,
+        group: str = "",
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        """`priority`: of its velocities; `on_end`: called when a failure ends it."""
-        super().__init__(name, is_daemon=is_daemon)
+        """`priority`: of its velocities; `on_end`: called when a failure ends it.
+
+        `group`: the foreign graph for which it stands. It does not receive what its group publishes.
+        """
+        super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority
         self.has_left = False
         self._parts, self._on_end = parts, on_end
@@ -160,7 +167,7 @@ class Participant(Node):
             raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
         subscription = Subscription(receive, on_throttled, interval_s=interval_s, queue_length=queue_length)
         self._subscriptions[subscription] = None
-        subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
+        subscriber = Subscriber(self._without_own_group(subscription.receive), self, type_name, self.fail)
         try:
             unsubscribe = self._parts.topics.subscribe(topic, subscriber)
         except WrongType:
@@ -176,6 +183,17 @@ class Participant(Node):
         if self.has_left:  # what was latched ended it
             close()
         return subscription
+
+    def _without_own_group(self, receive: Receive) -> Receive:
+        """Messages that go out to the graph from which they come would come again."""
+        if not self.group:
+            return receive
+
+        def receive_from_others(message: Message) -> None:
+            if not isinstance(message.source, Node) or message.source.group != self.group:
+                receive(message)
+
+        return receive_from_others
 
     def flush(self, now_s: float) -> float | None:
         """Deliver what subscriptions held back until now; returns when the next is due."""
@@ -309,6 +327,28 @@ class Participant(Node):
         deliveries.senders = (*before, self)
         return before
 
+    # -- the graph ----------------------------------------------------------------------------------------------------
+
+    def graph(self) -> Graph:
+        """The topics and services of all who do not belong to its group."""
+        return graph_of(self._parts.topics, self._parts.services, self.group)
+
+    def watch_graph(self, on_change: Callable[[], None]) -> None:
+        """Call `on_change` soon, and soon after every change of topics, services and robots, until it leaves.
+
+        Raises:
+            BadRequest: it has left.
+        """
+        self.check(Role.READ, "watch_graph")
+
+        def notify() -> None:
+            try:
+                on_change()
+            except Exception as error:  # noqa: BLE001 - as when a message comes
+                self.fail(error)
+
+        self._parts.changes.watch(self, notify)
+
     # -- its end ------------------------------------------------------------------------------------------------------
 
     def check(self, role: Role, what: str) -> None:
@@ -341,6 +381,7 @@ class Participant(Node):
             subscription.close()
         for robot in self._followed:
             robot.followers.pop(self, None)
+        self._parts.changes.unwatch(self)
         self._parts.topics.leave(self)
         self._parts.services.leave(self)
         for end in self._calls:

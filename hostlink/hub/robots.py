@@ -37,8 +37,9 @@ class Robots:
         *,
         forget_after_s: float = math.inf,
         on_forgotten: Callable[[Robot], None] = lambda _: None,
+        on_change: Callable[[], None] = lambda: None,
     ) -> None:
-        """Make a table without robots.
+        """Make a table without robots; `on_change` is called when one comes, leaves or is forgotten.
 
         Raises:
             ConfigError: limits of a robot cannot be kept. They belong to the start, not to its first connection.
@@ -48,7 +49,7 @@ class Robots:
         self._configs, self._gates = configs, gates
         for config in configs.values():
             limits_of(config)
-        self._on_forgotten = on_forgotten
+        self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, Robot] = {}
         self._of_link: dict[Hashable, Robot] = {}
         self._away = Away(forget_after_s)  # who may be forgotten
@@ -102,6 +103,7 @@ class Robots:
         self._of_link[link] = robot
         self._away.remove(name)
         self._gates.attach(robot, link)
+        self._on_change()
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
         return robot
 
@@ -113,6 +115,7 @@ class Robots:
             return None
         log.warning("robot.gone", robot=robot.name)
         self.put_away(robot)
+        self._on_change()
         return robot
 
     def keep(self, robot: Robot) -> None:
@@ -162,6 +165,7 @@ class Robots:
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
             self._on_forgotten(robot)
+            self._on_change()
 
 
 def _now_s() -> float:

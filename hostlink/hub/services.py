@@ -22,6 +22,7 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
+from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.node import Node
 from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
@@ -187,8 +188,10 @@ class Services:
     the newest gets the calls, and when it goes the one before it does again.
     """
 
-    def __init__(self, catalog: Catalog) -> None:
+    def __init__(self, catalog: Catalog, changes: GraphChanges | None = None) -> None:
+        """`changes` are told of every service that comes or goes."""
         self._catalog = catalog
+        self._changes = GraphChanges() if changes is None else changes
         self._devices: dict[str, dict[Hashable, DeviceService]] = {}
         self._providers: dict[str, dict[Hashable, Provider]] = {}
         self._names: defaultdict[Hashable, set[str]] = defaultdict(set)  # what a key offers
@@ -212,6 +215,7 @@ class Services:
             log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
         offers[service.key] = service
         self._names[service.key].add(service.name)
+        self._changes.note()
 
     def provide(self, provider: Provider) -> None:
         """A program offers a service.
@@ -233,6 +237,7 @@ class Services:
         offers.pop(provider.key, None)
         offers[provider.key] = provider
         self._names[provider.key].add(name)
+        self._changes.note()
 
     def _remove_device_services(self, name: str) -> None:
         for key, service in self._devices.pop(name, {}).items():
@@ -246,9 +251,11 @@ class Services:
         if provider is not None:
             provider.withdraw()
             self._names[key].discard(name)
+            self._changes.note()
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone with all that it offered."""
+        self._changes.note()
         for name in self._names.pop(key, set()):
             service = _remove(self._devices, name, key)
             if service is not None:

@@ -102,6 +102,11 @@ class Topic:
         return bool(self.publishers or self._subscribers or self.devices)
 
     @property
+    def is_gated(self) -> bool:
+        """Whether a velocity gate subscribes: what is published drives a robot."""
+        return self._is_gated
+
+    @property
     def has_subscribers(self) -> bool:
         """Whether a message would reach anybody."""
         return bool(self._subscribers or self.devices)

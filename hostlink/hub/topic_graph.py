@@ -4,6 +4,7 @@ from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.deliveries import Deliveries
+from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 
@@ -18,8 +19,10 @@ def resolve(name: str) -> str:
 class TopicGraph:
     """All topics of all devices and participants."""
 
-    def __init__(self, catalog: Catalog) -> None:
+    def __init__(self, catalog: Catalog, changes: GraphChanges | None = None) -> None:
+        """`changes` are told of every topic, publisher and subscriber that comes or goes."""
         self.deliveries = Deliveries()
+        self._changes = GraphChanges() if changes is None else changes
         self._catalog = catalog
         self._topics: dict[str, Topic] = {}
         self._of_key: dict[Hashable, dict[str, Topic]] = {}  # what each publishes, or subscribes as a device
@@ -145,12 +148,14 @@ class TopicGraph:
         elif plain_name:
             topic.rank = max(topic.rank, rank)
         self._topics[resolved] = topic
+        self._changes.note()
         return topic
 
     def _settle(self, topic: Topic) -> None:
         """Somebody left: a topic without users goes; one that has subscribers alone has the type that they expect."""
         if self._topics.get(topic.name) is not topic:
             return
+        self._changes.note()
         topic.rank = topic.highest_rank
         if not topic.is_used:
             del self._topics[topic.name]

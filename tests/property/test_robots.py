@@ -19,6 +19,7 @@ from hostlink.errors import DeviceGone, RobotHeld
 from hostlink.hub.device import check_type
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import TICK_S, Gates
+from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.participant import Participant, Parts
 from hostlink.hub.robots import Robots
@@ -82,7 +83,7 @@ class Drivers(RuleBasedStateMachine):
         isolation = Isolation(reraises=True)
         self.gates = Gates(isolation)
         self.robots = Robots({NAME: config}, self.gates)
-        parts = Parts(CATALOG, TopicGraph(CATALOG), Services(CATALOG), self.gates, isolation)
+        parts = Parts(CATALOG, TopicGraph(CATALOG), Services(CATALOG), self.gates, isolation, GraphChanges())
         self.emergency_stop = EmergencyStop(self.robots, self.gates, Participant(parts, "hostlink", is_daemon=True))
         self.tasks = [asyncio.get_running_loop().create_task(self.gates.run())]
         await self.connect()
