@@ -1,4 +1,4 @@
-"""Acceptor: accepts connections of listening sockets, a few a turn of the loop, and reports when descriptors run out.
+"""Acceptor: accepts connections of listening sockets, one a turn of the loop, and reports when descriptors run out.
 
 asyncio's own does neither: without descriptors it logs a traceback at each try.
 """
@@ -10,7 +10,6 @@ import socket
 from collections.abc import Callable
 
 BACKLOG = 1024  # connections that may wait in the kernel
-ACCEPTED_AT_ONCE = 4  # before others have their turn
 RETRY_S = 0.25  # a descriptor may be free again by then
 EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
@@ -100,18 +99,17 @@ class Acceptor:
         asyncio.get_running_loop().add_reader(listening.fileno(), self._accept, listening)
 
     def _accept(self, listening: socket.socket) -> None:
-        for _ in range(ACCEPTED_AT_ONCE):
-            try:
-                connection, address = listening.accept()
-            except (BlockingIOError, InterruptedError):
-                return
-            except OSError as error:
-                if error.errno in EXHAUSTED:
-                    self._pause(listening)
-                    return
-                continue  # of the connection itself, which was reset before it was accepted: accept(2)
-            connection.setblocking(False)
-            self._on_accepted(connection, str(address[0]))
+        """Accept one; the loop comes back for the next, and others have their turn in between."""
+        try:
+            connection, address = listening.accept()
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as error:  # another is of the connection, which was reset before it was accepted: accept(2)
+            if error.errno in EXHAUSTED:
+                self._pause(listening)
+            return
+        connection.setblocking(False)
+        self._on_accepted(connection, str(address[0]))
 
     def _pause(self, listening: socket.socket) -> None:
         """The socket stays readable: without a pause each turn of the loop would try again."""

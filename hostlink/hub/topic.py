@@ -145,10 +145,9 @@ class Topic:
         Raises:
             HostlinkError: a device, or its gate, refused it; all others have it.
         """
-        if self.latched and source in self.latched:
-            self.latched[source] = payload
         if not self._subscribers and not self.devices:
             self.messages += 1
+            self._keep(payload, source)
             return
         message = self._message(payload, source, asyncio.get_running_loop().time() if at_s is None else at_s, priority)
         refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
@@ -186,8 +185,14 @@ class Topic:
                     refusal = error
         return refusal
 
+    def _keep(self, payload: bytes, source: Hashable) -> None:
+        """For later subscribers, if its source latches."""
+        if self.latched and source in self.latched:
+            self.latched[source] = payload
+
     def _dispatch(self, message: Message) -> None:
         self.messages += 1
+        self._keep(message.payload, message.source)  # in its turn: who subscribes before receives it then
         snapshot = self._snapshot
         for subscriber in self.subscribers if snapshot is None else snapshot:
             try:

@@ -53,6 +53,27 @@ def test_an_answer_comes_after_its_question_for_earlier_and_later_subscribers() 
     play(test)
 
 
+def test_who_subscribes_in_a_callback_receives_what_was_latched_before_what_is_newer() -> None:
+    async def test(made: Scene) -> None:
+        sender, late = made.hub.join("sender"), made.hub.join("late")
+        sender.advertise(A, TEXT_TYPE, is_latched=True)
+        sender.publish(A, text("old"))
+        heard: list[list[bytes]] = []
+
+        def receive(message: Message) -> None:
+            if message.payload == text("one"):
+                for newer in ("two", "three"):
+                    sender.publish(A, text(newer))
+                heard.append(recorder(late, A))
+
+        made.hub.join("first").subscribe(A, receive, type_name=TEXT_TYPE)
+        sender.publish(A, text("one"))
+        assert heard == [[text(each) for each in ("one", "two", "three")]]
+        assert recorder(made.hub.join("later"), A) == [text("three")]
+
+    play(test)
+
+
 def test_the_order_holds_over_two_topics() -> None:
     async def test(made: Scene) -> None:
         relay, sender = made.hub.join("relay"), made.hub.join("sender")
