@@ -4,8 +4,10 @@ from collections import deque
 from collections.abc import Callable, Hashable
 from typing import NamedTuple, TypeVar
 
+from hostlink.errors import BadRequest
 from hostlink.hub.message import Message
 
+MAX_NESTED = 8  # messages and commands of one sender, each sent in a callback that the one before caused
 MAX_WAITING = 1024  # messages that callbacks have published, and that wait for the message before them
 
 Deliver = Callable[[Message], None]
@@ -56,6 +58,14 @@ class Deliveries:
             self._is_under_way = False
         return result
 
+    def sending(self, sender: Hashable) -> "Sending":
+        """For the length of a block it sends; refused when its own callback has sent too often: it would never end.
+
+        Raises:
+            BadRequest: it is refused.
+        """
+        return Sending(self, sender)
+
     def _drain(self) -> None:
         senders = self.senders
         try:
@@ -64,3 +74,21 @@ class Deliveries:
                 deliver(message)
         finally:
             self.senders = senders
+
+
+class Sending:
+    """A block in which somebody sends; a class, as it is entered for every message."""
+
+    __slots__ = ("_deliveries", "_sender", "_senders")
+
+    def __init__(self, deliveries: Deliveries, sender: Hashable) -> None:
+        self._deliveries, self._sender = deliveries, sender
+        self._senders = deliveries.senders
+
+    def __enter__(self) -> None:
+        if self._senders and self._senders.count(self._sender) >= MAX_NESTED:
+            raise BadRequest(f"{self._sender} sends in a callback what calls it back, again and again")
+        self._deliveries.senders = (*self._senders, self._sender)
+
+    def __exit__(self, *_: object) -> None:
+        self._deliveries.senders = self._senders

@@ -16,6 +16,7 @@ from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
 from hostlink.hub.isolation import Isolation
+from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.link.capture_buffer import Captured
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
@@ -66,7 +67,9 @@ class Diagnosis:
 class Diagnoses:
     """Owns the diagnoses. `run` updates each of them once a second; the rest of the hub only passes events."""
 
-    def __init__(self, isolation: Isolation | None = None) -> None:
+    def __init__(self, isolation: Isolation | None = None, events: RobotEvents | None = None) -> None:
+        """`events` has each new finding."""
+        self._events = RobotEvents() if events is None else events
         words()  # read now: later there may be no descriptor for it
         self._isolation = Isolation(reraises=True) if isolation is None else isolation
         self.ended: deque[Diagnosis] = deque(maxlen=ENDED_LINKS)
@@ -152,6 +155,7 @@ class Diagnoses:
         diagnosis.findings = found
         for each in found:
             if each.code in news:
+                self._note(diagnosis, each)
                 self._log(diagnosis, each)
 
     def _evidence(self, diagnosis: Diagnosis, now_s: float) -> Evidence:
@@ -172,6 +176,17 @@ class Diagnoses:
             end=None if diagnosis.end is None else diagnosis.end.value,
             host_clock=self._host_clock,
             numbered=diagnosis.renaming(),
+        )
+
+    def _note(self, diagnosis: Diagnosis, found: Finding) -> None:
+        self._events.note(
+            EventKind.DIAGNOSED,
+            diagnosis.robot,
+            link=diagnosis.link.number,
+            code=found.code,
+            cause=found.cause,
+            next_step=found.next_step,
+            detail=found.detail,
         )
 
     def _log(self, diagnosis: Diagnosis, found: Finding) -> None:

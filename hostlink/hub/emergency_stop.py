@@ -13,6 +13,7 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.gates import Gates
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
+from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robots import Robots
 from hostlink.logs import printable
 from hostlink.robot.presence import SURE_S
@@ -45,11 +46,13 @@ class EmergencyStop:
             self._gates.lock(self._gates.beside(robot), printable(reason))
         finally:
             log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
+            self._gates.events.note(EventKind.LOCKED, robot.name, reason=robot.gate.lock_reason)
 
     def release(self, robot: Robot) -> None:
         """Let the robot be driven again."""
         if robot.gate.lock_reason is not None:
             log.warning("robot.unlocked", robot=robot.name, reason=robot.gate.lock_reason)
+            self._gates.events.note(EventKind.UNLOCKED, robot.name, reason=robot.gate.lock_reason)
         for drivable in self._gates.beside(robot):
             drivable.gate.unlock()
         self._locked.pop(robot.name, None)

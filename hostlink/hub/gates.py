@@ -11,6 +11,7 @@ from hostlink.hub.drivable import Drivable
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.link.link import Link, LinkEnd
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
 from hostlink.robot.velocity_gate import VelocityGate
@@ -26,8 +27,9 @@ ENDING = "hostlink is stopping, and drives no robot any more"
 class Gates:
     """What each link can be driven by. Methods are synchronous; `run` is the clock."""
 
-    def __init__(self, isolation: Isolation, guard: Guard | None = None) -> None:
-        """`guard` stops the devices when this process cannot any more."""
+    def __init__(self, isolation: Isolation, guard: Guard | None = None, events: RobotEvents | None = None) -> None:
+        """`guard` stops the devices when this process cannot any more; `events` has what is commanded and stopped."""
+        self.events = RobotEvents() if events is None else events
         self.is_closed = False  # the daemon ends, and drives nobody any more
         self._isolation, self._guardian = isolation, guard
         self._of_link: dict[Link, list[Drivable]] = {}
@@ -107,11 +109,23 @@ class Gates:
             BadRequest: the velocity is not finite.
             FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
         """
+        now_s = _now_s() if now_s is None else now_s
+        facts = {"owner": str(owner), "priority": priority, "velocity": velocity}
+        try:
+            limited = self._command(drivable, velocity, owner=owner, priority=priority, now_s=now_s)
+        except HostlinkError as error:
+            self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
+            raise
+        self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
+        return limited
+
+    def _command(
+        self, drivable: Drivable, velocity: Velocity, *, owner: Hashable, priority: int, now_s: float
+    ) -> Velocity:
         if self.is_closed:
             raise DeviceGone(drivable.name, ENDING)
         if drivable.link is None:
             raise DeviceGone(drivable.name)
-        now_s = _now_s() if now_s is None else now_s
         gate = drivable.gate
         limited = gate.command(owner, velocity, priority=priority, now_s=now_s)
         if gate.owner in (owner, None):  # another's idle zero changes nothing, so the device need not hear it
@@ -130,7 +144,7 @@ class Gates:
             gate = other.gate
             is_other = gate is not drivable.gate and gate.claims is drivable.gate.claims
             if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
-                log.info("robot.stopped", robot=other.name, reason="overruled", owner=gate.owner_name)
+                self._note_stop(other, "overruled", str(gate.owner_name))
                 gate.stop(now_s=_now_s())
                 self._send_news(other)
 
@@ -140,7 +154,7 @@ class Gates:
             is_driving = drivable.gate.owner == owner
             drivable.gate.release(owner, now_s=_now_s())  # also what it has claimed without driving now
             if is_driving:
-                log.info("robot.stopped", robot=drivable.name, reason="owner left", owner=str(owner))
+                self._note_stop(drivable, "owner left", str(owner))
                 self._send_news(drivable)
 
     def stop(self, drivable: Drivable) -> None:
@@ -233,7 +247,7 @@ class Gates:
         previous_owner, is_first = gate.owner_name, gate.is_new_device
         velocity = gate.step(now_s)
         if previous_owner is not None and gate.owner_name is None:
-            log.info("robot.stopped", robot=drivable.name, reason="no command came", owner=previous_owner)
+            self._note_stop(drivable, "no command came", previous_owner)
         if velocity is None or link is None:
             return None
         is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
@@ -252,6 +266,10 @@ class Gates:
         for topic in drivable.echoes.values():
             topic.deliver(payload, source=drivable, at_s=now_s)
         return None
+
+    def _note_stop(self, drivable: Drivable, reason: str, owner: str) -> None:
+        log.info("robot.stopped", robot=drivable.name, reason=reason, owner=owner)
+        self.events.note(EventKind.STOPPED, drivable.name, reason=reason, owner=owner)
 
     def _send_last_zero(self, drivable: Drivable, link: Link) -> None:
         """To a device that may have announced other topics, or has another link by now; most often it is gone."""

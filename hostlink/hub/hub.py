@@ -27,6 +27,7 @@ from hostlink.hub.node import Node, Role
 from hostlink.hub.parameters import ParameterAnswers
 from hostlink.hub.participant import Participant, Parts
 from hostlink.hub.robot import Robot
+from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
@@ -64,8 +65,9 @@ class Hub:
         changes = GraphChanges()
         self.topics = TopicGraph(catalog, changes)
         self.services = Services(catalog, changes)
-        self.gates = Gates(self.isolation, guard)
-        self.diagnoses = Diagnoses(self.isolation)
+        self.events = RobotEvents()
+        self.gates = Gates(self.isolation, guard, self.events)
+        self.diagnoses = Diagnoses(self.isolation, self.events)
         self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes)
         self._node = Node(DAEMON, is_daemon=True)
         self._share = FairShare()
@@ -144,9 +146,9 @@ class Hub:
         """
         return Participant(self._parts, name, role=role, priority=priority, group=group, on_end=on_end)
 
-    def join_daemon(self) -> Participant:
-        """A part of the daemon takes part; whatever of it fails, it stays."""
-        return Participant(self._parts, DAEMON, is_daemon=True)
+    def join_daemon(self, *, group: str = "") -> Participant:
+        """A part of the daemon takes part; whatever of it fails, it stays. `group`: as of `join`."""
+        return Participant(self._parts, DAEMON, is_daemon=True, group=group)
 
     # -- links --------------------------------------------------------------------------------------------------------
 
@@ -175,6 +177,7 @@ class Hub:
         end = LinkEnd.CRASHED
         with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
             log.info("link.opened")
+            self.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
             try:
                 with self.isolation.around("link"):  # a bug in one link must not stop another robot
                     end = await link.run()
@@ -186,6 +189,7 @@ class Hub:
                     self._identities.forget(link)
                     self.device_calls.leave(link)
                     self.diagnoses.finish(link, end)
+                self.events.note(EventKind.LINK_CLOSED, "", link=link.number, peer=link.peer, reason=end.value)
                 facts = dataclasses.asdict(link.facts())
                 log.info("link.closed", reason=end.value, **facts.pop("counts"), **facts)
         return end

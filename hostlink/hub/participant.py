@@ -4,8 +4,9 @@ Payloads are bytes here, as devices send and receive them; whoever speaks anothe
 """
 
 import asyncio
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import ParamSpec
 
 from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
@@ -16,6 +17,7 @@ from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node, Role
 from hostlink.hub.robot import Robot
+from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.services import Answer, Notify, Provider, Services
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic import Receive, Subscriber, Topic
@@ -30,7 +32,9 @@ MAX_LATCHED = 16  # topics; each keeps a message
 MAX_SUBSCRIPTIONS = 256
 MAX_SERVICES = 64
 MAX_CALLS = 64  # of services, under way at once
-MAX_NESTED = 8  # messages and commands, each sent in a callback that the one before caused
+
+
+Given = ParamSpec("Given")
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +142,8 @@ class Participant(Node):
             raise DeviceGone(topic, ENDING)
         known = self._parts.topics.find_or_none(topic)
         if known is not None:
-            senders = self._begin_sending("publish")
-            try:
+            with self._parts.topics.deliveries.sending(self):
                 known.publish(payload, source=self, priority=self.priority if priority is None else priority)
-            finally:
-                self._parts.topics.deliveries.senders = senders
 
     def subscribe(
         self,
@@ -292,11 +293,8 @@ class Participant(Node):
         if link is not None and robot.link is not None and robot.link.number != link:
             raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
         wanted_priority = self.priority if priority is None else priority
-        senders = self._begin_sending("drive")
-        try:
+        with self._parts.topics.deliveries.sending(self):
             return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority)
-        finally:
-            self._parts.topics.deliveries.senders = senders
 
     def follow(self, robot: Robot, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of the robot, whatever its topic is, until it leaves.
@@ -306,26 +304,9 @@ class Participant(Node):
         """
         self.check(Role.READ, "follow")
 
-        def notify(_: Message) -> None:
-            try:
-                receive()
-            except Exception as error:  # noqa: BLE001 - as when a message comes
-                self.fail(error)
-
-        robot.followers[self] = notify
+        notify = self._failing_alone(receive)
+        robot.followers[self] = lambda _: notify()
         self._followed.add(robot)
-
-    def _begin_sending(self, what: str) -> tuple[Hashable, ...]:
-        """Refuse what its own callback has sent too often: a message that comes back to its sender would never end.
-
-        Returns the senders in whose callbacks it sends.
-        """
-        deliveries = self._parts.topics.deliveries
-        before = deliveries.senders
-        if before and before.count(self) >= MAX_NESTED:
-            raise BadRequest(f"{what}: {self.name} sends in a callback what calls it back, again and again")
-        deliveries.senders = (*before, self)
-        return before
 
     # -- the graph ----------------------------------------------------------------------------------------------------
 
@@ -341,13 +322,27 @@ class Participant(Node):
         """
         self.check(Role.READ, "watch_graph")
 
-        def notify() -> None:
+        self._parts.changes.watch(self, self._failing_alone(on_change))
+
+    def observe(self, receive: Callable[[RobotEvent], None]) -> None:
+        """Call `receive` for all that happens to robots and links, until it leaves.
+
+        Raises:
+            BadRequest: it has left.
+        """
+        self.check(Role.READ, "observe")
+        self._parts.gates.events.observe(self, self._failing_alone(receive))
+
+    def _failing_alone(self, callback: Callable[Given, None]) -> Callable[Given, None]:
+        """What the callback raises ends this participant, and is nothing to whoever calls it."""
+
+        def guarded(*args: Given.args, **kwargs: Given.kwargs) -> None:
             try:
-                on_change()
+                callback(*args, **kwargs)
             except Exception as error:  # noqa: BLE001 - as when a message comes
                 self.fail(error)
 
-        self._parts.changes.watch(self, notify)
+        return guarded
 
     # -- its end ------------------------------------------------------------------------------------------------------
 
@@ -382,6 +377,7 @@ class Participant(Node):
         for robot in self._followed:
             robot.followers.pop(self, None)
         self._parts.changes.unwatch(self)
+        self._parts.gates.events.leave(self)
         self._parts.topics.leave(self)
         self._parts.services.leave(self)
         for end in self._calls:

@@ -11,6 +11,7 @@ from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.gates import Gates
 from hostlink.hub.robot import Robot
+from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
 from hostlink.robot.away import Away
@@ -104,16 +105,19 @@ class Robots:
         self._away.remove(name)
         self._gates.attach(robot, link)
         self._on_change()
+        self._gates.events.note(EventKind.APPEARED, name, link=link.number, peer=link.peer)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
         return robot
 
     def vanish(self, link: Link) -> Robot | None:
         """A link has no robot any more: the one that it had is sent a zero, and is without a device."""
-        self._gates.detach(link)
         robot = self._of_link.pop(link, None)
+        was_moving = robot is not None and robot.gate.may_move
+        self._gates.detach(link)
         if robot is None:
             return None
         log.warning("robot.gone", robot=robot.name)
+        self._gates.events.note(EventKind.GONE, robot.name, was_moving=was_moving)
         self.put_away(robot)
         self._on_change()
         return robot
