@@ -152,6 +152,22 @@ class RobotConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingConfig:
+    """Where recordings are kept, and how much of them."""
+
+    folder: Path | None = None  # None: where the system keeps what a service leaves, else below the user's home
+    max_disk_mb: float = 4096.0  # of all recordings; over it the oldest go
+    min_free_disk_mb: float = 256.0  # below it a recording ends: a full disk harms others
+    max_file_mb: float = 512.0  # then another file is begun
+    max_file_s: float = 3600.0
+    fsync: bool = False  # each second to the disk itself: survives a power cut, and wears out SD cards
+
+    def __post_init__(self) -> None:
+        if min(self.max_disk_mb, self.max_file_mb, self.max_file_s) <= 0:
+            raise ValueError("max_disk_mb, max_file_mb and max_file_s must be more than zero")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """The whole of hostlink.toml."""
 
@@ -162,6 +178,7 @@ class Config:
     robots: dict[str, RobotConfig] = field(default_factory=dict)
     parameters: dict[str, ParameterValue] = field(default_factory=dict)
     message_folders: tuple[Path, ...] = ()
+    recording: RecordingConfig = field(default_factory=RecordingConfig)
     guardian: bool = True  # a process of its own that stops the robots when the daemon's has ended without doing so
 
 

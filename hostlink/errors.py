@@ -88,6 +88,14 @@ class BadRequest(HostlinkError):
         self.problem = problem
 
 
+class RecordingFailed(HostlinkError):
+    """A recording cannot be written or read."""
+
+
+class RecordingBusy(HostlinkError):
+    """The name is in use, the file is being written, or too many recordings are under way."""
+
+
 class RobotHeld(HostlinkError):
     """Somebody with a higher priority drives the robot, or it is locked."""
 

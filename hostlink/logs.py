@@ -19,6 +19,7 @@ The log itself   log.lines_left_out, log.lines_lost
 import logging
 import sys
 import time
+from collections.abc import Callable, Hashable, Mapping
 from typing import TextIO
 
 import structlog
@@ -31,6 +32,7 @@ _BUDGET_KEY = "log_budget"  # bound around what a peer causes; never printed
 
 budget = LogBudget()
 output = LogOutput(None)
+listeners: dict[Hashable, Callable[[int, Mapping[str, object]], None]] = {}  # who else has each line, and its wall time
 
 
 def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
@@ -50,6 +52,7 @@ def configure(*, level: str = "info", stream: TextIO | None = None) -> None:
             _keep_budget,
             _round_figures,
             structlog.processors.add_log_level,
+            _pass_on,
             structlog.processors.TimeStamper(fmt="iso", utc=True),
             structlog.processors.StackInfoRenderer(),
             _make_printable if is_terminal else structlog.processors.format_exc_info,
@@ -105,6 +108,14 @@ def _rounded(value: object) -> object:
     if isinstance(value, dict):
         return {key: _rounded(part) for key, part in value.items()}
     return round(value, 6) if isinstance(value, float) else value
+
+
+def _pass_on(_: object, __: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:
+    if listeners:
+        stamp_ns = time.time_ns()
+        for listen in tuple(listeners.values()):
+            listen(stamp_ns, event)
+    return event
 
 
 def _replace(text: str) -> str:

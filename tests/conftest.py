@@ -5,6 +5,7 @@ HYPOTHESIS_PROFILE=fuzz: fifty times the usual examples; ci: the same examples e
 
 import os
 import signal
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -28,6 +29,15 @@ def pytest_collectstart(collector: pytest.Collector) -> None:
     """The unit tests are quick: they draw fewer examples, and `make fuzz` as many as of the property tests."""
     if isinstance(collector, pytest.Module):
         settings.load_profile(f"{_PROFILE}_unit" if "/tests/unit/" in collector.path.as_posix() else _PROFILE)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Recordings of the tests are not put beside those of whoever runs them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        patch.delenv("STATE_DIRECTORY", raising=False)
+        yield
 
 
 def pytest_configure() -> None:

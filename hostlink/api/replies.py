@@ -15,6 +15,8 @@ from hostlink.errors import (
     DeviceGone,
     FrameTooLarge,
     HostlinkError,
+    RecordingBusy,
+    RecordingFailed,
     RobotHeld,
     ServiceFailed,
     UnknownTopic,
@@ -32,6 +34,8 @@ STATUS = {
     DeviceGone: HTTPStatus.SERVICE_UNAVAILABLE,
     DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
     ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
+    RecordingBusy: HTTPStatus.CONFLICT,
+    RecordingFailed: HTTPStatus.INSUFFICIENT_STORAGE,
 }
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
 

@@ -199,7 +199,7 @@ class Rest:
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        body = _decode(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
+        body = decode_body(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=body.linear, angular_z_rad_s=body.angular)
         limited = self._owner(request).drive(robot, velocity, priority=body.priority)
         return reply(velocity_answer(robot, velocity, limited))
@@ -221,7 +221,7 @@ class Rest:
         """A wrong body is refused, but the robot is locked first: an emergency stop does not fail for its reason."""
         robot = self._find(request)
         try:
-            body = _decode(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
+            body = decode_body(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
         except BadRequest:
             self._hub.emergency_stop.stop(robot)
             raise
@@ -264,7 +264,12 @@ class Rest:
         return reply({"status": "ready"})
 
 
-def _decode(data: bytes, type_: type[Body], shape: str) -> Body:
+def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:
+    """The body of a request; `shape` is the example in the error.
+
+    Raises:
+        BadRequest: it is not of that shape.
+    """
     try:
         return msgspec.json.decode(data, type=type_)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -29,6 +29,7 @@ from hostlink.api.metrics import Metrics
 from hostlink.api.outgoing import ClientQueue, client_queue
 from hostlink.api.owners import Owners
 from hostlink.api.rate_limit import RateLimit
+from hostlink.api.recordings import RecordingRoutes
 from hostlink.api.replies import explain_errors, reply
 from hostlink.api.rest import Rest
 from hostlink.api.rosapi import RosApi
@@ -40,6 +41,7 @@ from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.logs import printable
+from hostlink.recording.recordings import Recordings
 
 log = structlog.get_logger()
 
@@ -72,8 +74,8 @@ class OpenApiView(TypedDict):
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, hub: Hub, config: ApiConfig) -> None:
-        self._hub = hub
+    def __init__(self, hub: Hub, config: ApiConfig, recordings: Recordings) -> None:
+        self._hub, self._recordings = hub, recordings
         self._config = config
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
@@ -102,6 +104,7 @@ class ApiServer:
             *Rest(self._hub, self._clients, self._owners).routes(),
             *Events(self._hub, self._clients).routes(),
             *Captures(self._hub).routes(),
+            *RecordingRoutes(self._recordings).routes(),
             self._metrics.route(),
             Route(
                 "/api/openapi.json",
@@ -140,7 +143,7 @@ class ApiServer:
             answer = await handler(request)
         if origin is not None and not answer.prepared:
             answer.headers["Access-Control-Allow-Origin"] = origin
-            answer.headers["Access-Control-Allow-Methods"] = "GET, PUT, POST"
+            answer.headers["Access-Control-Allow-Methods"] = "GET, PUT, POST, DELETE"
             answer.headers["Access-Control-Allow-Headers"] = ALLOWED_HEADERS
             answer.headers["Vary"] = "Origin"
         return answer
@@ -308,13 +311,13 @@ async def _page_file(request: web.Request) -> web.StreamResponse:
 
 
 @contextlib.asynccontextmanager
-async def serve_api(config: ApiConfig, hub: Hub) -> AsyncIterator[str]:
+async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings) -> AsyncIterator[str]:
     """Serve until the block is left; yields the address as a URL.
 
     Raises:
         ConfigError: the port is in use, or the address cannot be listened on.
     """
-    server = ApiServer(hub, config)
+    server = ApiServer(hub, config, recordings)
     runner = web.AppRunner(
         server.application(),
         access_log=None,

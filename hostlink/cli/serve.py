@@ -33,6 +33,7 @@ from hostlink.hub.hub import Hub
 from hostlink.listeners.serial_ports import serve_serial
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.messages.catalog import Catalog
+from hostlink.recording.recordings import Recordings
 from hostlink.transport.mdns import advertised
 from hostlink.transport.tcp import serve_tcp
 
@@ -58,7 +59,12 @@ async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterato
     """
     hub = Hub(config, Catalog(config.message_folders), guard=guard)
     try:
-        async with complaints_logged(hub.refused), _hub_running(hub), _listening(hub, config) as addresses:
+        async with (
+            complaints_logged(hub.refused),
+            _hub_running(hub),
+            _recordings(hub) as recordings,
+            _listening(hub, config, recordings) as addresses,
+        ):
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
             try:
                 yield hub, addresses
@@ -87,9 +93,22 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 
 
 @contextlib.asynccontextmanager
-async def _listening(hub: Hub, config: Config) -> AsyncIterator[Addresses]:
+async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
+    """They end after the robots were stopped, which is worth recording."""
+    recordings = Recordings(hub)
+    try:
+        yield recordings
+    finally:
+        await recordings.aclose()
+
+
+@contextlib.asynccontextmanager
+async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncIterator[Addresses]:
     """Listeners and ports, for devices and for programs."""
-    async with serve_api(config.api, hub) as api, contextlib.AsyncExitStack() as last:  # mDNS may be slow
+    async with (
+        serve_api(config.api, hub, recordings) as api,
+        contextlib.AsyncExitStack() as last,  # mDNS may be slow
+    ):
         acceptor = TcpAcceptor(hub, config.tcp)
         async with serve_tcp(config.tcp, acceptor.accept) as listener, _serial_ports(hub, config):
             await last.enter_async_context(advertised(config.tcp, listener.address))

@@ -1,0 +1,183 @@
+"""Recordings over REST: start and stop one, list them, fetch a file, remove one."""
+
+import asyncio
+import time
+from http import HTTPStatus
+from typing import Annotated, NotRequired, TypedDict
+
+import msgspec
+from aiohttp import web
+
+from hostlink.api.access import GRANT
+from hostlink.api.replies import reply
+from hostlink.api.rest import decode_body
+from hostlink.api.routes import Route
+from hostlink.errors import UnknownTopic
+from hostlink.hub.node import Role
+from hostlink.recording.disk_budget import StoredFile
+from hostlink.recording.folder import NAME_PATTERN
+from hostlink.recording.recorder import Selection
+from hostlink.recording.recordings import Recording, Recordings
+
+MAX_PATTERNS = 256  # topics and robots that a request may name
+MAX_LISTED = 1000  # files, the newest
+_BAD, _NOT_FOUND = HTTPStatus.BAD_REQUEST, HTTPStatus.NOT_FOUND
+_BUSY, _FULL = HTTPStatus.CONFLICT, HTTPStatus.INSUFFICIENT_STORAGE
+
+
+Patterns = Annotated[list[str], msgspec.Meta(max_length=MAX_PATTERNS)]
+
+
+class RecordingRequest(msgspec.Struct, forbid_unknown_fields=True):
+    """The body of POST recordings, which may be empty: everything of all robots."""
+
+    topics: Patterns = []
+    robots: Patterns = []
+    name: Annotated[str, msgspec.Meta(pattern=f"{NAME_PATTERN}|^$")] = ""
+
+
+class RecordingView(TypedDict):
+    """A recording that is under way, or has just been stopped."""
+
+    name: str
+    owner: str
+    topics: list[str]
+    seconds: float
+    messages: int
+    dropped: int
+    bytes: int
+    files: list[str]
+    failure: NotRequired[str]
+
+
+class StoredView(TypedDict):
+    """A file of the folder."""
+
+    file: str
+    bytes: int
+    modified: str
+    is_open: bool
+
+
+class RecordingsView(TypedDict):
+    """What is under way, and the newest files; where they are on the daemon's computer."""
+
+    recordings: list[RecordingView]
+    files: list[StoredView]
+    folder: str
+
+
+class RemovedView(TypedDict):
+    """The file that is no more."""
+
+    removed: str
+
+
+class RecordingRoutes:
+    """The handlers."""
+
+    def __init__(self, recordings: Recordings) -> None:
+        self._recordings = recordings
+
+    def routes(self) -> list[Route]:
+        """Every path of this file."""
+        path = "/api/recordings"
+        one = f"{path}/{{name}}"
+        return [
+            Route(path, self._all, "Recordings that are under way, and the files", RecordingsView),
+            Route(
+                path,
+                self._start,
+                "Record topics, events, log and parameters into an MCAP file",
+                RecordingView,
+                method="POST",
+                request=RecordingRequest,
+                is_body_optional=True,
+                role=Role.DRIVE,
+                fails=(_BAD, _NOT_FOUND, _BUSY, _FULL, HTTPStatus.REQUEST_ENTITY_TOO_LARGE),
+            ),
+            Route(
+                one,
+                self._file,
+                "The MCAP file of that name; ranges are answered, also while it is written",
+                None,
+                media_type="application/octet-stream",
+                fails=(_NOT_FOUND,),
+            ),
+            Route(
+                f"{one}/stop",
+                self._stop,
+                "End a recording; its file is complete then",
+                RecordingView,
+                method="POST",
+                role=Role.DRIVE,
+                fails=(_NOT_FOUND,),
+            ),
+            Route(
+                one,
+                self._remove,
+                "Remove a file",
+                RemovedView,
+                method="DELETE",
+                role=Role.DRIVE,
+                fails=(_NOT_FOUND, _BUSY),
+            ),
+        ]
+
+    async def _all(self, _: web.Request) -> web.Response:
+        recordings, folder = self._recordings, self._recordings.folder
+        files = await asyncio.to_thread(folder.files, recordings.open_files())
+        return reply(
+            {
+                "recordings": [recording_view(each) for each in recordings.under_way()],
+                "files": [_stored_view(file) for file in files[-MAX_LISTED:][::-1]],
+                "folder": str(folder.path),
+            }
+        )
+
+    async def _start(self, request: web.Request) -> web.Response:
+        shape = '{"topics": [names or patterns], "robots": [names], "name": a text}, or empty'
+        body = decode_body(await request.read() or b"{}", RecordingRequest, shape)
+        for robot in body.robots:
+            self._recordings.check_robot(robot)
+        grant = request[GRANT]
+        selection = Selection(tuple(body.topics), tuple(body.robots))
+        owner = grant.who or request.remote or ""
+        return reply(recording_view(await self._recordings.start(selection, name=body.name, owner=owner)))
+
+    async def _stop(self, request: web.Request) -> web.Response:
+        return reply(recording_view(await self._recordings.stop(request.match_info["name"])))
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        name = request.match_info["name"]
+        path = await asyncio.to_thread(self._recordings.folder.find, name)
+        if path is None:
+            raise UnknownTopic("recording", name)
+        headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{path.name}"'}
+        return web.FileResponse(path, headers={**headers, "Content-Type": "application/octet-stream"})
+
+    async def _remove(self, request: web.Request) -> web.Response:
+        return reply({"removed": await self._recordings.remove(request.match_info["name"])})
+
+
+def recording_view(recording: Recording) -> RecordingView:
+    """JSON of a recording."""
+    thread = recording.thread
+    view: RecordingView = {
+        "name": recording.name,
+        "owner": recording.owner,
+        "topics": recording.recorder.topics,
+        "seconds": round(recording.seconds, 3),
+        "messages": thread.messages,
+        "dropped": thread.dropped,
+        "bytes": thread.written_bytes,
+        "files": [path.name for path in thread.paths],
+    }
+    if thread.failure is not None:
+        view["failure"] = thread.failure
+    return view
+
+
+def _stored_view(file: StoredFile) -> StoredView:
+    modified = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(file.modified_s))
+    return {"file": file.name, "bytes": file.size_bytes, "modified": modified, "is_open": file.is_open}

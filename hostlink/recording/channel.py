@@ -1,0 +1,55 @@
+"""Channel: one topic in a recording, and what a reader must know to understand its messages."""
+
+import json
+from dataclasses import dataclass
+from typing import Protocol
+
+from hostlink.messages.message_type import MessageType
+
+JSON, ROS1 = "json", "ros1"
+EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC = "/hostlink/events", "/hostlink/log", "/hostlink/parameters"
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """As MCAP has it: https://mcap.dev/spec, and its profile ros1."""
+
+    topic: str
+    encoding: str  # ROS1: the payload as rosserial and ROS 1 have it; JSON
+    type_name: str
+    schema: str  # ros1msg: the definition with all that it contains; jsonschema
+    metadata: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def schema_encoding(self) -> str:
+        """What language the schema is in."""
+        return "ros1msg" if self.encoding == ROS1 else "jsonschema"
+
+
+class Sink(Protocol):
+    """Where a recorder puts messages: a file's writer, a black box. It never waits."""
+
+    def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
+        """`robot`: whose it is; empty: nobody's."""
+        ...
+
+
+def ros_channel(topic: str, type_name: str, type_: MessageType | None, *, is_latched: bool) -> Channel:
+    """The channel of a topic; without a definition its messages are kept, and nobody can decode them."""
+    md5 = "*" if type_ is None else type_.md5
+    metadata = (("callerid", "/hostlink"), ("md5sum", md5), ("latching", str(int(is_latched))), ("topic", topic))
+    return Channel(topic, ROS1, type_name, "" if type_ is None else type_.full_definition, metadata)
+
+
+def _json_channel(topic: str, type_name: str, properties: dict[str, str]) -> Channel:
+    schema = {
+        "title": type_name,
+        "type": "object",
+        "properties": {name: {"type": kind} for name, kind in properties.items()},
+    }
+    return Channel(topic, JSON, type_name, json.dumps(schema))
+
+
+EVENTS = _json_channel(EVENTS_TOPIC, "hostlink.Event", {"kind": "string", "robot": "string", "facts": "object"})
+LOG = _json_channel(LOG_TOPIC, "hostlink.LogLine", {"event": "string", "level": "string"})
+PARAMETERS = _json_channel(PARAMETERS_TOPIC, "hostlink.Parameters", {})

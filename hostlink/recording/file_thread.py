@@ -1,0 +1,152 @@
+"""FileThread: writes a recording off the event loop, in files that are split by size and time."""
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from hostlink.recording.channel import Channel
+from hostlink.recording.mcap_writer import McapWriter
+
+MAX_WAITING_BYTES = 16 * 1024 * 1024  # of messages that the disk is too slow for; a new one is dropped over it
+MESSAGE_BYTES = 200  # that a waiting message takes beside its payload
+WRITE_INTERVAL_S = 0.05
+CHUNK_INTERVAL_S = 0.9  # what a power cut may cost, with the interval of writing: a second
+BURST = 64  # messages between two looks at the clock; the loop gets the interpreter within half a millisecond
+CLOSE_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Splitting:
+    """When a recording continues in another file."""
+
+    max_file_bytes: int
+    max_file_s: float
+    fsync: bool = False
+
+
+class _Waiting(NamedTuple):
+    channel: Channel
+    stamp_ns: int
+    payload: bytes
+
+
+class FileThread:
+    """`put`, `aclose` and the figures are for the loop's thread; the rest happens in a thread of its own.
+
+    A file that cannot be written any more ends the recording: `failure` has the reason, `on_end` is called in the loop.
+    """
+
+    def __init__(
+        self,
+        path_of: Callable[[int], Path],
+        splitting: Splitting,
+        *,
+        loop: asyncio.AbstractEventLoop,
+        metadata: Mapping[str, str],
+        on_end: Callable[[], None] = lambda: None,
+        on_file: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Make the first file, which may wait for the disk: not in the loop's own thread.
+
+        `path_of` the file of that number, from 0; `on_file` is called in the thread before each file.
+
+        Raises:
+            OSError: the first file cannot be made.
+        """
+        self.dropped = self.messages = self.written_bytes = 0
+        self.paths: list[Path] = []
+        self.failure: str | None = None
+        self._path_of, self._splitting, self._metadata = path_of, splitting, dict(metadata)
+        self._on_end, self._on_file = on_end, on_file
+        self._loop = loop
+        self._waiting: deque[_Waiting] = deque()
+        self._put_bytes = self._taken_bytes = 0
+        self._ending = threading.Event()
+        self._ended = asyncio.Event()
+        self._files_bytes = 0  # of those before the present one
+        self._begun_s = self._chunk_due_s = 0.0
+        self._writer = self._open()
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str = "") -> None:  # noqa: ARG002 - of a Sink
+        """Write it soon; dropped and counted while too much waits, or after the end."""
+        size_bytes = len(payload) + MESSAGE_BYTES
+        is_full = self._put_bytes - self._taken_bytes + size_bytes > MAX_WAITING_BYTES
+        if is_full or self.failure is not None or self._ending.is_set():
+            self.dropped += 1
+            return
+        self._put_bytes += size_bytes
+        self._waiting.append(_Waiting(channel, stamp_ns, payload))
+
+    async def aclose(self) -> None:
+        """Write what waits and complete the file, within CLOSE_TIMEOUT_S; a disk that is slower is left to itself."""
+        self._ending.set()
+        try:
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await self._ended.wait()
+        except TimeoutError:
+            self.failure = self.failure or f"the disk has not taken the rest within {CLOSE_TIMEOUT_S:g} s"
+
+    # -- in the thread ------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.wait(WRITE_INTERVAL_S):
+                self._write_waiting()
+            self._write_waiting()
+            self._writer.close()
+        except Exception as error:  # noqa: BLE001 - whatever it is, it ends this recording and nothing else
+            self.failure = _reason(error)
+            self._writer.abandon()
+            self.dropped += len(self._waiting)
+            self._waiting.clear()
+        finally:
+            self.written_bytes = self._files_bytes + self._writer.last_size_bytes
+            self._loop.call_soon_threadsafe(self._note_end)
+
+    def _note_end(self) -> None:
+        self._ended.set()
+        self._on_end()
+
+    def _write_waiting(self) -> None:
+        while self._waiting:
+            for _ in range(min(BURST, len(self._waiting))):
+                channel, stamp_ns, payload = self._waiting.popleft()
+                self._taken_bytes += len(payload) + MESSAGE_BYTES
+                self._writer.write(channel, stamp_ns, payload)
+                self.messages += 1
+            self._keep_time()
+        self._keep_time()
+
+    def _keep_time(self) -> None:
+        now_s = time.monotonic()
+        if now_s < self._chunk_due_s:
+            return
+        self._chunk_due_s = now_s + CHUNK_INTERVAL_S
+        self._writer.end_chunk()
+        self.written_bytes = self._files_bytes + self._writer.last_size_bytes
+        is_long = now_s > self._begun_s + self._splitting.max_file_s
+        if is_long or self._writer.last_size_bytes > self._splitting.max_file_bytes or not self._writer.is_there:
+            self._writer.close()
+            self._files_bytes += self._writer.last_size_bytes
+            self._writer = self._open()
+
+    def _open(self) -> McapWriter:
+        self._on_file()
+        path = self._path_of(len(self.paths))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writer = McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+        self.paths.append(path)
+        self._begun_s = time.monotonic()
+        self._chunk_due_s = self._begun_s + CHUNK_INTERVAL_S
+        return writer
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"

@@ -1,0 +1,85 @@
+"""The folder of the recordings: where it is, what is in it, and what must go."""
+
+import os
+import re
+import shutil
+from collections.abc import Collection
+from pathlib import Path
+
+from hostlink.config import RecordingConfig
+from hostlink.errors import BadRequest
+from hostlink.recording.disk_budget import StoredFile, over_budget
+
+SUFFIX = ".mcap"
+MEGABYTE = 1_000_000
+NAME_PATTERN = r"^[A-Za-z0-9]([A-Za-z0-9_+-]|\.(?!\.)){0,99}$"  # no way out of the folder
+
+
+def default_folder() -> Path:
+    """systemd's for a service, else the user's, as the XDG base directories have it."""
+    of_service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return (Path(of_service) if of_service else state / "hostlink") / "recordings"
+
+
+def is_name(name: str) -> bool:
+    """Whether a recording may be called so: no path, and nothing that begins with a dot."""
+    return re.fullmatch(NAME_PATTERN, name, re.ASCII) is not None
+
+
+def check_name(name: str) -> str:
+    """The name of a recording, without its suffix.
+
+    Raises:
+        BadRequest: it is none.
+    """
+    if not is_name(name):
+        raise BadRequest("a recording's name has letters, digits, and . _ + - between them, 100 at most")
+    return name.removesuffix(SUFFIX)
+
+
+class Folder:
+    """Its files; every method raises the OSError of the disk."""
+
+    def __init__(self, config: RecordingConfig) -> None:
+        self.path = default_folder() if config.folder is None else config.folder
+        self._config = config
+
+    def file(self, name: str, number: int) -> Path:
+        """Of a recording, its file of that number from 0."""
+        return self.path / (f"{name}_{number + 1}{SUFFIX}" if number else f"{name}{SUFFIX}")
+
+    def files(self, is_open: Collection[Path] = ()) -> list[StoredFile]:
+        """The recordings in it, oldest first."""
+        if not self.path.is_dir():
+            return []
+        found = []
+        for entry in os.scandir(self.path):
+            if entry.name.endswith(SUFFIX) and entry.is_file():
+                facts = entry.stat()
+                is_written = self.path / entry.name in is_open
+                found.append(StoredFile(entry.name, facts.st_size, facts.st_mtime, is_open=is_written))
+        return sorted(found, key=lambda file: (file.modified_s, file.name))
+
+    def find(self, name: str) -> Path | None:
+        """The file of that name, with or without its suffix."""
+        if not is_name(name):
+            return None
+        path = self.path / f"{name.removesuffix(SUFFIX)}{SUFFIX}"
+        return path if path.is_file() else None
+
+    def make_room(self, is_open: Collection[Path]) -> list[str]:
+        """Remove the oldest recordings over the budget; returns their names.
+
+        Raises:
+            OSError: less than `min_free_disk_mb` are free all the same, or the folder cannot be made.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        gone = over_budget(self.files(is_open), int(self._config.max_disk_mb * MEGABYTE))
+        for name in gone:
+            (self.path / name).unlink(missing_ok=True)
+        free_mb = shutil.disk_usage(self.path).free / MEGABYTE
+        if free_mb < self._config.min_free_disk_mb:
+            least = self._config.min_free_disk_mb
+            raise OSError(f"{free_mb:.0f} MB are free on its disk, less than min_free_disk_mb = {least:g}")
+        return gone

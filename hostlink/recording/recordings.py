@@ -1,0 +1,201 @@
+"""Recordings: those that are under way, and those in the folder."""
+
+import asyncio
+import functools
+import re
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import structlog
+
+from hostlink.errors import RecordingBusy, RecordingFailed, UnknownTopic
+from hostlink.hub.hub import Hub
+from hostlink.recording.file_thread import FileThread, Splitting
+from hostlink.recording.folder import MEGABYTE, Folder, check_name
+from hostlink.recording.recorder import Recorder, Selection
+
+log = structlog.get_logger()
+
+MAX_UNDER_WAY = 8
+LOOK_INTERVAL_S = 1.0  # at parameters, and at the room on the disk
+
+
+@dataclass(slots=True, eq=False)
+class Recording:
+    """One that is under way."""
+
+    name: str
+    owner: str
+    selection: Selection
+    recorder: Recorder
+    thread: FileThread
+    began_s: float  # loop time
+    began_ns: int  # wall time
+
+    @property
+    def seconds(self) -> float:
+        """How long it has lasted."""
+        return asyncio.get_running_loop().time() - self.began_s
+
+
+class Recordings:
+    """Owns the folder, and what is being recorded into it."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.folder = Folder(hub.config.recording)
+        self.removed = 0  # old recordings, for the budget
+        self.failed = 0  # recordings that ended before they were stopped
+        self._hub, self._config = hub, hub.config.recording
+        self._under_way: dict[str, Recording] = {}
+        self._starting: set[str] = set()
+
+    def under_way(self) -> list[Recording]:
+        """Oldest first."""
+        return list(self._under_way.values())
+
+    def check_robot(self, name: str) -> None:
+        """Refuse a name that no robot has.
+
+        Raises:
+            UnknownTopic: there is none.
+        """
+        self._hub.robots.find(name)
+
+    def open_files(self) -> set[Path]:
+        """What is being written."""
+        return {path for each in self._under_way.values() for path in each.thread.paths[-1:]}
+
+    def find(self, name: str) -> Recording:
+        """The recording of that name, if it is under way.
+
+        Raises:
+            UnknownTopic: it is not.
+        """
+        found = self._under_way.get(name)
+        if found is None:
+            raise UnknownTopic("recording", name, self._under_way)
+        return found
+
+    async def start(self, selection: Selection, *, name: str = "", owner: str = "") -> Recording:
+        """Record from now on, until `stop` or the end of the daemon.
+
+        Raises:
+            BadRequest: the name is none.
+            RecordingBusy: it is in use, or too much is recorded already.
+            RecordingFailed: the folder cannot be written to, or its disk is full.
+        """
+        name = check_name(name) if name else self._new_name(selection)
+        if name in self._under_way or name in self._starting:
+            raise RecordingBusy(f"a recording {name} is under way already; choose another name")
+        if len(self._under_way) + len(self._starting) >= MAX_UNDER_WAY:
+            raise RecordingBusy(f"{MAX_UNDER_WAY} recordings are under way; stop one first")
+        self._starting.add(name)
+        try:
+            thread = await self._open(name, owner, selection)
+        finally:
+            self._starting.discard(name)
+        recorder = Recorder(self._hub, thread, selection)
+        began_s = asyncio.get_running_loop().time()
+        recording = Recording(name, owner, selection, recorder, thread, began_s, time.time_ns())
+        self._under_way[name] = recording
+        recorder.start()
+        self._hub.spawn(self._look_after(recording), name=f"recording {name}")
+        log.info("recording.started", recording=name, file=str(recording.thread.paths[0]), owner=owner)
+        return recording
+
+    async def stop(self, name: str) -> Recording:
+        """End it; its file is complete when this returns.
+
+        Raises:
+            UnknownTopic: it is not under way.
+        """
+        recording = self.find(name)
+        recording.recorder.stop()
+        await recording.thread.aclose()
+        self._forget(recording)
+        return recording
+
+    async def remove(self, name: str) -> str:
+        """Remove a file; returns its name.
+
+        Raises:
+            RecordingBusy: it is being written.
+            UnknownTopic: there is none of that name.
+            RecordingFailed: the disk refuses.
+        """
+        path = await asyncio.to_thread(self.folder.find, name)
+        if path is None:
+            raise UnknownTopic("recording", name)
+        if path in self.open_files():
+            raise RecordingBusy(f"{path.name} is being written; stop the recording first")
+        try:
+            await asyncio.to_thread(path.unlink)
+        except OSError as error:
+            raise RecordingFailed(f"{path.name}: {error.strerror}") from error
+        return path.name
+
+    async def aclose(self) -> None:
+        """End all."""
+        async with asyncio.TaskGroup() as tasks:
+            for name in list(self._under_way):
+                tasks.create_task(self.stop(name), name=f"end of recording {name}")
+
+    async def _open(self, name: str, owner: str, selection: Selection) -> FileThread:
+        splitting = Splitting(
+            int(self._config.max_file_mb * MEGABYTE), self._config.max_file_s, fsync=self._config.fsync
+        )
+        make = functools.partial(
+            FileThread,
+            lambda number: self.folder.file(name, number),
+            splitting,
+            loop=asyncio.get_running_loop(),
+            metadata={
+                "recording": name,
+                "owner": owner,
+                "topics": " ".join(selection.topics),
+                "robots": " ".join(selection.robots),
+            },
+            on_end=lambda: self._note_end(name),
+            on_file=self._make_room,
+        )
+        try:
+            return await asyncio.to_thread(make)
+        except FileExistsError:
+            raise RecordingBusy(f"there is a recording {name} already; choose another name") from None
+        except OSError as error:
+            raise RecordingFailed(f"{self.folder.path}: {error.strerror or error}") from error
+
+    def _make_room(self) -> None:
+        """In the recording's thread, or before it begins."""
+        self.removed += len(self.folder.make_room(self.open_files()))
+
+    async def _look_after(self, recording: Recording) -> None:
+        while self._under_way.get(recording.name) is recording:
+            recording.recorder.note_parameters(time.time_ns())
+            await asyncio.sleep(LOOK_INTERVAL_S)
+
+    def _note_end(self, name: str) -> None:
+        """Its thread has ended: it was stopped, or it failed."""
+        recording = self._under_way.get(name)
+        if recording is not None and recording.thread.failure is not None:
+            self.failed += 1
+            recording.recorder.stop()
+            self._forget(recording)
+
+    def _forget(self, recording: Recording) -> None:
+        if self._under_way.pop(recording.name, None) is recording:
+            thread = recording.thread
+            written_mb = thread.written_bytes / MEGABYTE
+            facts = {"messages": thread.messages, "dropped": thread.dropped, "megabytes": written_mb}
+            if thread.failure is None:
+                log.info("recording.stopped", recording=recording.name, **facts)
+            else:
+                log.error("recording.failed", recording=recording.name, reason=thread.failure, **facts)
+
+    def _new_name(self, selection: Selection) -> str:
+        """From the time, as people sort it, and the robots."""
+        stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime())
+        base = re.sub(r"[^A-Za-z0-9_+-]", "-", "_".join((stamp, *selection.robots)))[:90]
+        names = (base, *(f"{base}.{number}" for number in range(2, MAX_UNDER_WAY + 2)))
+        return next(name for name in names if name not in self._under_way and name not in self._starting)

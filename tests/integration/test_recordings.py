@@ -1,0 +1,306 @@
+"""Recording what passes through the hub: over REST, beside robots that drive, and on disks that fail."""
+
+import asyncio
+import contextlib
+import io
+import json
+import resource
+import shutil
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+from structlog.testing import capture_logs
+
+from hostlink import logs
+from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
+from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC
+from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.waiting import expect
+
+POSES = [pose(0.1 * number, 0.2, 0.3) for number in range(20)]
+
+
+def config(folder: Path, **changes: Any) -> Config:
+    return Config(recording=RecordingConfig(folder=folder, min_free_disk_mb=0.0, **changes))
+
+
+@contextlib.asynccontextmanager
+async def recorded(settings: Config) -> AsyncIterator[tuple[Daemon, FakeDevice]]:
+    """A daemon with a robot."""
+    async with daemon(settings) as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: [robot.name for robot in host.hub.robots.all()] == ["robot_0"])
+        yield host, device
+
+
+async def start(host: Daemon, **request: Any) -> dict[str, Any]:
+    status, view = await host.rest("POST", "/api/recordings", json.dumps(request).encode())
+    assert status == 200, view
+    assert isinstance(view, dict)
+    return view
+
+
+async def stop(host: Daemon, name: str) -> dict[str, Any]:
+    status, view = await host.rest("POST", f"/api/recordings/{name}/stop")
+    assert status == 200, view
+    assert isinstance(view, dict)
+    return view
+
+
+def names(folder: Path) -> list[str]:
+    """Of the files in it, in order."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+def whole(path: Path) -> bytes:
+    return path.read_bytes()
+
+
+def messages(*paths: Path) -> list[StoredMessage]:
+    return [message for path in paths for message in Reader(path).messages()]
+
+
+def payloads(found: list[StoredMessage], topic: str) -> list[bytes]:
+    return [message.payload for message in found if message.channel.topic == topic]
+
+
+def events(found: list[StoredMessage]) -> list[dict[str, Any]]:
+    return [json.loads(payload) for payload in payloads(found, EVENTS_TOPIC)]
+
+
+def failed(lines: list[Any]) -> list[Any]:
+    return [line for line in lines if line["event"] == "recording.failed"]
+
+
+async def send_poses(host: Daemon, device: FakeDevice) -> None:
+    topic = host.hub.topics.find("/robot_0/odometry")
+    before = topic.messages
+    for each in POSES:
+        await device.send(each)
+    await expect(lambda: topic.messages == before + len(POSES))
+
+
+@pytest.fixture
+def configured_log() -> Iterator[None]:
+    """As `serve` does: its lines are recorded."""
+    logs.configure(stream=io.StringIO())
+    yield
+    structlog.reset_defaults()
+
+
+@pytest.mark.usefixtures("configured_log")
+async def test_topics_commands_log_and_parameters_are_in_the_file(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        host.hub.parameters["~speed"] = 0.5
+        view = await start(host, name="run")
+        await send_poses(host, device)
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        await asyncio.sleep(0.7)
+        stopped = await stop(host, "run")
+    found = messages(tmp_path / "run.mcap")
+    assert (view["files"], stopped["dropped"]) == (["run.mcap"], 0)
+    assert stopped["messages"] == len(found)
+    assert [bytes(payload) for payload in payloads(found, "/robot_0/odometry")] == [each[7:-1] for each in POSES]
+    kinds = [(event["kind"], event["robot"]) for event in events(found)]
+    assert ("commanded", "robot_0") in kinds
+    assert ("stopped", "robot_0") in kinds
+    commanded = next(event for event in events(found) if event["kind"] == "commanded")
+    assert (commanded["facts"]["owner"], commanded["facts"]["velocity"]["linear_x_m_s"]) == ("pilot", 0.2)
+    assert "robot.stopped" in [json.loads(line)["event"] for line in payloads(found, LOG_TOPIC)]
+    assert json.loads(payloads(found, PARAMETERS_TOPIC)[0]) == {"~speed": 0.5}
+    assert payloads(found, "/robot_0/velocity_commands")  # what the gate sent
+    assert payloads(found, "/robot_0/odom")
+
+
+async def test_patterns_and_robots_choose(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        for name, request in (("one", {"topics": ["/robot_0/odo*"]}), ("other", {"robots": ["robot_0"]})):
+            await start(host, name=name, **request)
+        await send_poses(host, device)
+        for name in ("one", "other"):
+            await stop(host, name)
+        status, refusal = await host.rest("POST", "/api/recordings", b'{"robots": ["robot_9"]}')
+    topics = Counter(message.channel.topic for message in messages(tmp_path / "one.mcap"))
+    assert {topic for topic in topics if not topic.startswith("/hostlink/")} == {"/robot_0/odometry", "/robot_0/odom"}
+    assert len(payloads(messages(tmp_path / "other.mcap"), "/robot_0/odometry")) == len(POSES)
+    assert (status, refusal["error"]["kind"]) == (404, "UnknownTopic")
+
+
+async def test_a_topic_that_comes_later_is_recorded_and_one_that_goes_is_let_go(tmp_path: Path) -> None:
+    async with daemon(config(tmp_path)) as host:
+        await start(host, name="run")
+        async with fake_device(host.tcp, robot_topics()) as device:
+            await expect(lambda: [robot.name for robot in host.hub.robots.all()] == ["robot_0"])
+            await asyncio.sleep(0.1)
+            await send_poses(host, device)
+        await expect(lambda: host.hub.topics.find_or_none("/robot_0/odometry") is None)
+        await stop(host, "run")
+        assert not [topic for topic in host.hub.topics.all() if "recording" in str(topic.subscribers)]
+    found = messages(tmp_path / "run.mcap")
+    assert len(payloads(found, "/robot_0/odometry")) == len(POSES)
+    assert [event["kind"] for event in events(found)][:2] == ["link_opened", "appeared"]
+    assert {"gone", "link_closed"} <= {event["kind"] for event in events(found)}
+
+
+async def test_a_recording_is_listed_fetched_by_ranges_and_removed(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        await start(host, name="run")
+        await send_poses(host, device)
+        listed = await host.get("/api/recordings")
+        assert [each["name"] for each in listed["recordings"]] == ["run"]
+        assert (listed["files"][0]["file"], listed["files"][0]["is_open"]) == ("run.mcap", True)
+        status, refusal = await host.rest("DELETE", "/api/recordings/run")
+        assert (status, "stop the recording first" in refusal["error"]["reason"]) == (409, True)
+        await stop(host, "run")
+        content = whole(tmp_path / "run.mcap")
+        async with host.session.get(f"{host.url}/api/recordings/run.mcap", headers={"Range": "bytes=8-99"}) as part:
+            assert (part.status, await part.read()) == (206, content[8:100])
+        async with host.session.get(f"{host.url}/api/recordings/run") as answer:
+            assert await answer.read() == content
+        assert (await host.rest("DELETE", "/api/recordings/run"))[1] == {"removed": "run.mcap"}
+        assert (await host.rest("GET", "/api/recordings/run"))[0] == 404
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["..", "../secret", "a/b", "%2e%2e%2fsecret", "a..b", ".hidden", "x" * 101, "a\nb"])
+async def test_a_name_is_no_way_out_of_the_folder(tmp_path: Path, name: str) -> None:
+    secret = tmp_path / "secret.mcap"
+    secret.write_bytes(b"not yours")
+    inside = tmp_path / "recordings"
+    async with recorded(config(inside)) as (host, _):
+        request = json.dumps({"name": name}).encode()
+        assert (await host.rest("POST", "/api/recordings", request))[0] == 400
+        async with host.session.get(f"{host.url}/api/recordings/{name}", allow_redirects=False) as answer:
+            assert answer.status in (400, 404)
+    assert whole(secret) == b"not yours"
+
+
+async def test_a_name_in_use_and_too_many_are_refused(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, _):
+        await start(host, name="run")
+        for _ in range(2):
+            status, refusal = await host.rest("POST", "/api/recordings", b'{"name": "run"}')
+            assert (status, "choose another name" in refusal["error"]["reason"]) == (409, True)
+            with contextlib.suppress(AssertionError):  # the second time the file is there, and nothing is under way
+                await stop(host, "run")
+        made = [(await start(host))["name"] for _ in range(8)]
+        assert len(set(made)) == 8
+        assert (await host.rest("POST", "/api/recordings"))[0] == 409
+
+
+async def test_a_token_that_may_read_fetches_and_does_not_record(tmp_path: Path) -> None:
+    tokens = (
+        TokenConfig(name="eye", role="read", token="r" * 20),
+        TokenConfig(name="hand", role="drive", token="d" * 20),
+    )
+    settings = replace(config(tmp_path), api=ApiConfig(tokens=tokens))
+    async with daemon(settings) as host:
+        reading, driving = ({"Authorization": f"Bearer {letter * 20}"} for letter in "rd")
+        path = f"{host.url}/api/recordings"
+        async with host.session.post(path, headers=driving, data=b'{"name": "run"}') as answer:
+            assert (answer.status, (await answer.json())["owner"]) == (200, "hand")
+        for method, url in (("POST", path), ("POST", f"{path}/run/stop"), ("DELETE", f"{path}/run")):
+            async with host.session.request(method, url, headers=reading) as answer:
+                assert answer.status == 403
+        for url in (path, f"{path}/run"):
+            async with host.session.get(url, headers=reading) as answer:
+                assert answer.status == 200
+
+
+async def test_the_end_of_the_daemon_completes_the_file_with_its_last_zero(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        await start(host, name="run")
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        await device.velocity()
+    reader = Reader(tmp_path / "run.mcap")
+    found = list(reader.messages())
+    assert reader.damage == []
+    assert payloads(found, "/robot_0/velocity_commands")[-1] == Velocity().encode()
+
+
+async def test_old_recordings_go_for_the_budget_and_one_that_is_written_stays(tmp_path: Path) -> None:
+    for number in range(5):
+        (tmp_path / f"old_{number}.mcap").write_bytes(bytes(400_000))
+    async with recorded(config(tmp_path, max_disk_mb=1.0)) as (host, _):
+        await start(host, name="new")
+        assert names(tmp_path) == ["new.mcap", "old_3.mcap", "old_4.mcap"]
+
+
+async def test_a_recording_is_split(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path, max_file_s=0.5)) as (host, device):
+        await start(host, name="run")
+        for _ in range(5):
+            await send_poses(host, device)
+            await asyncio.sleep(0.5)
+        view = await stop(host, "run")
+    assert view["files"] == names(tmp_path)
+    assert len(view["files"]) >= 2
+    found = messages(*(tmp_path / name for name in names(tmp_path)))
+    assert len(payloads(found, "/robot_0/odometry")) == 5 * len(POSES)
+
+
+async def test_a_folder_that_cannot_be_written_to_is_an_error_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    async with recorded(config(tmp_path / "file" / "recordings")) as (host, device):
+        status, refusal = await host.rest("POST", "/api/recordings")
+        assert (status, refusal["error"]["kind"]) == (507, "RecordingFailed")
+        assert str(tmp_path / "file") in refusal["error"]["reason"]
+        await send_poses(host, device)
+
+
+async def test_a_folder_that_is_removed_is_made_again_and_costs_a_second(tmp_path: Path) -> None:
+    inside = tmp_path / "recordings"
+    async with recorded(config(inside)) as (host, device):
+        await start(host, name="run")
+        await send_poses(host, device)
+        shutil.rmtree(inside)
+        await expect(inside.exists, timeout_s=5)
+        await send_poses(host, device)
+        await stop(host, "run")
+    assert len(payloads(messages(*(inside / name for name in names(inside))), "/robot_0/odometry")) == len(POSES)
+
+
+@contextlib.contextmanager
+def no_file_over(size_bytes: int) -> Iterator[None]:
+    """The kernel refuses to let any file of this process grow further, as a full disk does."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+async def test_a_disk_that_fills_ends_the_recording_and_nothing_else(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        pilot, robot = host.hub.join("pilot"), host.hub.robots.find("robot_0")
+        await start(host, name="run")
+        await send_poses(host, device)
+        await asyncio.sleep(1.2)
+        with capture_logs() as lines, no_file_over(len(whole(tmp_path / "run.mcap")) + 100):
+            while not failed(lines):
+                await send_poses(host, device)
+            assert pilot.drive(robot, Velocity(0.2)) == Velocity(0.2)
+        assert (await host.get("/api/recordings"))["recordings"] == []
+        await send_poses(host, device)
+        await start(host, name="again")
+        await send_poses(host, device)
+        await stop(host, "again")
+    assert "File too large" in failed(lines)[0]["reason"]
+    assert len(payloads(messages(tmp_path / "run.mcap"), "/robot_0/odometry")) >= len(POSES)
+    assert len(payloads(messages(tmp_path / "again.mcap"), "/robot_0/odometry")) == len(POSES)
+
+
+async def test_too_little_room_on_the_disk_is_told_before_a_file_is_made(tmp_path: Path) -> None:
+    settings = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=1e12))
+    async with recorded(settings) as (host, _):
+        status, refusal = await host.rest("POST", "/api/recordings")
+    assert (status, "min_free_disk_mb" in refusal["error"]["reason"]) == (507, True)
+    assert names(tmp_path) == []

@@ -1,0 +1,179 @@
+"""One file: what others read of it, and what is left of it when it was never finished."""
+
+import contextlib
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from hostlink.errors import RecordingFailed
+from hostlink.messages.catalog import Catalog
+from hostlink.recording.channel import EVENTS, Channel, ros_channel
+from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.repair import repair
+
+CATALOG = Catalog()
+POSE, TEXT = (CATALOG.message(name) for name in ("geometry_msgs/Pose2D", "std_msgs/String"))
+CHANNELS = [
+    ros_channel("/robot_0/odometry", "geometry_msgs/Pose2D", POSE, is_latched=False),
+    ros_channel("/chat", "std_msgs/String", TEXT, is_latched=True),
+    ros_channel("/mystery", "my_msgs/Unknown", None, is_latched=False),
+    EVENTS,
+]
+
+
+def drawn(count: int, seed: int = 1) -> list[StoredMessage]:
+    """Messages of all channels; the clock is set back in their midst."""
+    random_ = random.Random(seed)
+    stamps = [10**18 + 10**9 * (number if number < count // 2 else number - 5) for number in range(count)]
+    return [
+        StoredMessage(random_.choice(CHANNELS), stamp_ns, random_.randbytes(random_.choice((0, 3, 24, 700))))
+        for stamp_ns in stamps
+    ]
+
+
+def write(path: Path, messages: list[StoredMessage], *, chunk_of: int = 50, is_finished: bool = True) -> list[int]:
+    """Write them; returns how many are in the file at which of its sizes, one for each chunk."""
+    writer = McapWriter(path, metadata={"owner": "test"})
+    sizes = []
+    for number, message in enumerate(messages, 1):
+        writer.write(*message)
+        if number % chunk_of == 0:
+            writer.end_chunk()
+            sizes.append(writer.last_size_bytes)
+    if is_finished:
+        writer.close()
+    else:
+        writer.abandon()
+    return sizes
+
+
+def test_what_was_written_is_read_in_order(tmp_path: Path) -> None:
+    messages = drawn(500)
+    write(tmp_path / "a.mcap", messages)
+    reader = Reader(tmp_path / "a.mcap")
+    assert list(reader.messages()) == messages
+    assert (reader.damage, reader.profile, reader.metadata) == ([], "ros1", {"owner": "test"})
+
+
+def test_the_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> None:
+    messages = drawn(500)
+    write(tmp_path / "a.mcap", messages)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        found = [(channel.topic, message.data) for _, channel, message in reader.iter_messages(log_time_order=False)]
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 500
+    assert {channel.topic for channel in summary.channels.values()} == {channel.topic for channel in CHANNELS}
+    assert found == [(message.channel.topic, message.payload) for message in messages]
+
+
+def test_a_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
+    odometry = CATALOG.message("nav_msgs/Odometry")
+    channel = ros_channel("/odom", "nav_msgs/Odometry", odometry, is_latched=False)
+    write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"")])
+    (message,) = Reader(tmp_path / "a.mcap").messages()
+    assert "MSG: geometry_msgs/PoseWithCovariance" in message.channel.schema
+    assert odometry is not None
+    assert dict(message.channel.metadata)["md5sum"] == odometry.md5
+
+
+def test_each_ended_chunk_of_a_file_that_is_never_finished_can_be_read(tmp_path: Path) -> None:
+    messages = drawn(130)
+    write(tmp_path / "a.mcap", messages, is_finished=False)
+    reader = Reader(tmp_path / "a.mcap")
+    assert list(reader.messages()) == messages[:100]
+    assert reader.damage == ["it was never finished"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_file_that_is_cut_anywhere_gives_every_chunk_before_the_cut(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path, messages = tmp_path_factory.mktemp("cut") / "a.mcap", drawn(300)
+    sizes = write(path, messages)
+    whole = path.read_bytes()
+    cut = data.draw(st.integers(sizes[0], len(whole)))
+    path.write_bytes(whole[:cut])
+    found = list(Reader(path).messages())
+    assert found == messages[: len(found)]
+    assert len(found) >= 50 * sum(size <= cut for size in sizes)
+    repaired = repair(path)
+    assert repaired.messages == len(found)
+    reader = Reader(path)
+    assert list(reader.messages()) == found
+    assert reader.damage == []
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_damaged_file_gives_messages_that_were_written_and_no_traceback(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path, messages = tmp_path_factory.mktemp("damaged") / "a.mcap", drawn(300)
+    write(path, messages)
+    damaged = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 5))):
+        damaged[data.draw(st.integers(8, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    path.write_bytes(damaged)
+    payloads = {message.payload for message in messages}
+    with contextlib.suppress(RecordingFailed):  # in its first record: then it is none
+        for found in Reader(path).messages():
+            assert found.payload in payloads
+
+
+def test_repairing_a_whole_file_leaves_its_bytes(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap", drawn(100))
+    before = (tmp_path / "a.mcap").read_bytes()
+    assert repair(tmp_path / "a.mcap").damage == ()
+    assert (tmp_path / "a.mcap").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"no recording at all" * 100])
+def test_what_is_no_recording_is_a_line_and_stays(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingFailed, match="is no MCAP file"):
+        repair(path)
+    assert path.read_bytes() == content
+    assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_file_that_is_not_there_is_a_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingFailed, match="No such file"):
+        list(Reader(tmp_path / "a.mcap").messages())
+
+
+def test_an_existing_file_is_not_written_over(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap", [])
+    with pytest.raises(FileExistsError):
+        McapWriter(tmp_path / "a.mcap", metadata={})
+
+
+def test_a_file_that_was_removed_or_replaced_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path, metadata={})
+    assert writer.is_there
+    path.unlink()
+    assert not writer.is_there
+    path.write_bytes(b"another")
+    assert not writer.is_there
+    writer.abandon()
+
+
+def test_channels_are_values() -> None:
+    again = ros_channel("/chat", "std_msgs/String", TEXT, is_latched=True)
+    assert again == CHANNELS[1]
+    assert hash(again) == hash(CHANNELS[1])
+    assert isinstance(again, Channel)
