@@ -185,13 +185,21 @@ class Host:
         """
         return await self._http.request("GET", path)
 
-    async def post(self, path: str) -> dict[str, Any]:
+    async def post(self, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """A POST of the REST API.
 
         Raises:
             HostlinkError: the daemon refuses, with its reason; or it was not reached.
         """
-        return await self._http.request("POST", path)
+        return await self._http.request("POST", path, body)
+
+    def download(self, path: str) -> AsyncIterator[bytes]:
+        """The pieces of a file, as a recording's; the connection may take as long as it needs.
+
+        Raises:
+            HostlinkError: the daemon refuses, with its reason; it was not reached, or the connection is lost.
+        """
+        return self._http.download(path)
 
     async def send(self, request: Mapping[str, Any]) -> None:
         """Send one rosbridge operation.

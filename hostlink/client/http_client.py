@@ -90,6 +90,22 @@ class HttpClient:
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 
+    async def download(self, path: str) -> AsyncIterator[bytes]:
+        """The pieces of a file.
+
+        Raises:
+            HostlinkError: the daemon refuses, with its reason; it was not reached, or the connection is lost.
+        """
+        timeout = aiohttp.ClientTimeout(total=None, sock_connect=REQUEST_TIMEOUT_S, sock_read=REQUEST_TIMEOUT_S)
+        try:
+            async with self._session.get(self.url + path, timeout=timeout) as response:
+                if response.status != HTTPStatus.OK:
+                    self._read(path, response.status, await response.read())
+                async for piece in response.content.iter_chunked(64 * 1024):
+                    yield piece
+        except (aiohttp.ClientError, OSError) as error:
+            raise HostlinkError(self._explain(error)) from error
+
     async def events(self, path: str) -> AsyncIterator[Event]:
         """The server-sent events of a path.
 

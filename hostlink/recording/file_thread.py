@@ -17,7 +17,7 @@ MESSAGE_BYTES = 200  # that a waiting message takes beside its payload
 WRITE_INTERVAL_S = 0.05
 CHUNK_INTERVAL_S = 0.9  # what a power cut may cost, with the interval of writing: a second
 BURST = 64  # messages between two looks at the clock; the loop gets the interpreter within half a millisecond
-CLOSE_TIMEOUT_S = 5.0
+CLOSE_TIMEOUT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
