@@ -168,6 +168,21 @@ class RecordingConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BlackBoxConfig:
+    """The last minutes of every robot, saved when something happens."""
+
+    enabled: bool = True
+    before_s: float = 120.0
+    after_s: float = 30.0
+    max_memory_mb: float = 32.0  # of all robots
+    max_disk_mb: float = 512.0  # of all incidents, in the folder of the recordings; over it the oldest go
+
+    def __post_init__(self) -> None:
+        if min(self.before_s, self.max_memory_mb, self.max_disk_mb) <= 0 or self.after_s < 0:
+            raise ValueError("before_s, max_memory_mb and max_disk_mb must be more than zero, after_s not less")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """The whole of hostlink.toml."""
 
@@ -179,6 +194,7 @@ class Config:
     parameters: dict[str, ParameterValue] = field(default_factory=dict)
     message_folders: tuple[Path, ...] = ()
     recording: RecordingConfig = field(default_factory=RecordingConfig)
+    black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
     guardian: bool = True  # a process of its own that stops the robots when the daemon's has ended without doing so
 
 

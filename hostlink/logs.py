@@ -12,6 +12,7 @@ Clients          client.connected, client.closed, client.too_slow, client.too_fa
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
                  task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, descriptors.exhausted,
                  loop.error, library.complained
+Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost
 Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete
 The log itself   log.lines_left_out, log.lines_lost
 """

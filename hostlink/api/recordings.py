@@ -3,6 +3,7 @@
 import asyncio
 import time
 from http import HTTPStatus
+from pathlib import Path
 from typing import Annotated, NotRequired, TypedDict
 
 import msgspec
@@ -153,11 +154,16 @@ class RecordingRoutes:
         path = await asyncio.to_thread(self._recordings.folder.find, name)
         if path is None:
             raise UnknownTopic("recording", name)
-        headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{path.name}"'}
-        return web.FileResponse(path, headers={**headers, "Content-Type": "application/octet-stream"})
+        return send_file(path)
 
     async def _remove(self, request: web.Request) -> web.Response:
         return reply({"removed": await self._recordings.remove(request.match_info["name"])})
+
+
+def send_file(path: Path) -> web.FileResponse:
+    """A file to be saved, or read in ranges."""
+    headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{path.name}"'}
+    return web.FileResponse(path, headers={**headers, "Content-Type": "application/octet-stream"})
 
 
 def recording_view(recording: Recording) -> RecordingView:

@@ -24,6 +24,7 @@ from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
 from hostlink.api.heads import refuse_subprotocol, refuse_unreadable
+from hostlink.api.incidents import IncidentRoutes
 from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
 from hostlink.api.outgoing import ClientQueue, client_queue
@@ -105,6 +106,7 @@ class ApiServer:
             *Events(self._hub, self._clients).routes(),
             *Captures(self._hub).routes(),
             *RecordingRoutes(self._recordings).routes(),
+            *IncidentRoutes(self._recordings.black_box).routes(),
             self._metrics.route(),
             Route(
                 "/api/openapi.json",

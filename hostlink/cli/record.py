@@ -10,9 +10,10 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.fetching import check_output, fetch
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, Host, connect
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import HostlinkError
 
 POLL_S = 0.5
 MEGABYTE = 1_000_000
@@ -46,7 +47,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         _repair(repair, as_json=as_json)
         return
     if output is not None:
-        _check_output(output)
+        check_output(output)
     if list_:
         work = _list(url, token, as_json=as_json)
     elif stop is not None:
@@ -100,7 +101,7 @@ async def _finish(host: Host, view: dict[str, Any], output: Path | None, *, as_j
     for number, file in enumerate(view["files"]):
         if output is not None:
             target = output.with_stem(f"{output.stem}_{number + 1}") if number else output
-            await _fetch(host, file, target)
+            await fetch(host, f"{_PATH}/{file}", target)
             fetched.append(str(target))
     folder = (await host.get(_PATH))["folder"]
     places = fetched or [f"{folder}/{file}" for file in view["files"]]
@@ -110,19 +111,6 @@ async def _finish(host: Host, view: dict[str, Any], output: Path | None, *, as_j
         write(_line(view), *places)
     if "failure" in view:
         raise HostlinkError(f"recording {view['name']} ended early: {view['failure']}")
-
-
-async def _fetch(host: Host, file: str, target: Path) -> None:
-    size = 0
-    try:
-        with target.open("wb") as out:
-            async for piece in host.download(f"{_PATH}/{file}"):
-                out.write(piece)
-                size += len(piece)
-                show_progress(f"fetching {file}: {size / MEGABYTE:.1f} MB")
-    except OSError as error:
-        raise HostlinkError(f"{target}: {error.strerror}; the daemon still has {file}") from error
-    show_progress("")
 
 
 async def _stop(url: str, token: str | None, name: str, output: Path | None, *, as_json: bool) -> None:
@@ -147,23 +135,6 @@ def _line(view: dict[str, Any]) -> str:
     minutes, seconds = divmod(int(view["seconds"]), 60)
     size = f"{view['bytes'] / MEGABYTE:.1f} MB"
     return f"{minutes}:{seconds:02d}  {view['messages']} messages  {size}  {view['dropped']} dropped"
-
-
-def _check_output(output: Path) -> None:
-    """Now, and not after an hour of recording.
-
-    Raises:
-        ConfigError: nothing can be written there, or there is something already.
-    """
-    if output.exists():
-        raise ConfigError("--output", f"{output} is there already; choose another name, or remove it")
-    if not output.parent.is_dir():
-        raise ConfigError("--output", f"there is no folder {output.parent}")
-    try:
-        output.touch()
-        output.unlink()
-    except OSError as error:
-        raise ConfigError("--output", f"{output}: {error.strerror}") from error
 
 
 def _repair(file: Path, *, as_json: bool) -> None:

@@ -96,6 +96,7 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
     """They end after the robots were stopped, which is worth recording."""
     recordings = Recordings(hub)
+    recordings.black_box.start()
     try:
         yield recordings
     finally:

@@ -10,6 +10,7 @@ from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.gates import Gates
 from hostlink.hub.identities import Identities
 from hostlink.hub.parameters import ParameterAnswers
+from hostlink.hub.robot_events import EventKind
 from hostlink.hub.rosout import Rosout
 from hostlink.link.link import Link
 from hostlink.logs import printable
@@ -43,7 +44,7 @@ class DeviceEvents:
             events.ServiceRequested: receivers.calls.accept,
             events.ServiceResponded: self._pass_answer,
             events.ParameterRequested: self._answer_parameter,
-            events.DeviceLogged: receivers.rosout.log,
+            events.DeviceLogged: self._log_line,
             events.Protocol1Recognised: _log_protocol_1,
         }
 
@@ -70,6 +71,12 @@ class DeviceEvents:
         if event.is_changed:
             link.last_frame = b""  # its id may be another's now
             self._receivers.identities.announce(link, event.topics)
+
+    def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
+        drivables = self._receivers.gates.of_link(link)
+        facts = {"link": link.number, "level": event.level, "text": event.text}
+        self._receivers.gates.events.note(EventKind.LOGGED, drivables[0].name if drivables else "", **facts)
+        self._receivers.rosout.log(link, event)
 
     def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
         self._receivers.parameters.answer(link, event.name, self._devices[link.number].shown.of(event.name))

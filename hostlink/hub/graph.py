@@ -23,6 +23,7 @@ class GraphTopic:
     is_subscribed: bool
     is_latched: bool
     is_velocity: bool  # what is published to it drives a robot
+    is_derived: bool  # hostlink alone publishes it, from what devices publish
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,7 @@ def _graph_topic(topic: Topic, group: str) -> GraphTopic:
         is_subscribed=bool(topic.devices) or any(not _is_of(each.key, group) for each in topic.subscribers),
         is_latched=any(key in topic.latched for key in publishers),
         is_velocity=topic.is_gated,
+        is_derived=bool(topic.publishers) and all(isinstance(key, Node) and key.is_daemon for key in topic.publishers),
     )
 
 

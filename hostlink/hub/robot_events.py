@@ -17,7 +17,9 @@ class EventKind(Enum):
     UNLOCKED = "unlocked"
     APPEARED = "appeared"  # its device is connected: link, peer
     GONE = "gone"  # its device is connected no more: was_moving
+    FORGOTTEN = "forgotten"  # it was away for long
     DIAGNOSED = "diagnosed"  # doctor found something: link, code, cause, next_step, detail
+    LOGGED = "logged"  # its device logged a line: link, level (0 debug to 4 fatal), text
     LINK_OPENED = "link_opened"  # of a device, robot or not: link, peer
     LINK_CLOSED = "link_closed"  # link, peer, reason
 

@@ -112,7 +112,7 @@ class Robots:
     def vanish(self, link: Link) -> Robot | None:
         """A link has no robot any more: the one that it had is sent a zero, and is without a device."""
         robot = self._of_link.pop(link, None)
-        was_moving = robot is not None and robot.gate.may_move
+        was_moving = robot is not None and robot.gate.is_driven
         self._gates.detach(link)
         if robot is None:
             return None
@@ -168,6 +168,7 @@ class Robots:
             robot = self._robots.pop(name)
             self.forgotten += 1
             log.info("robot.forgotten", robot=name)
+            self._gates.events.note(EventKind.FORGOTTEN, name)
             self._on_forgotten(robot)
             self._on_change()
 

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Collection
 from pathlib import Path
 
-from hostlink.config import RecordingConfig
 from hostlink.errors import BadRequest
 from hostlink.recording.disk_budget import StoredFile, over_budget
 
@@ -41,9 +40,9 @@ def check_name(name: str) -> str:
 class Folder:
     """Its files; every method raises the OSError of the disk."""
 
-    def __init__(self, config: RecordingConfig) -> None:
-        self.path = default_folder() if config.folder is None else config.folder
-        self._config = config
+    def __init__(self, path: Path, *, max_disk_mb: float, min_free_disk_mb: float) -> None:
+        self.path = path
+        self._max_disk_mb, self._min_free_disk_mb = max_disk_mb, min_free_disk_mb
 
     def file(self, name: str, number: int) -> Path:
         """Of a recording, its file of that number from 0."""
@@ -75,11 +74,11 @@ class Folder:
             OSError: less than `min_free_disk_mb` are free all the same, or the folder cannot be made.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        gone = over_budget(self.files(is_open), int(self._config.max_disk_mb * MEGABYTE))
+        gone = over_budget(self.files(is_open), int(self._max_disk_mb * MEGABYTE))
         for name in gone:
             (self.path / name).unlink(missing_ok=True)
         free_mb = shutil.disk_usage(self.path).free / MEGABYTE
-        if free_mb < self._config.min_free_disk_mb:
-            least = self._config.min_free_disk_mb
+        if free_mb < self._min_free_disk_mb:
+            least = self._min_free_disk_mb
             raise OSError(f"{free_mb:.0f} MB are free on its disk, less than min_free_disk_mb = {least:g}")
         return gone

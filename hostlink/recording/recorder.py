@@ -27,6 +27,7 @@ class Selection:
 
     topics: tuple[str, ...] = ()  # names, or patterns with *; none: all
     robots: tuple[str, ...] = ()  # topics and events of these alone; none: of all, and of nobody
+    has_derived: bool = True  # also what hostlink makes of other topics, as odom and tf
 
     def has(self, topic: str, robot: str) -> bool:
         """Whether a topic of this robot, or of none, is recorded."""
@@ -80,7 +81,9 @@ class Recorder:
                 self._subscribe(key, topic)
 
     def _is_wanted(self, topic: GraphTopic) -> bool:
-        return bool(topic.type_name) and self._selection.has(topic.name, self._robot_of(topic.name))
+        if not topic.type_name or (topic.is_derived and not self._selection.has_derived):
+            return False
+        return self._selection.has(topic.name, self._robot_of(topic.name))
 
     def _subscribe(self, key: GraphTopic, topic: GraphTopic) -> None:
         channel = ros_channel(topic.name, topic.type_name, topic.type, is_latched=topic.is_latched)
@@ -121,7 +124,7 @@ class Recorder:
 
 def _fixed(topic: GraphTopic) -> GraphTopic:
     """What a channel is made of: who else subscribes changes nothing."""
-    return dataclasses.replace(topic, type=None, is_published=True, is_subscribed=True)
+    return dataclasses.replace(topic, type=None, is_published=True, is_subscribed=True, is_derived=False)
 
 
 def _fact(value: object) -> object:

@@ -11,8 +11,9 @@ import structlog
 
 from hostlink.errors import RecordingBusy, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
+from hostlink.recording.black_box import BlackBox
 from hostlink.recording.file_thread import FileThread, Splitting
-from hostlink.recording.folder import MEGABYTE, Folder, check_name
+from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
 from hostlink.recording.recorder import Recorder, Selection
 
 log = structlog.get_logger()
@@ -43,10 +44,13 @@ class Recordings:
     """Owns the folder, and what is being recorded into it."""
 
     def __init__(self, hub: Hub) -> None:
-        self.folder = Folder(hub.config.recording)
+        config = hub.config.recording
+        path = default_folder() if config.folder is None else config.folder
+        self.folder = Folder(path, max_disk_mb=config.max_disk_mb, min_free_disk_mb=config.min_free_disk_mb)
+        self.black_box = BlackBox(hub, self.folder.path)
         self.removed = 0  # old recordings, for the budget
         self.failed = 0  # recordings that ended before they were stopped
-        self._hub, self._config = hub, hub.config.recording
+        self._hub, self._config = hub, config
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
 
@@ -137,6 +141,7 @@ class Recordings:
 
     async def aclose(self) -> None:
         """End all."""
+        await self.black_box.aclose()
         async with asyncio.TaskGroup() as tasks:
             for name in list(self._under_way):
                 tasks.create_task(self.stop(name), name=f"end of recording {name}")

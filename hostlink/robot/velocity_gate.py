@@ -156,6 +156,11 @@ class VelocityGate:
         return self._lease is not None or self._zeros > 0 or not self.current.is_zero
 
     @property
+    def is_driven(self) -> bool:
+        """Whether somebody drives, or it slows down; not: a stop is on its way to a robot that stands for all we know."""
+        return self._lease is not None or not self.current.is_zero
+
+    @property
     def is_active(self) -> bool:
         """Whether `step` has something to send, now or later."""
         return self.may_move or self.lock_reason is not None

@@ -1,0 +1,150 @@
+"""BlackBox: the last minutes of every robot, in memory; saved with the half minute after when something happens."""
+
+import asyncio
+import functools
+import re
+import time
+from collections import deque
+from pathlib import Path
+
+import structlog
+
+from hostlink.errors import RecordingBusy, RecordingFailed
+from hostlink.hub.hub import Hub
+from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.recording.channel import Channel
+from hostlink.recording.folder import MEGABYTE, Folder
+from hostlink.recording.incident import Incident, IncidentRules
+from hostlink.recording.recorder import Recorder, Selection
+from hostlink.recording.ring import Entry, Rings
+
+log = structlog.get_logger()
+
+MAX_PENDING = 8  # incidents whose half minute after is not over
+MAX_DETAIL = 400  # characters
+
+
+class BlackBox:
+    """A sink for everything, and an observer of what happens."""
+
+    def __init__(self, hub: Hub, folder: Path) -> None:
+        """`folder`: of the recordings; incidents have one in it."""
+        config = hub.config.black_box
+        self.folder = Folder(
+            folder / "incidents",
+            max_disk_mb=config.max_disk_mb,
+            min_free_disk_mb=hub.config.recording.min_free_disk_mb,
+        )
+        self.saved = self.missed = 0  # incidents
+        self.pending: deque[Incident] = deque()
+        self.rings = Rings(keep_s=config.before_s + config.after_s, max_bytes=int(config.max_memory_mb * MEGABYTE))
+        self._hub, self._config = hub, config
+        self._rules = IncidentRules()
+        self._recorder = Recorder(hub, self, Selection(has_derived=False))
+        self._observer = hub.join_daemon()
+
+    def start(self) -> None:
+        """Keep everything from now on."""
+        if self._config.enabled:
+            self._recorder.start()
+            self._observer.observe(self._receive)
+
+    async def aclose(self) -> None:
+        """Keep nothing more; what is pending is saved without the rest of its half minute."""
+        self._recorder.stop()
+        self._observer.leave()
+        for incident in list(self.pending):
+            await self._save(incident)
+
+    def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
+        """Keep a message."""
+        self.rings.add(robot, Entry(channel, stamp_ns, payload))
+
+    def save(self, robot: str, reason: str) -> Incident:
+        """Save a robot's last minutes because somebody wants it.
+
+        Raises:
+            UnknownTopic: there is no robot of that name.
+            RecordingFailed: the black box is turned off.
+            RecordingBusy: too many incidents are pending.
+        """
+        if not self._config.enabled:
+            raise RecordingFailed("the black box is off: set enabled = true in [black_box]")
+        incident = Incident(self._hub.robots.find(robot).name, "wish", reason[:MAX_DETAIL], time.time_ns())
+        if not self._begin(incident):
+            raise RecordingBusy(f"{MAX_PENDING} incidents are being saved; try again in {self._config.after_s:g} s")
+        return incident
+
+    def _receive(self, event: RobotEvent) -> None:
+        if event.kind is EventKind.FORGOTTEN:
+            self.rings.forget(event.robot)
+            self._rules.forget(event.robot)
+        incident = self._rules.observe(event)
+        if incident is not None and not self._begin(incident):
+            self.missed += 1
+
+    def _begin(self, incident: Incident) -> bool:
+        if len(self.pending) >= MAX_PENDING:
+            return False
+        self.pending.append(incident)
+        log.warning("incident.begun", robot=incident.robot, cause=incident.cause, detail=incident.detail[:MAX_DETAIL])
+        self._hub.spawn(self._save_later(incident), name=f"incident of {incident.robot}")
+        return True
+
+    async def _save_later(self, incident: Incident) -> None:
+        await asyncio.sleep(self._config.after_s)
+        await self._save(incident)
+
+    async def _save(self, incident: Incident) -> None:
+        if incident not in self.pending:
+            return
+        self.pending.remove(incident)
+        entries = self.rings.of(incident.robot)
+        write = functools.partial(write_incident, self.folder, incident, entries, before_s=self._config.before_s)
+        try:
+            path = await asyncio.to_thread(write)
+        except OSError as error:
+            self.missed += 1
+            reason = error.strerror or str(error)
+            log.warning("incident.lost", robot=incident.robot, cause=incident.cause, reason=reason)
+        else:
+            self.saved += 1
+            log.warning("incident.saved", robot=incident.robot, cause=incident.cause, file=str(path))
+
+
+def write_incident(folder: Folder, incident: Incident, entries: list[Entry], *, before_s: float) -> Path:
+    """Write an incident's file, by time; returns where. It waits for the disk.
+
+    Raises:
+        OSError: of the disk.
+    """
+    from hostlink.recording.mcap_writer import McapWriter  # noqa: PLC0415 - most daemons never save one
+
+    folder.make_room(())
+    stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(incident.stamp_ns // 1_000_000_000))
+    name = re.sub(r"[^A-Za-z0-9_+-]", "-", f"{stamp}_{incident.robot}_{incident.cause}")[:90]
+    number = 0
+    while folder.file(name, number).exists():
+        number += 1
+    path = folder.file(name, number)
+    metadata = {
+        "robot": incident.robot,
+        "cause": incident.cause,
+        "detail": incident.detail,
+        "stamp_ns": str(incident.stamp_ns),
+    }
+    first_ns = incident.stamp_ns - int(before_s * 1e9)
+    beside = path.with_suffix(".part")
+    beside.unlink(missing_ok=True)
+    writer = McapWriter(beside, metadata=metadata)
+    try:
+        for entry in sorted(entries, key=lambda entry: entry.stamp_ns):
+            if entry.stamp_ns >= first_ns:
+                writer.write(*entry)
+        writer.close()
+    except BaseException:
+        writer.abandon()
+        beside.unlink(missing_ok=True)
+        raise
+    beside.rename(path)
+    return path

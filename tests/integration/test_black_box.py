@@ -1,0 +1,151 @@
+"""The last minutes of a robot, saved when something happens."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from hostlink.config import BlackBoxConfig, Config, RecordingConfig
+from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
+from tests.support.waiting import expect
+
+
+def config(folder: Path, *, free_mb: float = 0.0, **changes: Any) -> Config:
+    box = {"before_s": 20.0, "after_s": 0.5, **changes}
+    return Config(recording=RecordingConfig(folder=folder, min_free_disk_mb=free_mb), black_box=BlackBoxConfig(**box))
+
+
+@contextlib.asynccontextmanager
+async def boxed(settings: Config, name: str = "robot_0") -> AsyncIterator[tuple[Daemon, FakeDevice]]:
+    """A daemon with a robot that has said where it is."""
+    async with daemon(settings) as host, fake_device(host.tcp, robot_topics(name)) as device:
+        await expect(lambda: [robot.name for robot in host.hub.robots.all()] == [name])
+        await asyncio.sleep(0.1)
+        await device.send(pose(1.0, 2.0, 0.5))
+        await expect(lambda: host.hub.topics.find(f"/{name}/odometry").messages == 1)
+        yield host, device
+
+
+async def saved(host: Daemon, count: int = 1) -> list[dict[str, Any]]:
+    """The incidents, once so many are in files."""
+    for _ in range(100):
+        listed = (await host.get("/api/incidents"))["incidents"]
+        if len([each for each in listed if each["file"]]) >= count:
+            break
+        await asyncio.sleep(0.05)
+    assert len([each for each in listed if each["file"]]) == count, listed
+    return list(listed)
+
+
+def read(folder: Path, incident: dict[str, Any]) -> list[StoredMessage]:
+    return list(Reader(folder / "incidents" / incident["file"]).messages())
+
+
+def topics(messages: list[StoredMessage]) -> set[str]:
+    return {message.channel.topic for message in messages}
+
+
+async def test_a_lock_saves_what_came_before_and_what_comes_after(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, device):
+        await host.rest("POST", "/api/robots/robot_0/lock", b'{"reason": "a hand in the wheel"}')
+        (pending,) = (await host.get("/api/incidents"))["incidents"]
+        assert (pending["cause"], pending["file"]) == ("locked", "")
+        await device.send(pose(3.0, 2.0, 0.5))
+        (incident,) = await saved(host)
+        async with host.session.get(f"{host.url}/api/incidents/{incident['file']}") as answer:
+            content = await answer.read()
+    assert (incident["robot"], incident["cause"], incident["detail"]) == ("robot_0", "locked", "a hand in the wheel")
+    assert incident["bytes"] == len(content)
+    found = read(tmp_path, incident)
+    poses = [message.payload for message in found if message.channel.topic == "/robot_0/odometry"]
+    assert poses == [pose(1.0, 2.0, 0.5)[7:-1], pose(3.0, 2.0, 0.5)[7:-1]]
+    assert {"/robot_0/velocity_commands", "/hostlink/events"} <= topics(found)
+    assert [message.stamp_ns for message in found] == sorted(message.stamp_ns for message in found)
+
+
+async def test_a_driver_that_falls_silent_is_an_incident_and_one_that_stops_is_none(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, _):
+        pilot, robot = host.hub.join("pilot"), host.hub.robots.find("robot_0")
+        pilot.drive(robot, Velocity(0.2))
+        pilot.drive(robot, Velocity())
+        await asyncio.sleep(1.2)
+        assert (await host.get("/api/incidents"))["incidents"] == []
+        pilot.drive(robot, Velocity(0.2))
+        (incident,) = await saved(host)
+    assert (incident["cause"], incident["detail"]) == ("lease", "no command of pilot came")
+    events = [json.loads(message.payload) for message in read(tmp_path, incident) if message.channel.encoding == "json"]
+    assert [event["facts"].get("owner") for event in events if event["kind"] == "commanded"] == ["pilot"] * 3
+
+
+async def test_a_link_that_breaks_while_the_robot_moves_is_one_with_the_robots_name(tmp_path: Path) -> None:
+    async with daemon(config(tmp_path)) as host:
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: [robot.name for robot in host.hub.robots.all()] == ["robot_0"])
+            host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        (incident, *_) = await saved(host)
+        assert (incident["robot"], incident["cause"]) == ("robot_0", "gone")
+
+
+async def test_a_wish_is_saved_and_an_unknown_robot_is_refused(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, _):
+        status, view = await host.rest("POST", "/api/incidents", b'{"robot": "robot_0", "reason": "it squeaks"}')
+        assert (status, view["cause"], view["detail"]) == (200, "wish", "it squeaks")
+        assert (await host.rest("POST", "/api/incidents", b'{"robot": "robot_9"}'))[0] == 404
+        assert (await host.rest("GET", "/api/incidents/nothing"))[0] == 404
+        await saved(host)
+
+
+async def test_a_neighbours_messages_are_not_in_a_robots_incident(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, _), fake_device(host.tcp, robot_topics("robot_1")) as other:
+        await expect(lambda: len(host.hub.robots.all()) == 2)
+        await other.send(pose(9.0))
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        (incident,) = await saved(host)
+    assert not {topic for topic in topics(read(tmp_path, incident)) if topic.startswith("/robot_1/")}
+
+
+async def test_the_end_of_the_daemon_saves_what_is_pending(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path, after_s=60.0)) as (host, _):
+        await host.rest("POST", "/api/robots/robot_0/lock")
+    async with daemon(config(tmp_path)) as host:
+        (incident,) = await saved(host)
+    assert incident["cause"] == "locked"
+
+
+async def test_a_disk_that_is_full_loses_the_file_and_nothing_else(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path, free_mb=1e12)) as (host, _):
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        await asyncio.sleep(0.8)
+        listed = await host.get("/api/incidents")
+        assert (listed["incidents"], listed["missed"]) == ([], 1)
+        assert (await host.get("/api/robots/robot_0"))["locked"]
+
+
+async def test_one_that_is_turned_off_keeps_nothing(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path, enabled=False)) as (host, _):
+        names = [str(each.key) for each in host.hub.topics.find("/robot_0/odometry").subscribers]
+        assert len(names) == 1  # its robot, which reads its poses
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        status, refusal = await host.rest("POST", "/api/incidents", b'{"robot": "robot_0"}')
+        assert (status, "enabled = true" in refusal["error"]["reason"]) == (507, True)
+        assert (await host.get("/api/incidents"))["incidents"] == []
+
+
+async def test_what_hostlink_makes_of_poses_is_not_made_for_the_black_box(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, _):
+        assert not host.hub.topics.find("/robot_0/odom").has_subscribers
+        assert not host.hub.topics.find("/tf").has_subscribers
+
+
+async def test_files_that_are_no_incidents_are_not_listed(tmp_path: Path) -> None:
+    async with daemon(config(tmp_path)) as host:
+        folder = tmp_path / "incidents"
+        await asyncio.to_thread(folder.mkdir)
+        for name, content in (("a.mcap", b""), ("b.mcap", b"\x89MCAP0\r\n" + bytes(100)), ("c.txt", b"text")):
+            await asyncio.to_thread((folder / name).write_bytes, content)
+        assert (await host.get("/api/incidents"))["incidents"] == []

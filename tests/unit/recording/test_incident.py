@@ -1,0 +1,77 @@
+"""Which events are incidents."""
+
+from typing import Any
+
+import pytest
+
+from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.recording.incident import AGAIN_S, IncidentRules
+from hostlink.robot.velocity import ZERO, Velocity
+
+FAST = Velocity(0.2)
+
+
+def event(kind: EventKind, at_s: float = 0.0, robot: str = "robot_0", **facts: Any) -> RobotEvent:
+    return RobotEvent(kind, robot, at_s, 0, facts)
+
+
+def commanded(limited: Velocity) -> RobotEvent:
+    return event(EventKind.COMMANDED, owner="pilot", priority=50, velocity=limited, limited=limited)
+
+
+def stopped(reason: str) -> RobotEvent:
+    return event(EventKind.STOPPED, reason=reason, owner="pilot")
+
+
+def causes(*events: RobotEvent) -> list[str]:
+    rules = IncidentRules()
+    return [found.cause for found in map(rules.observe, events) if found is not None]
+
+
+def test_a_lease_that_runs_out_is_one_while_the_robot_is_driven() -> None:
+    assert causes(commanded(FAST), stopped("no command came")) == ["lease"]
+    assert causes(commanded(FAST), commanded(ZERO), stopped("no command came")) == []
+    assert causes(stopped("no command came")) == []
+
+
+def test_a_driver_who_leaves_is_none() -> None:
+    assert causes(commanded(FAST), stopped("owner left"), stopped("no command came")) == []
+
+
+@pytest.mark.parametrize(
+    ("happened", "cause"),
+    [
+        (event(EventKind.LOCKED, reason="a hand"), ["locked"]),
+        (event(EventKind.GONE, was_moving=True), ["gone"]),
+        (event(EventKind.GONE, was_moving=False), []),
+        (event(EventKind.DIAGNOSED, link=1, code="noise", cause="noise.", next_step="", detail=""), ["diagnosed"]),
+        (event(EventKind.LOGGED, link=1, level=2, text="no command for 500 ms: stopped"), ["watchdog"]),
+        (event(EventKind.LOGGED, link=1, level=3, text="the left motor is stuck"), ["device_error"]),
+        (event(EventKind.LOGGED, link=1, level=2, text="warm"), []),
+        (event(EventKind.UNLOCKED, reason="a hand"), []),
+        (event(EventKind.APPEARED, link=1, peer="here"), []),
+    ],
+)
+def test_what_is_one(happened: RobotEvent, cause: list[str]) -> None:
+    assert causes(happened) == cause
+
+
+def test_what_happens_to_a_device_that_is_no_robot_is_none() -> None:
+    assert causes(event(EventKind.DIAGNOSED, robot="", link=1, code="noise", cause="noise.", detail="")) == []
+
+
+def test_the_same_cause_at_the_same_robot_is_one_incident_for_a_while() -> None:
+    def locked(at_s: float, robot: str = "robot_0") -> RobotEvent:
+        return event(EventKind.LOCKED, at_s, robot, reason="a hand")
+
+    assert len(causes(locked(0.0), locked(AGAIN_S - 1), locked(AGAIN_S + 1))) == 2
+    assert len(causes(locked(0.0), locked(1.0, "robot_1"))) == 2
+    assert len(causes(locked(0.0), event(EventKind.GONE, 1.0, was_moving=True))) == 2
+
+
+def test_a_robot_that_is_forgotten_leaves_nothing() -> None:
+    rules = IncidentRules()
+    rules.observe(commanded(FAST))
+    rules.observe(event(EventKind.LOCKED, reason="a hand"))
+    rules.forget("robot_0")
+    assert rules.observe(event(EventKind.LOCKED, 1.0, reason="a hand")) is not None
