@@ -157,7 +157,7 @@ class VelocityGate:
 
     @property
     def is_driven(self) -> bool:
-        """Whether somebody drives, or it slows down; not: a stop is on its way to a robot that stands for all we know."""
+        """Whether somebody drives, or it slows down; a stop that is on its way to a robot at rest is neither."""
         return self._lease is not None or not self.current.is_zero
 
     @property
