@@ -1,1 +1,23 @@
-"""What happened, kept in MCAP files: recordings, the black box, reading and playing them."""
+"""What happened, kept in MCAP files: recordings, the black box, reading and playing them.
+
+import hostlink.recording
+
+run = hostlink.recording.read("run.mcap")
+plot(run["/robot_0/odometry"].time_s, run["/robot_0/odometry"]["x"])
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hostlink.recording.tables import Table, Tables, read
+
+__all__ = ["Table", "Tables", "read"]
+
+
+def __getattr__(name: str) -> object:
+    """Loaded when it is used: the daemon records without numpy and without a reader."""
+    if name in __all__:
+        from hostlink.recording import tables  # noqa: PLC0415 - see above
+
+        return getattr(tables, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,6 +7,7 @@ from typing import Protocol
 from hostlink.messages.message_type import MessageType
 
 JSON, ROS1 = "json", "ros1"
+DEVICE, VELOCITY, HOSTLINK = "device", "velocity", "hostlink"  # who publishes a topic
 EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC = "/hostlink/events", "/hostlink/log", "/hostlink/parameters"
 
 
@@ -19,6 +20,16 @@ class Channel:
     type_name: str
     schema: str  # ros1msg: the definition with all that it contains; jsonschema
     metadata: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def robot(self) -> str:
+        """Whose it is."""
+        return dict(self.metadata).get("robot", "")
+
+    @property
+    def origin(self) -> str:
+        """Who publishes it."""
+        return dict(self.metadata).get("origin", "")
 
     @property
     def schema_encoding(self) -> str:
@@ -34,10 +45,22 @@ class Sink(Protocol):
         ...
 
 
-def ros_channel(topic: str, type_name: str, type_: MessageType | None, *, is_latched: bool) -> Channel:
-    """The channel of a topic; without a definition its messages are kept, and nobody can decode them."""
+def ros_channel(
+    topic: str, type_name: str, type_: MessageType | None, *, is_latched: bool, robot: str = "", origin: str = ""
+) -> Channel:
+    """The channel of a topic; without a definition its messages are kept, and nobody can decode them.
+
+    `robot`: whose it is; `origin`: who publishes it, one of DEVICE, VELOCITY (a command to the robot), HOSTLINK and "".
+    """
     md5 = "*" if type_ is None else type_.md5
-    metadata = (("callerid", "/hostlink"), ("md5sum", md5), ("latching", str(int(is_latched))), ("topic", topic))
+    metadata = (
+        ("callerid", "/hostlink"),
+        ("md5sum", md5),
+        ("latching", str(int(is_latched))),
+        ("topic", topic),
+        ("robot", robot),
+        ("origin", origin),
+    )
     return Channel(topic, ROS1, type_name, "" if type_ is None else type_.full_definition, metadata)
 
 

@@ -15,7 +15,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.subscription import Subscription
-from hostlink.recording.channel import EVENTS, LOG, PARAMETERS, Channel, Sink, ros_channel
+from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, LOG, PARAMETERS, VELOCITY, Channel, Sink, ros_channel
 from hostlink.robot.velocity import Velocity
 
 GROUP = "recording"  # what recorders subscribe to is not worth recording for that alone
@@ -86,8 +86,15 @@ class Recorder:
         return self._selection.has(topic.name, self._robot_of(topic.name))
 
     def _subscribe(self, key: GraphTopic, topic: GraphTopic) -> None:
-        channel = ros_channel(topic.name, topic.type_name, topic.type, is_latched=topic.is_latched)
         robot = self._robot_of(topic.name)
+        channel = ros_channel(
+            topic.name,
+            topic.type_name,
+            topic.type,
+            is_latched=topic.is_latched,
+            robot=robot,
+            origin=self._origin_of(topic),
+        )
         receive = functools.partial(self._receive, channel, robot)
         try:
             self._subscriptions[key] = self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
@@ -101,6 +108,13 @@ class Recorder:
         users: tuple[Hashable, ...] = () if found is None else (*found.publishers, *found.devices)
         robots = [robot for robot in map(self._hub.robots.of_link, users) if robot is not None]
         return robots[0].name if len(robots) == 1 else first if self._is_robot(first) else ""
+
+    def _origin_of(self, topic: GraphTopic) -> str:
+        if topic.is_velocity:
+            return VELOCITY
+        found = self._hub.topics.find_or_none(topic.name)
+        is_device = found is not None and found.has_device_publisher
+        return DEVICE if is_device else HOSTLINK if topic.is_derived else ""
 
     def _is_robot(self, name: str) -> bool:
         return any(robot.name == name for robot in self._hub.robots.all())

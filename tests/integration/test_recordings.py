@@ -304,3 +304,19 @@ async def test_too_little_room_on_the_disk_is_told_before_a_file_is_made(tmp_pat
         status, refusal = await host.rest("POST", "/api/recordings")
     assert (status, "min_free_disk_mb" in refusal["error"]["reason"]) == (507, True)
     assert names(tmp_path) == []
+
+
+async def test_a_channel_says_whose_it_is_and_who_publishes_it(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, device):
+        await start(host, name="run")
+        await send_poses(host, device)
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        await stop(host, "run")
+    found = {message.channel.topic: message.channel for message in messages(tmp_path / "run.mcap")}
+    origins = {topic: (channel.robot, channel.origin) for topic, channel in found.items() if channel.robot}
+    assert origins == {
+        "/robot_0/odometry": ("robot_0", "device"),
+        "/robot_0/odom": ("robot_0", "hostlink"),
+        "/robot_0/velocity_commands": ("robot_0", "velocity"),
+        "/robot_0/cmd_vel": ("robot_0", "velocity"),
+    }

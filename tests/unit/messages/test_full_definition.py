@@ -1,0 +1,44 @@
+"""A type from a text that has all of it."""
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from hostlink.errors import ConfigError
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.full_definition import read_full_definition
+
+CATALOG = Catalog()
+NAMES = sorted(
+    name.replace("/msg/", "/")
+    for name in get_typestore(Stores.ROS1_NOETIC).fielddefs
+    if not name.startswith("builtin_interfaces/")
+)
+
+
+def test_every_type_is_read_from_its_own_text_with_the_same_md5() -> None:
+    assert len(NAMES) > 150
+    for name in NAMES:
+        known = CATALOG.message(name)
+        assert known is not None
+        found = read_full_definition(name, known.full_definition)
+        assert (found.name, found.md5) == (known.name, known.md5), name
+
+
+def test_a_message_is_decoded_as_by_the_catalogs_type() -> None:
+    known = CATALOG.message("nav_msgs/Odometry")
+    assert known is not None
+    payload = known.encode({"child_frame_id": "base", "pose": {"covariance": list(range(36))}})
+    assert read_full_definition(known.name, known.full_definition).decode(payload) == known.decode(payload)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("Header header\n", "std_msgs/Header is not in it"),
+        (f"b/B x\n{'=' * 80}\nMSG: b/B\na/A y\n", "contains itself"),
+        ("no definition at all ???\n", "a/A"),
+    ],
+)
+def test_a_text_that_is_none_names_what_is_wrong(text: str, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        read_full_definition("a/A", text)
