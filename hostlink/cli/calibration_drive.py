@@ -12,7 +12,7 @@ from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
 from hostlink.errors import HostlinkError, UnknownTopic
 from hostlink.robot.calibration import WheelGeometry
-from hostlink.robot.course import CourseFollower, Leg, Speed
+from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
 from hostlink.robot.odometry_correction import OdometryCorrection
 
@@ -103,6 +103,11 @@ class _Drive:
         self._add(await self._next(poses, FIRST_POSE_S))
         while not self._follower.is_done:
             velocity = self._follower.update(self._shown, now_s())
+            if self._follower.is_stuck:
+                raise HostlinkError(
+                    f"its odometry did not advance for {STUCK_S:g} s: a wall, or an encoder that does not count? "
+                    "The robot was stopped"
+                )
             await self._robot.command(*velocity, link=self._link)
             if self._robot.refusal is not None:
                 raise HostlinkError(f"{self._robot.name} is not driven any more: {self._robot.refusal.reason}")
@@ -128,7 +133,7 @@ class _Drive:
 
 @contextlib.asynccontextmanager
 async def _stopping(robot: Robot) -> AsyncIterator[None]:
-    """However the block is left, the robot stops first; a signal leaves it."""
+    """However the block is left, the robot stops first, unless another has it; a signal leaves the block."""
     loop = asyncio.get_running_loop()
     task = asyncio.current_task()
     assert task is not None  # noqa: S101 - it is one that runs this
@@ -139,8 +144,9 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
     finally:
         for number in SIGNALS:
             loop.remove_signal_handler(number)
-        with contextlib.suppress(HostlinkError):  # with the connection gone the daemon has stopped it
-            await robot.stop()
+        if robot.refusal is None or robot.refusal.kind != "RobotHeld":  # a stop would end another's drive, too
+            with contextlib.suppress(HostlinkError):  # with the connection gone the daemon has stopped it
+                await robot.stop()
     await asyncio.sleep(STAND_S)
 
 
@@ -153,6 +159,8 @@ async def _state(host: Host, name: str) -> RobotState:
         raise HostlinkError(f"{name} is not connected")
     if state.get("locked"):
         raise HostlinkError(f"{name} is locked: {state.get('lock_reason')}")
+    if state["holder"] is not None:
+        raise HostlinkError(f"{name}: {state['holder']} drives it; end that first, or it drives on while you measure")
     return state
 
 

@@ -13,7 +13,10 @@ SLOW_FROM_M, SLOW_FROM_RAD = 0.15, 0.5  # what then remains
 HEADING_PER_S = 1.5  # of a heading's error: how a line is followed
 SIDEWAYS_RAD_PER_M = 2.0  # the heading that leads back to the line
 TURN_STEP_RAD_S = 0.1  # a robot that ramps to each new command would never get anywhere with one for each pose
+KEPT_STEPS = 0.6  # what is nearer to the present step leaves it; at a half, each tick of a wheel would change it
 MOST_TURN_RAD_S = 0.3  # while driving on
+STUCK_S = 2.0  # without progress; from rest the paper's firmware has gone 7 cm by then
+STUCK_M, STUCK_RAD = 0.02, 0.05  # less is no progress
 
 
 class Leg(NamedTuple):
@@ -46,15 +49,21 @@ def square(side_m: float, way: int) -> tuple[Leg, ...]:
 
 
 class CourseFollower:
-    """Decides the velocity at each pose. The corners are where the course has them, whatever went wrong before."""
+    """Decides the velocity at each pose. The corners are where the course has them, whatever went wrong before.
+
+    A robot whose odometry does not advance as commanded is stopped: it may be driving all the same.
+    """
 
     def __init__(self, legs: Sequence[Leg], speed: Speed = Speed()) -> None:  # noqa: B008 - a tuple never changes
         self.is_done = not legs
+        self.is_stuck = False
         self._legs, self._speed = list(legs), speed
         self._start = Pose()  # of this leg, as the course has it
         self._heading_rad = 0.0  # whole turns stay in it
         self._last: Pose | None = None
         self._settled_at_s: float | None = None
+        self._progress = _Progress()
+        self._steps = 0  # of the turn beside the line
 
     @property
     def legs_left(self) -> int:
@@ -71,10 +80,12 @@ class CourseFollower:
                 return 0.0, 0.0
             self._settled_at_s = None
             self._begin_next()
-        if self.is_done:
+        if self.is_done or self.is_stuck:
             return 0.0, 0.0
         leg = self._legs[0]
-        velocity = self._turn(leg) if leg.turn_rad else self._line(leg, pose)
+        velocity = self._turn(leg, now_s) if leg.turn_rad else self._line(leg, pose, now_s)
+        if self.is_stuck:
+            return 0.0, 0.0
         if velocity is None:
             self._settled_at_s = now_s + SETTLE_S
         return velocity or (0.0, 0.0)
@@ -88,23 +99,41 @@ class CourseFollower:
             start.theta_rad + leg.turn_rad,  # whole turns stay in it
         )
         self.is_done = not self._legs
+        self._progress, self._steps = _Progress(), 0
 
-    def _turn(self, leg: Leg) -> tuple[float, float] | None:
+    def _turn(self, leg: Leg, now_s: float) -> tuple[float, float] | None:
         way = math.copysign(1.0, leg.turn_rad)
         left_rad = (self._start.theta_rad + leg.turn_rad - self._heading_rad) * way
+        self.is_stuck = self._progress.has_ended(left_rad, STUCK_RAD, now_s)
         speed_rad_s = SLOW_RAD_S if left_rad < SLOW_FROM_RAD else self._speed.angular_rad_s
         return None if left_rad <= speed_rad_s * STOP_EARLY_S else (0.0, way * speed_rad_s)
 
-    def _line(self, leg: Leg, pose: Pose) -> tuple[float, float] | None:
+    def _line(self, leg: Leg, pose: Pose, now_s: float) -> tuple[float, float] | None:
         start = self._start
         cos, sin = math.cos(start.theta_rad), math.sin(start.theta_rad)
         dx_m, dy_m = pose.x_m - start.x_m, pose.y_m - start.y_m
         left_m = leg.forward_m - (dx_m * cos + dy_m * sin)
+        self.is_stuck = self._progress.has_ended(left_m, STUCK_M, now_s)
         speed_m_s = SLOW_M_S if left_m < SLOW_FROM_M else self._speed.linear_m_s
         if left_m <= speed_m_s * STOP_EARLY_S:
             return None
         sideways_m = dy_m * cos - dx_m * sin
         back_rad = max(-0.5, min(0.5, SIDEWAYS_RAD_PER_M * sideways_m))
         turn_rad_s = -HEADING_PER_S * (self._heading_rad - start.theta_rad + back_rad)
-        steps = round(max(-MOST_TURN_RAD_S, min(MOST_TURN_RAD_S, turn_rad_s)) / TURN_STEP_RAD_S)
-        return speed_m_s, steps * TURN_STEP_RAD_S
+        steps = max(-MOST_TURN_RAD_S, min(MOST_TURN_RAD_S, turn_rad_s)) / TURN_STEP_RAD_S
+        if abs(steps - self._steps) > KEPT_STEPS:
+            self._steps = round(steps)
+        return speed_m_s, self._steps * TURN_STEP_RAD_S
+
+
+class _Progress:
+    """Of one leg."""
+
+    def __init__(self) -> None:
+        self._left, self._at_s = math.inf, -math.inf
+
+    def has_ended(self, left: float, least: float, now_s: float) -> bool:
+        """Whether what is `left` has not become less by `least` for STUCK_S."""
+        if left <= self._left - least:
+            self._left, self._at_s = left, now_s
+        return now_s >= self._at_s + STUCK_S

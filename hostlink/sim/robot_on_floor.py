@@ -103,8 +103,10 @@ def follow(
     correction = OdometryCorrection() if correction is None else correction
     now_s = 0.0
     while not follower.is_done:
-        if now_s > LONGEST_S:
-            raise TimeoutError(f"the simulated robot has driven for {LONGEST_S:.0f} s, {follower.legs_left} legs left")
+        if now_s > LONGEST_S or follower.is_stuck:
+            raise TimeoutError(
+                f"the simulated robot does not get there: {follower.legs_left} legs are left after {now_s:.0f} s"
+            )
         robot.drive(*follower.update(shown, now_s), COMMAND_S)
         shown = correction.advance(shown, path[-1], robot.odometry)
         path.append(robot.odometry)

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import pytest
 
 from hostlink.cli.calibration_drive import Drives
+from hostlink.client import connect
 from hostlink.config import Config
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import WheelGeometry
-from hostlink.robot.course import Leg, Speed, square, straight
+from hostlink.robot.course import STUCK_S, Leg, Speed, square, straight
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_correction import OdometryCorrection
 from tests.support.daemon import Daemon, daemon
@@ -70,6 +71,47 @@ async def test_a_robot_that_falls_silent_or_jumps_is_stopped(last_m: float, reas
             await device.send(pose(last_m, 0.0, 0.0))
         assert reason in driving.result()
         await expect(lambda: not is_driven(host))
+
+
+async def test_a_robot_whose_odometry_stands_is_stopped() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await expect(lambda: bool(host.hub.robots.all()))
+        async with asyncio.TaskGroup() as tasks:
+            driving = tasks.create_task(_refused(host))
+            async with asyncio.timeout(STUCK_S + 5.0):
+                while not driving.done():
+                    await device.send(pose(1.0, 2.0, 0.5))
+                    await asyncio.sleep(0.05)
+        assert "did not advance" in driving.result()
+        await expect(lambda: not is_driven(host))
+
+
+async def test_who_takes_the_robot_over_keeps_it() -> None:
+    async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
+        person = other.robot("robot_0", priority=60)
+        async with asyncio.TaskGroup() as tasks:
+            driving = tasks.create_task(_refused(host))
+            await expect(lambda: is_driven(host))
+            await person.drive(0.05, 0.0)
+            speeds_m_s = []
+            for _ in range(50):
+                speeds_m_s.append(host.hub.robots.find("robot_0").gate.current.linear_x_m_s)
+                await asyncio.sleep(0.01)
+        assert "is not driven any more" in driving.result()
+        assert speeds_m_s == pytest.approx([0.05] * len(speeds_m_s))
+        assert person.is_driven
+
+
+async def test_a_robot_that_another_drives_is_left_to_him() -> None:
+    """Even somebody less important: his program would drive on while a person measures."""
+    async with daemon() as host, simulated_robot(host.tcp), connect(host.url) as other:
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count > 0)
+        program = other.robot("robot_0", priority=10)
+        await program.drive(0.05, 0.0)
+        assert "drives it; end that first" in await _refused(host)
+        assert program.is_driven
+        assert (await program.state())["velocity"]["linear_m_s"] == pytest.approx(0.05)
 
 
 async def test_a_robot_that_is_not_there_is_named() -> None:

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from hostlink.robot.calibration import Kind, WheelGeometry, end_of, uncorrected
-from hostlink.robot.course import CourseFollower, Leg, Speed, square, straight, turns
+from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed, square, straight, turns
 from hostlink.robot.kinematics import DifferentialDrive, Pose
 from tests.unit.robot.drives import ExactRobot
 
@@ -58,6 +58,15 @@ def test_the_command_changes_rarely() -> None:
     assert changes <= 8 * 6
 
 
+@pytest.mark.parametrize("heading_rad", [-0.1, -0.0333, 0.0, 0.0333, 0.1])
+def test_a_tick_more_or_less_changes_no_command(heading_rad: float) -> None:
+    """A robot that stands at the boundary of two commands would never start."""
+    follower = CourseFollower(straight(3.0))
+    follower.update(Pose(), 0.0)
+    commands = {follower.update(Pose(0.0, 0.0, heading_rad + 0.003 * (turn % 2)), 0.1 * turn) for turn in range(1, 11)}
+    assert len(commands) == 1
+
+
 def test_the_speeds_are_those_that_were_given() -> None:
     assert CourseFollower(straight(3.0), Speed(0.4, 1.0)).update(Pose(), 0.0) == (0.4, 0.0)
     assert CourseFollower(turns(1, -1), Speed(0.4, 1.0)).update(Pose(), 0.0) == (0.0, -1.0)
@@ -67,3 +76,25 @@ def test_a_course_without_legs_is_done() -> None:
     follower = CourseFollower(())
     assert (follower.is_done, follower.legs_left) == (True, 0)
     assert follower.update(Pose(), 0.0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("way", [0.0, -1.0], ids=["stands", "goes back"])
+@pytest.mark.parametrize("legs", [straight(3.0), turns(1, 1), turns(1, -1)], ids=["line", "left turn", "right turn"])
+def test_a_robot_whose_odometry_does_not_advance_is_driven_no_more(legs: tuple[Leg, ...], way: float) -> None:
+    """Its wheels may turn all the same: an encoder may be dead, a motor connected the wrong way round."""
+    follower, now_s, at = CourseFollower(legs), 0.0, 0.0
+    while follower.update(Pose(at, 0.0, at), now_s) != (0.0, 0.0):
+        assert now_s <= STUCK_S
+        at += way * math.copysign(0.02, legs[0].forward_m or legs[0].turn_rad)
+        now_s += 0.1
+    assert follower.is_stuck
+    assert not follower.is_done
+    assert follower.update(Pose(1.0, 0.0, 0.0), now_s + 0.1) == (0.0, 0.0)
+
+
+def test_each_leg_has_the_time_for_its_own_start() -> None:
+    follower, now_s = CourseFollower((Leg(forward_m=0.1), Leg(forward_m=0.1))), 0.0
+    for x_m in (0.0, 0.1, 0.1, 0.2):
+        now_s += 0.9 * STUCK_S
+        follower.update(Pose(x_m), now_s)
+    assert not follower.is_stuck
