@@ -1,10 +1,12 @@
 """Settings that a program writes into a person's TOML file: the rest of it stays as it is, and a copy beside it."""
 
+import contextlib
 import copy
+import os
 import re
 import shutil
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +31,50 @@ def write_settings(path: Path, tables: Tables) -> Path:
     Raises:
         ConfigError: the file cannot be read or written, or has such a setting in a form that is not changed here.
     """
-    try:
-        before = path.read_text(encoding="utf-8")
-        after = changed(before, tables)
-        if not _is_only_changed(before, after, tables):
-            raise ConfigError(str(path), f"cannot be changed by hostlink: write there {'; '.join(toml_lines(tables))}")
-        return _replace(path, after)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(str(path), f"is not changed: {error}") from error
+    with _refused(path):
+        file = path.resolve()  # what a link points to, not the link
+        return _replace(file, _text_with(file, tables))
+
+
+def require_changeable(path: Path, tables: Tables) -> None:
+    """Fail before the numbers are known, not afterwards.
+
+    Raises:
+        ConfigError: `write_settings` would fail with settings of these names.
+    """
+    with _refused(path):
+        file = path.resolve()
+        _text_with(file, tables)
+        if not os.access(file.parent, os.W_OK):
+            raise PermissionError(f"{file.parent} cannot be written")
 
 
 def changed(text: str, tables: Tables) -> str:
     """The text with these settings; a line of the same key is replaced, a table that is not there is added."""
-    lines = text.splitlines()
+    lines = text.removesuffix("\n").split("\n") if text else []  # TOML has no other ends of lines
     for header, values in tables.items():
         for key, value in values.items():
             lines = _set(lines, header, key, value)
     return "\n".join(lines) + "\n"
+
+
+@contextlib.contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(str(path), f"is not changed: {error}") from error
+
+
+def _text_with(file: Path, tables: Tables) -> str:
+    """Its text with these settings, and with its own ends of lines."""
+    before = file.read_bytes().decode()
+    newline = "\r\n" if "\r\n" in before else "\n"
+    plain = before.replace(newline, "\n")
+    after = changed(plain, tables)
+    if not _is_only_changed(plain, after, tables):
+        raise ConfigError(str(file), f"cannot be changed by hostlink: write there {'; '.join(toml_lines(tables))}")
+    return after.replace("\n", newline)
 
 
 def _set(lines: list[str], header: str, key: str, value: str) -> list[str]:
@@ -56,8 +85,17 @@ def _set(lines: list[str], header: str, key: str, value: str) -> list[str]:
         if lines[number].lstrip().startswith("["):
             break
         if re.match(rf"\s*{re.escape(key)}\s*=", lines[number]):
-            return [*lines[:number], f"{key} = {value}", *lines[number + 1 :]]
+            return [*lines[:number], f"{key} = {value}{_comment_of(lines[number])}", *lines[number + 1 :]]
     return [*lines[: start + 1], f"{key} = {value}", *lines[start + 1 :]]
+
+
+def _comment_of(line: str) -> str:
+    """From the `#` that ends the setting, with the blanks before it; one within a string ends none."""
+    for found in re.finditer(r"\s*#", line):
+        with contextlib.suppress(tomllib.TOMLDecodeError):
+            tomllib.loads(line[: found.start()])
+            return line[found.start() :]
+    return ""
 
 
 def _is_header(line: str, header: str) -> bool:
@@ -97,9 +135,11 @@ def _replace(path: Path, text: str) -> Path:
     number = 2
     while backup.exists():
         number, backup = number + 1, path.with_name(f"{path.name}.before{number}")
-    shutil.copy2(path, beside)
     try:
-        beside.write_text(text, encoding="utf-8")
+        shutil.copy2(path, beside)
+        owner = path.stat()
+        os.chown(beside, owner.st_uid, owner.st_gid)  # root's copy is root's: the daemon may be another user
+        beside.write_bytes(text.encode())
         load(beside)
         shutil.copy2(path, backup)
         beside.replace(path)

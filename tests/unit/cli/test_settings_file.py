@@ -1,5 +1,6 @@
 """Settings are written into a person's file: comments, order and everything else stay."""
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.settings_file import changed, toml_lines, write_settings
+from hostlink.cli.settings_file import changed, require_changeable, toml_lines, write_settings
 from hostlink.config import load
 from hostlink.errors import ConfigError
 
@@ -34,6 +35,7 @@ def test_a_line_is_replaced_and_another_is_added() -> None:
     assert values["/robot_0/wheel_separation"] == 0.2142
     assert values["/robot_0/gains_left"] == [23.0, 36.0, 0.1]
     assert "port = 11411  # as always" in after
+    assert '"/robot_0/wheel_radius" = [0.0448, 0.0453]     # by the drawing\n' in after
     assert len(after.splitlines()) == len(FILE.splitlines()) + 1
 
 
@@ -77,6 +79,60 @@ def test_a_file_in_another_form_is_left_as_it_is(tmp_path: Path, text: str) -> N
         write_settings(path, PARAMETERS)
     assert path.read_text() == text
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize(
+    ("line", "comment"),
+    [
+        ('"/a#b" = "x # y"', ""),
+        ('"/a#b" = "x # y"  # why # not', "  # why # not"),
+        ('"/a#b" = 1# why', "# why"),
+    ],
+)
+def test_a_comment_behind_a_replaced_setting_stays(line: str, comment: str) -> None:
+    after = changed(f"[parameters]\n{line}\n", {"parameters": {'"/a#b"': "2"}})
+    assert after == f'[parameters]\n"/a#b" = 2{comment}\n'
+
+
+def test_ends_of_lines_stay_what_they_were(tmp_path: Path) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_bytes(FILE.replace("\n", "\r\n").encode())
+    write_settings(path, PARAMETERS)
+    assert path.read_bytes().decode() == changed(FILE, PARAMETERS).replace("\n", "\r\n")
+
+
+def test_a_comment_may_have_what_python_takes_for_an_end_of_a_line() -> None:
+    text = f"# a\u2028b\n{FILE}"
+    assert changed(text, PARAMETERS).startswith("# a\u2028b\n")
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    file, link = tmp_path / "robots.toml", tmp_path / "hostlink.toml"
+    file.write_text(FILE)
+    link.symlink_to(file)
+    write_settings(link, PARAMETERS)
+    assert link.is_symlink()
+    assert file.read_text() == changed(FILE, PARAMETERS)
+
+
+def test_the_file_stays_its_owner_s(tmp_path: Path) -> None:
+    path, group = tmp_path / "hostlink.toml", 12345 if os.getuid() == 0 else max(os.getgroups())
+    path.write_text(FILE)
+    os.chown(path, os.getuid(), group)
+    path.chmod(0o640)
+    write_settings(path, PARAMETERS)
+    assert (path.stat().st_uid, path.stat().st_gid, path.stat().st_mode & 0o777) == (os.getuid(), group, 0o640)
+
+
+def test_what_cannot_be_changed_is_known_before(tmp_path: Path) -> None:
+    path = tmp_path / "hostlink.toml"
+    path.write_text(FILE)
+    require_changeable(path, PARAMETERS)
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+    assert path.read_text() == FILE
+    path.write_text("[parameters]\n'/robot_0/wheel_radius' = 0.045\n")
+    with pytest.raises(ConfigError, match="cannot be changed by hostlink"):
+        require_changeable(path, PARAMETERS)
 
 
 def test_settings_that_the_daemon_refuses_are_not_kept(tmp_path: Path) -> None:
