@@ -13,7 +13,7 @@ from hostlink.cli.calibration_people import MISTAKES, AtTheTerminal, Session, Si
 from hostlink.cli.calibration_picture import picture as draw
 from hostlink.cli.calibration_plan import Saved, Sizes, StateFile, Step, checks_of, default_path, open_state, steps_of
 from hostlink.cli.output import table, write, write_error
-from hostlink.cli.settings_file import Tables, toml_lines, write_settings
+from hostlink.cli.settings_file import Tables, require_changeable, toml_lines, write_settings
 from hostlink.client import DEFAULT_URL
 from hostlink.config import CalibrationConfig, load
 from hostlink.errors import ConfigError, HostlinkError
@@ -26,6 +26,7 @@ from hostlink.sim.world_parameters import read
 TARGETS = ("device", "hostlink")
 CASTER_SHARE = 0.01  # by which the separations of turns and squares differ before it is worth a line
 DEFAULT_WORLD = "track_m=0.2142\nleft.radius_m=0.0448\nright.radius_m=0.0453\n"  # a usual error of each number
+RADIUS_M, SEPARATION_M = (0.005, 0.5), (0.02, 5.0)  # what hostlink's firmware accepts
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -84,13 +85,16 @@ def command(  # noqa: PLR0913 - the options of a command line
     """
     _refuse_others("--target", target, TARGETS)
     _refuse_others("--mistake", mistake, MISTAKES)
+    for option, value in {"--world": world, "--mistake": mistake}.items():
+        if value is not None and not simulate:
+            raise ConfigError(option, "goes with --simulate: this would drive a real robot")
     sizes = Sizes(length, side, turns, repeats)
     name = robot.strip("/")
     session: Session
     if simulate:
         session = Simulated(_world(world or []), mistake)
     else:
-        session = AtTheTerminal(Drives(url, token, name, Speed(linear, angular)))
+        session = AtTheTerminal(Drives(url, token, name, Speed(linear, angular)), write_error if json else write)
     chosen = target or ("device" if session.requests_parameters() else "hostlink")
     _check_file(write_to, name, chosen)
     path = state or default_path(f"{name}-simulated" if simulate else name)
@@ -137,6 +141,7 @@ class GuidedCalibration:
                 *(round(1000 * value, 4) for value in self._saved.nominal)
             ),
         )
+        self._state.save()  # where it cannot be kept, nobody measures
         nominal = uncorrected(self._saved.nominal)
         for number in range(count, total):
             run = self._drive(self._steps[number], f"{number + 1}/{total}", nominal)
@@ -185,8 +190,7 @@ class GuidedCalibration:
             checks.append(self._drive(steps[number], f"check {number + 1}/{len(steps)}", found.correction))
             self._state.save()
         confirmation = confirm(found, checks)
-        self._picture.parent.mkdir(parents=True, exist_ok=True)
-        self._picture.write_text(draw(found, self._saved.runs, checks), encoding="utf-8")
+        self._draw(found)
         self._print(
             "",
             f"Check drive: {confirmation.before_m * 100:.1f} cm off by the old numbers, "
@@ -198,6 +202,16 @@ class GuidedCalibration:
             self._state.save()
             raise HostlinkError(confirmation.complaint)
         return confirmation
+
+    def _draw(self, found: Calibration) -> None:
+        try:
+            self._picture.parent.mkdir(parents=True, exist_ok=True)
+            self._picture.write_text(draw(found, self._saved.runs, self._saved.checks), encoding="utf-8")
+        except OSError as error:
+            raise HostlinkError(
+                f"{self._picture}: {error.strerror or error}; the drives are kept: the same command with another "
+                "--picture goes on"
+            ) from error
 
     def _describe(self, found: Calibration) -> None:
         now, new, width, umbmark = found.nominal, found.geometry, found.deviations, found.umbmark_geometry
@@ -224,7 +238,12 @@ class GuidedCalibration:
 
 def settings_of(robot: str, found: Calibration, target: str, file: Path | None) -> Tables:
     """The lines of hostlink.toml; in the spelling of the file, where it has them."""
-    geometry, correction = found.geometry, found.correction
+    return _settings(robot, found.geometry, found.correction, target, file)
+
+
+def _settings(
+    robot: str, geometry: WheelGeometry, correction: OdometryCorrection, target: str, file: Path | None
+) -> Tables:
     if target == "hostlink":
         values = {
             "left_factor": f"{correction.left_factor:.6f}",
@@ -260,6 +279,7 @@ def _check_file(file: Path | None, robot: str, target: str) -> None:
         raise ConfigError(
             str(file), f"has [robots.{robot}.calibration]: remove it, or the device's new numbers are corrected again"
         )
+    require_changeable(file, _settings(robot, WheelGeometry(), OdometryCorrection(), target, file))
 
 
 def _parameters_of(file: Path | None) -> list[str]:
@@ -286,6 +306,9 @@ def _nominal(text: str) -> WheelGeometry:
     values = numbers_of(text)
     if len(values) != len(WheelGeometry._fields):
         raise ConfigError("--nominal", f"{text} is not three numbers of metres, as 0.045,0.045,0.21")
+    for value, (least_m, most_m) in zip(values, (RADIUS_M, RADIUS_M, SEPARATION_M), strict=True):
+        if not least_m <= value <= most_m:
+            raise ConfigError("--nominal", f"{value:g} is not {least_m:g} to {most_m:g} m, as in 0.045,0.045,0.21")
     return WheelGeometry(*values)
 
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from hostlink.cli.calibration_drive import Drives
 from hostlink.cli.calibration_plan import Step, parse_angle, parse_length
-from hostlink.cli.output import show_progress, write, write_error
+from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
 from hostlink.robot.course import Leg
@@ -60,8 +60,9 @@ class AtTheTerminal:
 
     is_patient = True
 
-    def __init__(self, drives: Drives) -> None:
-        self._drives = drives
+    def __init__(self, drives: Drives, show: Callable[..., None] = write) -> None:
+        """`show` writes lines for the person; questions go to standard error."""
+        self._drives, self._show = drives, show
 
     def nominal(self) -> WheelGeometry:
         return asyncio.run(self._drives.nominal())
@@ -73,7 +74,7 @@ class AtTheTerminal:
         asyncio.run(self._drives.set_parameters(parameters))
 
     def prepare(self, step: Step, place: str) -> None:
-        write(
+        self._show(
             "",
             f"{place}  {step.title}",
             f"  Put the robot down with {step.room}.",
@@ -100,7 +101,7 @@ class AtTheTerminal:
                 "  How far did it turn past its line? Degrees, counter-clockwise is positive: ", parse_angle
             )
             return Measurement(0.0, 0.0, step.way * step.size * math.tau + past_rad)
-        write("  Measure from the mark to the middle of the axle, along the line and across it.")
+        self._show("  Measure from the mark to the middle of the axle, along the line and across it.")
         x_m = _read("  Forward along the line (cm; behind the mark is negative): ", parse_length)
         y_m = _read("  To the left of the line (cm; to the right is negative): ", parse_length)
         return Measurement(x_m, y_m)
@@ -111,7 +112,7 @@ class AtTheTerminal:
 
     def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
         write_error("", complaint)
-        write(*(f"  {number}  {title}" for number, title in enumerate(titles, start=1)))
+        self._show(*(f"  {number}  {title}" for number, title in enumerate(titles, start=1)))
         word = _prompt("  The number of the drive to do again; Enter leaves: ").strip()
         return int(word) - 1 if word.isdigit() and 1 <= int(word) <= len(titles) else None
 
@@ -143,8 +144,12 @@ class Simulated:
         self._is_checking = place.startswith("check")
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
-        path, self._end = follow(self._robot, legs, correction)
-        show_progress("")
+        try:
+            path, self._end = follow(self._robot, legs, correction)
+        except TimeoutError as error:
+            raise HostlinkError(str(error)) from error
+        finally:
+            show_progress("")
         return path
 
     def measure(self, step: Step) -> Measurement:
@@ -169,16 +174,17 @@ def _forget_keys() -> None:
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
-def _prompt(prompt: str) -> str:
-    try:
-        return input(prompt)
-    except EOFError:
-        raise HostlinkError("there is nobody to answer: the input has ended") from None
+def _prompt(question: str) -> str:
+    show_question(question)
+    answer = sys.stdin.readline()
+    if not answer:
+        raise HostlinkError("there is nobody to answer: the input has ended")
+    return answer
 
 
-def _read(prompt: str, parse: Callable[[str], float]) -> float:
+def _read(question: str, parse: Callable[[str], float]) -> float:
     while True:
         try:
-            return parse(_prompt(prompt))
+            return parse(_prompt(question))
         except ValueError as error:
             write_error(f"  {error}")

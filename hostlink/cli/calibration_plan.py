@@ -2,7 +2,7 @@
 
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -90,7 +90,6 @@ class StateFile:
 
     path: Path
     saved: Saved
-    is_new: bool = field(default=True)
 
     def save(self) -> None:
         """Write it, whole or not at all.
@@ -122,7 +121,7 @@ def open_state(path: Path, wanted: Saved, *, anew: bool) -> StateFile:
     """What was saved of the same calibration, or a new one.
 
     Raises:
-        HostlinkError: the file has another calibration, or is none.
+        HostlinkError: the file has drives of another calibration, or is none.
     """
     if anew or not path.exists():
         return StateFile(path, wanted)
@@ -132,9 +131,9 @@ def open_state(path: Path, wanted: Saved, *, anew: bool) -> StateFile:
         raise HostlinkError(f"{path} is no calibration that can be resumed ({error}); --anew begins again") from error
     same = ("robot", "sizes", "nominal", "format")
     differs = [name for name in same if getattr(saved, name) != getattr(wanted, name)]
-    if differs:
+    if differs and saved.runs:
         raise HostlinkError(f"{path} has a calibration with other {' and '.join(differs)}; --anew begins again")
-    return StateFile(path, saved, is_new=not saved.runs)
+    return StateFile(path, saved if saved.runs else wanted)
 
 
 def steps_of(sizes: Sizes) -> list[Step]:

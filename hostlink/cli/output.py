@@ -1,6 +1,8 @@
 """Output of the commands. It contains names and texts of devices and programs: none of them steers a terminal."""
 
+import contextlib
 import json
+import os
 import sys
 from typing import Any, TextIO
 
@@ -30,10 +32,23 @@ def write_over(line: str) -> None:
     _write(sys.stdout, f"{_CLEAR_LINE}{plain(line)}" if sys.stdout.isatty() else f"{plain(line)}\n")
 
 
+def show_question(text: str) -> None:
+    """Write on standard error what somebody at the terminal answers behind it."""
+    _write(sys.stderr, plain(text))
+
+
 def show_progress(line: str) -> None:
     """On a terminal, a line of standard error that is written over; elsewhere nobody waits for it."""
     if sys.stderr.isatty():
-        _write(sys.stderr, f"{_CLEAR_LINE}{plain(line)}")
+        _write(sys.stderr, f"{_CLEAR_LINE}{_fitting(plain(line), sys.stderr)}")
+
+
+def _fitting(line: str, terminal: TextIO) -> str:
+    """As much of it as fits: of a line that wraps, only the end would be written over."""
+    with contextlib.suppress(OSError):
+        if columns := os.get_terminal_size(terminal.fileno()).columns:
+            return line[: columns - 1]
+    return line
 
 
 def _escaped(char: str) -> str:

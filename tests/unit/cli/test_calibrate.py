@@ -15,6 +15,7 @@ from hostlink.cli.calibration_drive import Drives, Show, numbers_of, pose_of
 from hostlink.cli.calibration_people import AtTheTerminal
 from hostlink.cli.calibration_plan import Saved, Sizes, open_state
 from hostlink.cli.main import build_app
+from hostlink.cli.output import write, write_error
 from hostlink.config import load
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.calibration import WheelGeometry, calibrated
@@ -60,6 +61,9 @@ def test_a_file_in_which_the_numbers_cannot_stand_is_refused_before_any_drive(tm
     file.write_text("[robots.robot_0.calibration]\nleft_factor = 1.01\n")
     result = calibrate(tmp_path, "--write", str(file))
     assert "remove it" in str(result.exception)
+    file.write_text("parameters = { }\n")
+    assert "cannot be changed by hostlink" in str(calibrate(tmp_path, "--write", str(file)).exception)
+    file.write_text("[robots.robot_0.calibration]\nleft_factor = 1.01\n")
     assert not (tmp_path / "state.svg").exists()
     assert calibrate(tmp_path, *SMALL, "--target", "hostlink", "--write", str(file)).exit_code == 0
     assert load(file).robots["robot_0"].calibration.separation_m == pytest.approx(TRUE.separation_m, rel=0.005)
@@ -84,10 +88,37 @@ def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: 
         ("--world", "track_m=wide"),
         ("--nominal", "0.045"),
         ("--nominal", "0,0,0"),
+        ("--nominal", "45,45,210"),
     ],
 )
 def test_an_argument_that_is_none_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
     assert isinstance(calibrate(tmp_path, *arguments).exception, ConfigError)
+
+
+@pytest.mark.parametrize("option", ["--length", "--side", "--linear", "--angular"])
+def test_no_number_is_no_length_and_no_speed(tmp_path: Path, option: str) -> None:
+    assert calibrate(tmp_path, option, "nan").exit_code == 2
+
+
+@pytest.mark.parametrize("arguments", [("--world", "track_m=0.2"), ("--mistake", "slip")])
+def test_who_forgets_to_simulate_drives_no_robot(arguments: Sequence[str]) -> None:
+    words = ["calibrate", "robot_0", *arguments, "--url", "http://127.0.0.1:1"]
+    result = CliRunner().invoke(build_app("calibrate"), words)
+    assert isinstance(result.exception, ConfigError)
+    assert "--simulate" in str(result.exception)
+
+
+def test_a_simulated_robot_that_cannot_move_is_one_line(tmp_path: Path) -> None:
+    result = calibrate(tmp_path, *SMALL, "--world", "floor_pwm=4000")
+    assert isinstance(result.exception, HostlinkError)
+    assert "does not get there" in str(result.exception)
+
+
+def test_a_picture_that_cannot_be_drawn_costs_no_drive(tmp_path: Path) -> None:
+    result = calibrate(tmp_path, *SMALL, "--picture", str(tmp_path))
+    assert isinstance(result.exception, HostlinkError)
+    assert "the drives are kept" in str(result.exception)
+    assert (tmp_path / "state.json").exists()
 
 
 def test_nothing_is_applied_to_a_simulated_robot(tmp_path: Path) -> None:
@@ -153,10 +184,11 @@ class Answers(io.StringIO):
         return word
 
 
-def guided(folder: Path, drives: ExactDrives) -> GuidedCalibration:
+def guided(folder: Path, drives: ExactDrives, *, is_quiet: bool = False) -> GuidedCalibration:
     wanted = Saved("robot_0", Sizes(length_m=2.0, side_m=1.0, turns=0, repeats=1), WheelGeometry())
     state = open_state(folder / "state.json", wanted, anew=False)
-    return GuidedCalibration(AtTheTerminal(drives), state, folder / "picture.svg", is_quiet=False)
+    person = AtTheTerminal(drives, write_error if is_quiet else write)
+    return GuidedCalibration(person, state, folder / "picture.svg", is_quiet=is_quiet)
 
 
 DRIVE = ["start", "x", "y"]
@@ -174,6 +206,28 @@ def test_a_person_is_led_through_all_drives(
     assert "Calibrating robot_0: 3 drives, then 3 to check." in shown
     assert "a square of 1 m, counter-clockwise" in shown
     assert "Check drive:" in shown
+
+
+def test_standard_output_is_for_the_json_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    drives = ExactDrives()
+    monkeypatch.setattr("sys.stdin", Answers(drives, DRIVE * 6))
+    guided(tmp_path, drives, is_quiet=True).run()
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "Enter starts the drive" in shown.err
+    assert "a square of 1 m, counter-clockwise" in shown.err
+
+
+def test_what_cannot_be_kept_is_not_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drives = ExactDrives()
+    monkeypatch.setattr("sys.stdin", Answers(drives, DRIVE * 6))
+    calibration = guided(tmp_path / "folder", drives)
+    (tmp_path / "folder").write_text("no folder")
+    with pytest.raises(HostlinkError, match=r"state\.json"):
+        calibration.run()
+    assert drives.robot_driven.odometry == Pose(0.3, -0.2, 1.0)
 
 
 def test_what_cannot_be_is_asked_again_and_a_drive_that_was_broken_off_is_repeated(

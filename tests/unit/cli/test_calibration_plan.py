@@ -89,9 +89,15 @@ def test_a_calibration_is_resumed_where_it_was(tmp_path: Path) -> None:
     ],
 )
 def test_the_state_of_another_calibration_is_not_resumed(tmp_path: Path, other: Saved, text: str) -> None:
-    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=False).save()
+    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry(), [RUN]), anew=False).save()
     with pytest.raises(HostlinkError, match=f"{text}; --anew begins again"):
         open_state(tmp_path / "state.json", other, anew=False)
+
+
+def test_a_calibration_without_drives_is_not_kept(tmp_path: Path) -> None:
+    open_state(tmp_path / "state.json", Saved("robot_0", Sizes(), WheelGeometry()), anew=False).save()
+    wanted = Saved("robot_0", Sizes(side_m=4.0), WheelGeometry())
+    assert open_state(tmp_path / "state.json", wanted, anew=False).saved is wanted
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"robot": 1}', b"\xff"])

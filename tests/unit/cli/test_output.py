@@ -1,8 +1,13 @@
 """What the commands write: nothing of a device's or a program's steers a terminal, and JSON stays what it was."""
 
 import ast
+import fcntl
 import io
 import json
+import os
+import pty
+import struct
+import termios
 from pathlib import Path
 
 import pytest
@@ -12,9 +17,10 @@ from hypothesis import strategies as st
 
 import hostlink.cli
 from hostlink import logs
-from hostlink.cli.output import plain, write
+from hostlink.cli.output import plain, show_progress, write
 
 WRITERS = {"output.py", "terminal.py", "capture.py"}  # the second its own codes, the third JSON of hexadecimal digits
+LINE = "  driving: 12 s, leg 1 of 8; Ctrl-C stops it"
 HOSTILE = "\x1b[2J\x9b31m\u202e\u2066\x7f\n\r\t\x07\u2028\ufeff\U000e0041"
 
 
@@ -51,6 +57,21 @@ def test_no_command_writes_past_it() -> None:
 class _Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
+
+
+@pytest.mark.parametrize(("columns", "shown"), [(40, LINE[:39]), (0, LINE), (200, LINE)])
+def test_progress_fits_into_one_line(columns: int, shown: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a line that the terminal wraps, only the end is written over; a terminal without a size has 0 columns."""
+    terminal, other = pty.openpty()
+    try:
+        fcntl.ioctl(other, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+        with open(other, "w", closefd=False) as stream:
+            monkeypatch.setattr("sys.stderr", stream)
+            show_progress(LINE)
+        assert os.read(terminal, 1000).decode() == f"\r\x1b[2K{shown}"
+    finally:
+        os.close(terminal)
+        os.close(other)
 
 
 def test_the_log_on_a_terminal_has_no_codes_but_its_own() -> None:
