@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import json as json_text
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, assert_never
@@ -47,6 +48,10 @@ def command(
     """
     if fit and what is not What.TABLES:
         raise ConfigError("--fit", "goes with: hostlink lab tables")
+    if world is not None and what not in (What.TABLES, What.PICTURES):
+        raise ConfigError("--world", "goes with: hostlink lab tables, hostlink lab pictures")
+    if what is What.PICTURES:
+        _require_picture(output)
     _require("matplotlib" if what is What.PICTURES else "scipy" if fit else None)
     chosen = CASTER_WORLD if world is None else _read(world)
     try:
@@ -55,8 +60,6 @@ def command(
             report = report + _fit(laboratory) if fit else report
     except WorldLibraryMissing as error:
         raise ConfigError("hostlink lab", str(error)) from None
-    except OSError as error:
-        raise ConfigError(str(output), error.strerror or str(error)) from None
     finally:
         with contextlib.suppress(OSError):
             show_progress("")
@@ -83,7 +86,10 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.Report:
     from hostlink.lab.pictures import draw_software  # noqa: PLC0415 - needs matplotlib
 
     show_progress("drawing")
-    draw_software(world, runs, output)
+    try:
+        draw_software(world, runs, output)
+    except OSError as error:
+        raise ConfigError(str(output), error.strerror or str(error)) from None
     kibibytes = output.stat().st_size // 1024
     return reports.Report([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
 
@@ -92,6 +98,18 @@ def _fit(laboratory: Laboratory) -> reports.Report:
     from hostlink.lab.fit_report import report_fit  # noqa: PLC0415 - needs scipy
 
     return report_fit(laboratory, show_progress)
+
+
+def _require_picture(file: Path) -> None:
+    """Refuse before anything is driven.
+
+    Raises:
+        ConfigError: no PNG can be written there.
+    """
+    if file.suffix != ".png":
+        raise ConfigError("--output", f"{file} must end in .png")
+    if not os.access(file.parent, os.W_OK):
+        raise ConfigError("--output", f"there is no folder {file.parent} that can be written")
 
 
 def _require(library: str | None) -> None:

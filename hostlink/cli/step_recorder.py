@@ -22,6 +22,7 @@ STANDING_TIMEOUT_S = 5.0
 STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
 FIRST_MESSAGE_S = 2.0
 SEPARATION_M = 0.210  # docs/robot.md#numbers
+LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # that hostlink's firmware accepts
 PLOT_TYPE, GAINS_TYPE = "geometry_msgs/Twist", "geometry_msgs/Vector3"
 ODOMETRY_TYPE = "nav_msgs/Odometry"
 
@@ -259,12 +260,13 @@ def _numbers(text: str) -> list[float]:
 
 
 async def separation_of(host: Host, robot: str) -> float:
-    """Wheel to wheel, as the robot is configured; without that the paper's.
+    """Wheel to wheel, as the robot is configured; without that, or where the firmware refuses it, the paper's.
 
     Raises:
         HostlinkError: there is no connection.
     """
-    return next(iter(await wheel_parameter(host, robot, "wheel_separation")), SEPARATION_M)
+    configured = await wheel_parameter(host, robot, "wheel_separation")
+    return configured[0] if configured and LEAST_SEPARATION_M <= configured[0] <= MOST_SEPARATION_M else SEPARATION_M
 
 
 async def require_robot(host: Host, name: str) -> Robot:

@@ -1,6 +1,7 @@
 """Experiment: a pattern that is driven several times with one software in one world, and its errors."""
 
 import os
+import signal
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -150,7 +151,9 @@ class Laboratory:
         if self._workers == 1 or sum(experiment.runs for experiment in experiments) < _POOLED_RUNS:
             return map(measure, experiments)
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self._workers, get_context("spawn"))
+            # Ctrl-C reaches the processes, too: this one ends them.
+            ignored = (signal.SIGINT, signal.SIG_IGN)
+            self._pool = ProcessPoolExecutor(self._workers, get_context("spawn"), signal.signal, ignored)
         return self._pool.map(measure, experiments)
 
 

@@ -22,7 +22,7 @@ from hostlink.cli.step_recorder import (
 from hostlink.cli.step_stages import Stage, Wheel, make_stage
 from hostlink.cli.step_tuning import PAPER_GAINS, tune
 from hostlink.client import Host, connect
-from hostlink.config import Config, RobotConfig
+from hostlink.config import Config, ParameterValue, RobotConfig
 from hostlink.errors import DeviceGone, HostlinkError, RobotHeld, UnknownTopic
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
@@ -310,8 +310,9 @@ async def test_present_gains_and_the_track_are_those_of_the_configuration() -> N
     assert any("of the configuration" in line for line in tuning.lines())
 
 
-async def test_without_a_configuration_the_track_is_the_paper_s() -> None:
-    async with bench() as (_, _, me):
+@pytest.mark.parametrize("parameters", [{}, {"/robot_0/wheel_separation": 0.0}, {"/robot_0/wheel_separation": 210}])
+async def test_without_a_track_that_can_be_it_is_the_paper_s(parameters: dict[str, ParameterValue]) -> None:
+    async with bench(Config(parameters=parameters)) as (_, _, me):
         assert await separation_of(me, "robot_0") == 0.210
 
 

@@ -40,6 +40,21 @@ def test_a_fit_belongs_to_tables() -> None:
         run("causes", "--fit")
 
 
+def test_a_world_belongs_to_tables_and_pictures(tmp_path: Path) -> None:
+    world = tmp_path / "world.txt"
+    world.write_text("track_m=0.212\n")
+    for what in ("causes", "claims"):
+        with pytest.raises(ConfigError, match="hostlink lab tables"):
+            run(what, "--world", str(world))
+
+
+def test_a_picture_that_cannot_be_written_is_refused_before_anything_is_driven(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"must end in \.png"):
+        run("pictures", "-o", str(tmp_path / "paths.svg"))
+    with pytest.raises(ConfigError, match="there is no folder"):
+        run("pictures", "-o", str(tmp_path / "none" / "paths.png"))
+
+
 @pytest.mark.parametrize("arguments", [("everything",), ("tables", "--runs", "1"), ()])
 def test_wrong_arguments_are_refused(arguments: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit, match="2"):
