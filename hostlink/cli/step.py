@@ -113,8 +113,10 @@ async def _step(url: str, token: str | None, request: _Request) -> None:
         separation_m = await separation_of(host, robot.name)
         source = await find_source(host, await connected_state(robot), request.wheel, separation_m)
         stages = _stages(request, separation_m)
-        recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
-        show_progress("")
+        try:
+            recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
+        finally:
+            show_progress("")
         if request.picture is not None:
             title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
             draw_picture(request.picture, title, recording.records)

@@ -11,7 +11,8 @@ import pytest
 
 from hostlink.client import RobotState, connect
 from tests.support.fork_server import start
-from tests.support.process import run, serve, simulated
+from tests.support.process import HOSTLINK, run, serve, simulated
+from tests.support.screen import screen
 
 
 async def until(url: str, is_so: Callable[[RobotState], bool]) -> None:
@@ -75,6 +76,16 @@ async def test_ctrl_c_ends_the_step_and_the_robot_is_stopped() -> None:
         await until(daemon.url, lambda state: state["velocity"]["linear_m_s"] == 0 and state["holder"] is None)
         async with asyncio.timeout(5):
             assert await child.wait() == 130
+
+
+async def test_an_error_begins_a_line_of_its_own() -> None:
+    """Not behind what was written over again and again."""
+    async with serve() as daemon, simulated(daemon.tcp), screen() as terminal, connect(daemon.url) as host:
+        await connected(daemon.url)
+        await terminal.keys(f"{HOSTLINK} step robot_0 --seconds 30 --yes --url {daemon.url}", "Enter")
+        await terminal.shows("driving at 0.20 m/s")
+        await host.robot("robot_0").lock("a cat")
+        await terminal.shows("\nhostlink: robot_0: locked: a cat")
 
 
 @pytest.mark.parametrize(
