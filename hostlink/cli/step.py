@@ -117,14 +117,23 @@ async def _step(url: str, token: str | None, request: _Request) -> None:
             recording = await StepRecorder(host, robot, source, show=show_progress).record(stages)
         finally:
             show_progress("")
+        notes = notes_of(stages[-1], recording.accepted, recording.records)
         if request.picture is not None:
             title = f"{robot.name}: {'rising steps' if request.tunes else 'step'} to {request.speed_m_s:g} m/s"
-            draw_picture(request.picture, title, recording.records)
-        notes = notes_of(stages[-1], recording.accepted, recording.records)
+            notes += _draw(request.picture, title, recording)
         if request.tunes:
             await _report_tuning(host, robot.name, recording, notes, request)
         else:
             _report_step(robot.name, recording, notes, request)
+
+
+def _draw(picture: Path, title: str, recording: Recording) -> list[str]:
+    """A picture that fails costs no figures: the robot has driven for them."""
+    try:
+        draw_picture(picture, title, recording.records)
+    except OSError as error:
+        return [f"no picture: {picture}: {error.strerror or error}"]
+    return []
 
 
 def _stages(request: _Request, separation_m: float) -> tuple[Stage, ...]:

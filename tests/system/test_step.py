@@ -44,8 +44,11 @@ async def test_a_step_is_driven_reported_and_drawn(tmp_path: Path) -> None:
             assert len(view["wheels"][wheel]["samples"]["t_s"]) > 20
         assert "<svg" in picture.read_text()
 
-        status, out, err = await run(*step, "--wheel", "right", "--url", daemon.url)
+        folder = tmp_path / "folder.png"
+        folder.mkdir()
+        status, out, err = await run(*step, "--wheel", "right", "--picture", str(folder), "--url", daemon.url)
         assert status == 0
+        assert f"note: no picture: {folder}: Is a directory" in out
         assert err == (
             "robot_0's right wheel rolls 0.10 m forwards round the left one at up to 0.05 m/s for 2.0 s; "
             "keep a circle of 0.9 m free.\n"
