@@ -81,7 +81,8 @@ class AtTheTerminal:
             "  Mark on the floor the middle of its axle (between the wheels) and the line along which it points.",
         )
         _forget_keys()
-        _prompt("  Enter starts the drive, Ctrl-C stops the robot at any time: ")
+        while _prompt("  Enter starts the drive, Ctrl-C stops the robot at any time: ").strip():
+            write_error("  Not started: Enter alone starts it, Ctrl-C leaves.")
 
     def follow(self, legs: Sequence[Leg], correction: OdometryCorrection) -> tuple[Pose, ...]:
         def show(left: int, seconds: float) -> None:

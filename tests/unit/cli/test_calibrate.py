@@ -246,6 +246,18 @@ def test_what_cannot_be_is_asked_again_and_a_drive_that_was_broken_off_is_repeat
     assert "30.10 m, the odometry" in complaints
 
 
+def test_enter_alone_starts_a_drive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Who types a word meant something else."""
+    drives = ExactDrives()
+    monkeypatch.setattr("sys.stdin", Answers(drives, ["no\n", "quit\n"]))
+    with pytest.raises(HostlinkError, match="nobody to answer"):
+        guided(tmp_path, drives).run()
+    assert drives.robot_driven.odometry == Pose(0.3, -0.2, 1.0)
+    assert capsys.readouterr().err.count("Enter alone starts it") == 2
+
+
 def test_numbers_that_contradict_each_other_are_entered_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
