@@ -2,7 +2,7 @@
 """Calibrates the real firmware in its world, in virtual time: how far squares are off before and after.
 
 The firmware drives two lines and squares both ways; their true ends are the tape measure. It is given the numbers that
-follow, as parameters, and drives other squares. `--noise`: wheels that slip and a caster that swings round at random.
+follow, as parameters, and drives other squares: without noise, and with wheels that slip and a random caster.
 """
 
 import argparse
