@@ -24,6 +24,7 @@ COMMANDS = {
     "doctor": "Find what is wrong with the devices, and what to do next.",
     "top": "Watch links and robots, live.",
     "record": "Record robots into an MCAP file; repair one that was never finished.",
+    "play": "Play a recording as the robots that are in it.",
     "incidents": "List what happened to robots, and fetch their last minutes.",
     "capture": "Save the raw bytes of a link.",
     "inspect": "Decode a recording of a link.",

@@ -1,0 +1,235 @@
+"""`hostlink play`: a recording as the robots that are in it, or as a program that publishes its topics."""
+
+import asyncio
+import contextlib
+import fnmatch
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hostlink.cancellation import raise_if_cancelled
+from hostlink.cli.addresses import parse_address
+from hostlink.cli.arguments import Token, Url
+from hostlink.cli.output import show_progress, show_question, write_error
+from hostlink.client import DEFAULT_URL, connect
+from hostlink.errors import BadRequest, ConfigError, HostlinkError
+from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
+from hostlink.recording.playing import Due, robots_of, schedule
+from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.tables import Decoders
+from hostlink.sim.played_device import PlayedDevice, PlayedTopic
+
+TWIST = "geometry_msgs/Twist"
+NO_MD5 = "*"
+READY_TIMEOUT_S = 5.0
+SETTLE_S = 0.3  # until the robots' topics are in every graph: what is sent before reaches nobody
+PROGRESS_S = 0.5
+SOON_S = 0.001
+
+Put = Callable[[StoredMessage], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How a recording is played."""
+
+    rate: float
+    start_s: float
+    is_looped: bool
+    is_stepped: bool
+
+
+def command(  # noqa: PLR0913 - each is an option of the command line
+    file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
+    topics: Annotated[list[str] | None, typer.Argument(help="Of --as-program: names, or patterns.")] = None,
+    *,
+    to: Annotated[str, typer.Option("--connect", help="Of the host, for devices: HOST:PORT.")] = "127.0.0.1:11411",
+    robot: Annotated[list[str] | None, typer.Option(help="This robot alone. May be repeated.")] = None,
+    rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="2 is twice as fast.")] = 1.0,
+    start: Annotated[float, typer.Option(min=0.0, help="Seconds to leave out at the beginning.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again, until Ctrl-C.")] = False,
+    step: Annotated[bool, typer.Option("--step", help="Enter sends the next message.")] = False,
+    as_program: Annotated[
+        bool, typer.Option("--as-program", help="Publish these topics to robots that are there; velocities never.")
+    ] = False,
+    drive: Annotated[
+        str | None, typer.Option(metavar="ROBOT", help="Drive this robot as the recorded one was driven. It moves!")
+    ] = None,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+) -> None:
+    """Play a recording: its robots connect as devices do, marked as played, and every program sees them.
+
+    They obey nobody. With --as-program or --drive no device is played: messages go to robots that are there.
+    """
+    pace = Pace(rate, start, loop, step)
+    if drive is not None:
+        asyncio.run(_drive(url, token, file, pace, drive, robot or []))
+    elif as_program:
+        if not topics:
+            raise ConfigError("--as-program", "name the topics to be published, or a pattern: '/chat' '/robot_0/led*'")
+        asyncio.run(_publish(url, token, file, pace, topics))
+    elif topics:
+        raise ConfigError("topics", "go with --as-program; robots are chosen with --robot")
+    else:
+        asyncio.run(_play_devices(file, pace, parse_address("--connect", to, "127.0.0.1"), robot or []))
+
+
+async def _play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted: list[str]) -> None:
+    channels = {message.channel for message in _progress(file)}
+    robots = {name: found for name, found in robots_of(channels).items() if not wanted or name in wanted}
+    if not robots:
+        there = ", ".join(sorted(robots_of(channels))) or "none: no device was recorded"
+        raise BadRequest(f"{file} has no such robot; there are: {there}")
+    devices = {name: _device(name, file, found) for name, found in robots.items()}
+
+    def put(message: StoredMessage) -> None:
+        device = devices.get(message.channel.robot)
+        if device is not None and message.channel.origin == DEVICE:
+            device.publish(message.channel.topic, message.payload)
+
+    async with _connected(devices, address):
+        write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends it")
+        count = await _play(file, pace, put)
+    dropped = sum(device.dropped for device in devices.values())
+    write_error(f"{count} messages played{f', {dropped} of them while no host was there' if dropped else ''}")
+
+
+@contextlib.asynccontextmanager
+async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int]) -> AsyncIterator[None]:
+    """The devices are known to the host for the length of the block.
+
+    Raises:
+        HostlinkError: there is no host, or it requests no topics.
+    """
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            running = [tasks.create_task(device.run(*address), name=name) for name, device in devices.items()]
+            async with asyncio.timeout(READY_TIMEOUT_S):
+                for device in devices.values():
+                    await device.is_ready.wait()
+            await asyncio.sleep(SETTLE_S)
+            try:
+                yield
+            finally:
+                for task in running:
+                    task.cancel()
+    except* TimeoutError:
+        raise HostlinkError("what answers at {}:{} requests no topics: is it hostlink?".format(*address)) from None
+    except* OSError as error:
+        reason = error.exceptions[0]
+        raise HostlinkError("no host at {}:{}: is `hostlink serve` running? ({})".format(*address, reason)) from None
+    except* HostlinkError as error:
+        raise error.exceptions[0] from None
+    raise_if_cancelled()
+
+
+def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:
+    topics = [
+        PlayedTopic(
+            channel.topic,
+            channel.type_name,
+            dict(channel.metadata).get("md5sum", NO_MD5),
+            is_velocity=channel.origin == VELOCITY,
+        )
+        for channel in channels
+        if channel.origin == DEVICE or channel.type_name == TWIST
+    ]
+    return PlayedDevice(name, file.name, topics)
+
+
+async def _publish(url: str, token: str | None, file: Path, pace: Pace, topics: list[str]) -> None:
+    decoders = Decoders()
+    async with connect(url, token=token, reconnect=False) as host:
+
+        async def put(message: StoredMessage) -> None:
+            channel = message.channel
+            if channel.encoding != ROS1 or channel.origin == VELOCITY or not _matches(channel.topic, topics):
+                return
+            fields = decoders.decode(message)
+            if fields is not None:
+                await host.publish(channel.topic, fields, type_name=channel.type_name)
+
+        write_error(f"{await _play(file, pace, put)} messages played, of them those of {' '.join(topics)}")
+
+
+async def _drive(url: str, token: str | None, file: Path, pace: Pace, robot: str, recorded: list[str]) -> None:
+    """Drive a robot as the one in the recording was, through its gate; the end of it all stops the robot."""
+    velocities = {each.channel for each in _progress(file) if each.channel.origin == VELOCITY}
+    names = sorted({channel.robot for channel in velocities if not recorded or channel.robot in recorded})
+    if len(names) != 1:
+        raise BadRequest(f"{file} has velocities of {', '.join(names) or 'no robot'}: choose one with --robot")
+    topic = min(channel.topic for channel in velocities if channel.robot == names[0])
+    decoders = Decoders()
+    async with connect(url, token=token, reconnect=False) as host:
+        driven = host.robot(robot)
+
+        async def put(message: StoredMessage) -> None:
+            fields = decoders.decode(message) if message.channel.topic == topic else None
+            if fields is not None:
+                await driven.drive(fields["linear"]["x"], fields["angular"]["z"])
+
+        write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops it")
+        await _play(file, pace, put)
+        await driven.stop()
+
+
+async def _play(file: Path, pace: Pace, put: Put) -> int:
+    """Put every message when it is due; returns how many.
+
+    Raises:
+        RecordingFailed: the file cannot be read.
+    """
+    count = 0
+    while True:
+        count += await _play_once(file, pace, put)
+        if not pace.is_looped:
+            return count
+
+
+async def _play_once(file: Path, pace: Pace, put: Put) -> int:
+    loop = asyncio.get_running_loop()
+    began_s, shown_s, count = loop.time(), 0.0, 0
+    for due in schedule(Reader(file).messages(), rate=pace.rate, start_s=pace.start_s):
+        if pace.is_stepped:
+            await _ask(due)
+        elif began_s + due.at_s > loop.time() + SOON_S:
+            await asyncio.sleep(began_s + due.at_s - loop.time())
+        done = put(due.message)
+        if done is not None:
+            await done
+        count += 1
+        if loop.time() > shown_s + PROGRESS_S:
+            shown_s = loop.time()
+            show_progress(f"{due.at_s * pace.rate + pace.start_s:.1f} s  {count} messages")
+            await asyncio.sleep(0)  # a file without pauses leaves the devices their turn
+    show_progress("")
+    return count
+
+
+async def _ask(due: Due) -> None:
+    message = due.message
+    show_question(f"{due.at_s:9.3f} s  {message.channel.topic}  {len(message.payload)} bytes; Enter sends it ")
+    if not await asyncio.to_thread(_read_line):
+        raise HostlinkError("there is nobody to press Enter: the input has ended")
+
+
+def _read_line() -> str:
+    return sys.stdin.readline()
+
+
+def _progress(file: Path) -> Iterator[StoredMessage]:
+    """The messages, in a first look at the file."""
+    for number, message in enumerate(Reader(file).messages()):
+        if number % 50_000 == 0 and number:
+            show_progress(f"reading {file}: {number} messages")
+        yield message
+    show_progress("")
+
+
+def _matches(topic: str, patterns: list[str]) -> bool:
+    return any(fnmatch.fnmatchcase(topic, pattern) for pattern in patterns)

@@ -1,0 +1,207 @@
+"""`hostlink record`, `play` and `incidents`, as a person and as a program use them."""
+
+import asyncio
+import json
+import random
+import signal
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hostlink.recording
+from hostlink.client import connect
+from hostlink.recording.reader import Reader, StoredMessage
+from tests.support.fork_server import start
+from tests.support.process import TIMEOUT_S, Process, run, serve, simulated
+
+KILLS = 10
+SPEED_M_S = 0.1
+
+
+def settings(folder: Path) -> tuple[str, ...]:
+    """A daemon that keeps its recordings there."""
+    file = folder / "hostlink.toml"
+    recording = f'[recording]\nfolder = "{folder / "recordings"}"\nmin_free_disk_mb = 0\n'
+    file.write_text(f"{recording}[black_box]\nafter_s = 0.5\n")
+    return ("--config", str(file))
+
+
+async def until_connected(url: str) -> None:
+    async with connect(url) as host, asyncio.timeout(TIMEOUT_S):
+        async for event in host.watch():
+            if event.name == "robots" and any(robot["connected"] for robot in event.data["robots"]):
+                return
+
+
+async def record(daemon: Process, output: Path, *arguments: str, seconds: float = 2.0) -> None:
+    words = ("record", "-o", str(output), "--seconds", str(seconds), *arguments)
+    status, _, err = await run(*words, "--url", daemon.url)
+    assert status == 0, err
+
+
+def of_device(path: Path) -> list[StoredMessage]:
+    return [message for message in Reader(path).messages() if message.channel.origin == "device"]
+
+
+def shown(messages: Iterable[StoredMessage]) -> list[tuple[str, bytes]]:
+    return [(message.channel.topic, message.payload) for message in messages]
+
+
+def find(part: list[tuple[str, bytes]], whole: list[tuple[str, bytes]]) -> int:
+    """Where the part begins in the whole."""
+    return next(at for at in range(len(whole)) if whole[at : at + len(part)] == part)
+
+
+async def test_what_is_played_is_recorded_again_byte_for_byte_at_its_times(tmp_path: Path) -> None:
+    first = tmp_path / "first.mcap"
+    async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
+        await until_connected(daemon.url)
+        async with connect(daemon.url) as host:
+            await host.robot("robot_0").drive(SPEED_M_S, 0.3)
+            await record(daemon, first, "/robot_0/odometry", seconds=3.0)
+    (tmp_path / "again").mkdir()
+    async with serve(*settings(tmp_path / "again")) as daemon:
+        async with connect(daemon.url) as host:
+            recording = await host.post("/api/recordings", {"name": "second"})
+            status, _, err = await run("play", str(first), "--connect", "{}:{}".format(*daemon.tcp))
+            assert status == 0, err
+            await host.post("/api/recordings/second/stop")
+        second = Path((await _folder(daemon)) + "/" + recording["files"][0])
+    before, after = of_device(first), of_device(second)
+    after = [message for message in after if message.channel.topic != "/robot_0/played"]
+    begin = find(shown(before)[:5], shown(after))
+    after = after[begin : begin + len(before)]
+    assert shown(after) == shown(before)
+    shift_s = np.array([(new.stamp_ns - old.stamp_ns) / 1e9 for old, new in zip(before, after, strict=True)])
+    assert np.median(np.abs(shift_s - np.median(shift_s))) < 0.010
+    moved = hostlink.recording.read(second)["/robot_0/odometry"]
+    assert moved["x"].max() > SPEED_M_S
+
+
+async def test_a_played_robot_is_seen_marked_and_obeys_nobody(tmp_path: Path) -> None:
+    first = tmp_path / "first.mcap"
+    async with serve(*settings(tmp_path)) as daemon:
+        async with simulated(daemon.tcp):
+            await until_connected(daemon.url)
+            await record(daemon, first)
+        async with connect(daemon.url) as host:
+            child = await start("play", str(first), "--loop", "--connect", "{}:{}".format(*daemon.tcp))
+            async with host.subscribe("/robot_0/played") as marks, asyncio.timeout(TIMEOUT_S):
+                assert (await anext(aiter(marks)))["data"] == "first.mcap"
+            await until_connected(daemon.url)
+            async with host.subscribe("/robot_0/odometry") as poses:
+                await host.robot("robot_0").drive(0.1, 0.0)
+                assert {"x", "y", "theta"} == set(await anext(aiter(poses)))
+            child.send_signal(signal.SIGINT)
+            assert await child.wait() == 130
+
+
+async def test_a_recording_is_published_by_a_program_and_its_velocities_are_not(tmp_path: Path) -> None:
+    first = tmp_path / "first.mcap"
+    async with serve(*settings(tmp_path)) as daemon:
+        async with simulated(daemon.tcp), connect(daemon.url) as host:
+            await until_connected(daemon.url)
+            await host.robot("robot_0").drive(SPEED_M_S, 0.0)
+            await record(daemon, first)
+        async with connect(daemon.url) as host, host.subscribe("/robot_0/odometry") as poses:
+            words = ("play", str(first), "/robot_0/*", "--as-program", "--rate", "10", "--url", daemon.url)
+            status, _, err = await run(*words)
+            assert (status, "messages played" in err) == (0, True), err
+            assert (await anext(aiter(poses)))["x"] >= 0.0
+            assert "/robot_0/velocity_commands" not in [topic["name"] for topic in await host.topics()]
+
+
+async def test_a_robot_is_driven_by_a_recording_only_when_it_is_named(tmp_path: Path) -> None:
+    first = tmp_path / "first.mcap"
+    async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
+        await until_connected(daemon.url)
+        async with connect(daemon.url) as host:
+            await host.robot("robot_0").drive(SPEED_M_S, 0.0)
+            await record(daemon, first, seconds=3.0)
+            await host.robot("robot_0").stop()
+            before = (await host.robots())[0]["odometry"]
+            assert before is not None
+            status, _, err = await run("play", str(first), "--drive", "robot_0", "--url", daemon.url)
+            assert (status, "driving robot_0 as robot_0 was driven" in err) == (0, True), err
+            after = (await host.robots())[0]
+            assert after["odometry"] is not None
+            assert after["odometry"]["pose"]["x_m"] > before["pose"]["x_m"] + SPEED_M_S
+            assert after["holder"] is None
+
+
+async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path) -> None:
+    random_ = random.Random(1)
+    for number in range(KILLS):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        async with serve(*settings(folder)) as daemon, simulated(daemon.tcp):
+            await until_connected(daemon.url)
+            async with connect(daemon.url, reconnect=False) as host:
+                await host.post("/api/recordings", {"name": "run"})
+            async with connect(daemon.url) as host, host.subscribe("/robot_0/odometry") as poses:
+                async for _ in poses:  # the recording has what its neighbour has
+                    break
+            await asyncio.sleep(random_.uniform(1.2, 2.5))
+            now_ns = await _now_ns(daemon)
+            daemon.child.kill()
+        path = folder / "recordings" / "run.mcap"
+        last_ns = max(message.stamp_ns for message in Reader(path).messages())
+        assert now_ns - last_ns < 1_200_000_000, number
+        status, out, _ = await run("record", "--repair", str(path))
+        assert (status, "it is whole now" in out) == (0, True)
+
+
+async def _folder(daemon: Process) -> str:
+    async with connect(daemon.url) as host:
+        return str((await host.get("/api/recordings"))["folder"])
+
+
+async def _now_ns(daemon: Process) -> int:
+    async with connect(daemon.url) as host:
+        answer = await host.call("/rosapi/get_time", {})
+    return int(answer["time"]["secs"]) * 1_000_000_000 + int(answer["time"]["nsecs"])
+
+
+async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
+    async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
+        assert (await run("incidents", "--url", daemon.url))[1] == "nothing has happened\n"
+        await until_connected(daemon.url)
+        status, out, err = await run("incidents", "--save", "robot_0", "--reason", "it squeaks", "--url", daemon.url)
+        assert (status, out) == (0, ""), err
+        await asyncio.sleep(1.5)
+        (incident,) = json.loads((await run("incidents", "--json", "--url", daemon.url))[1])["incidents"]
+        assert "it squeaks" in (await run("incidents", "--url", daemon.url))[1]
+        file = tmp_path / "incident.mcap"
+        status, out, err = await run("incidents", incident["file"], "-o", str(file), "--url", daemon.url)
+        assert (status, out) == (0, f"{file}\n"), err
+    assert "/robot_0/odometry" in hostlink.recording.read(file)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("play", "none.mcap"), "No such file"),
+        (("play", "/etc/passwd"), "is no MCAP file"),
+        (("record", "--repair", "/etc/passwd"), "is no MCAP file"),
+        (("record", "-o", "/no/such/folder/run.mcap"), "No such file"),
+        (("play", "none.mcap", "/chat"), "--as-program"),
+        (("play", "none.mcap", "--as-program"), "name the topics"),
+        (("incidents", "one"), "-o FILE"),
+    ],
+)
+async def test_what_cannot_be_is_a_line(words: tuple[str, ...], complaint: str) -> None:
+    status, _, err = await run(*words)
+    assert status in (1, 2)
+    assert complaint in err
+    assert err.count("\n") == 1, err
+
+
+async def test_a_play_without_a_host_says_so(tmp_path: Path) -> None:
+    first = tmp_path / "first.mcap"
+    async with serve(*settings(tmp_path)) as daemon, simulated(daemon.tcp):
+        await until_connected(daemon.url)
+        await record(daemon, first, seconds=1.0)
+    status, _, err = await run("play", str(first), "--connect", "127.0.0.1:9")
+    assert (status, "is `hostlink serve` running?" in err) == (1, True)

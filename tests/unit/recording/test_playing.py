@@ -1,0 +1,51 @@
+"""When each message is due, and which robots a recording has."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
+from hostlink.recording.playing import robots_of, schedule
+from hostlink.recording.reader import StoredMessage
+
+SECOND_NS = 1_000_000_000
+
+
+def at(*seconds: float) -> list[StoredMessage]:
+    return [StoredMessage(EVENTS, int(each * SECOND_NS), b"") for each in seconds]
+
+
+def due(*seconds: float, rate: float = 1.0, start_s: float = 0.0) -> list[float]:
+    return [each.at_s for each in schedule(at(*seconds), rate=rate, start_s=start_s)]
+
+
+def channel(robot: str, topic: str, origin: str) -> Channel:
+    return ros_channel(topic, "std_msgs/String", None, is_latched=False, robot=robot, origin=origin)
+
+
+def test_intervals_are_kept_from_the_first_message_on() -> None:
+    assert due(100, 101, 103) == [0, 1, 3]
+    assert due(100, 101, 103, rate=2) == [0, 0.5, 1.5]
+    assert due(100, 101, 103, start_s=1) == [0, 2]
+    assert due() == []
+
+
+def test_a_clock_that_was_set_back_costs_no_interval_and_no_message() -> None:
+    assert due(100, 101, 50, 51, 52) == [0, 1, 1, 2, 3]
+
+
+@given(st.lists(st.integers(0, 10**6), max_size=50), st.floats(0.1, 10))
+def test_every_message_is_due_in_order(seconds: list[int], rate: float) -> None:
+    found = due(*seconds, rate=rate)
+    assert len(found) == len(seconds)
+    assert found == sorted(found)
+
+
+def test_a_robot_has_what_its_device_published_and_its_velocities() -> None:
+    odometry, velocity = channel("a", "/a/odometry", DEVICE), channel("a", "/a/velocity", VELOCITY)
+    others = [channel("a", "/a/odom", HOSTLINK), channel("", "/chat", ""), channel("b", "/b/cmd_vel", VELOCITY), EVENTS]
+    assert robots_of([odometry, *others, velocity]) == {"a": [odometry, velocity]}
+
+
+def test_a_topic_that_was_recorded_twice_is_one() -> None:
+    latched = ros_channel("/a/odometry", "std_msgs/String", None, is_latched=True, robot="a", origin=DEVICE)
+    assert robots_of([channel("a", "/a/odometry", DEVICE), latched]) == {"a": [latched]}
