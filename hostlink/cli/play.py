@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import fnmatch
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,7 +26,7 @@ from hostlink.sim.played_device import PlayedDevice, PlayedTopic
 TWIST = "geometry_msgs/Twist"
 NO_MD5 = "*"
 READY_TIMEOUT_S = 5.0
-SETTLE_S = 0.3  # until the robots' topics are in every graph: what is sent before reaches nobody
+SETTLE_S = 1.0  # until the robots' topics are in every graph: what is sent before reaches nobody
 PROGRESS_S = 0.5
 SOON_S = 0.001
 
@@ -80,7 +80,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
 
 
 async def _play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted: list[str]) -> None:
-    channels = {message.channel for message in _progress(file)}
+    channels = _channels_of(file)
     robots = {name: found for name, found in robots_of(channels).items() if not wanted or name in wanted}
     if not robots:
         there = ", ".join(sorted(robots_of(channels))) or "none: no device was recorded"
@@ -159,7 +159,7 @@ async def _publish(url: str, token: str | None, file: Path, pace: Pace, topics: 
 
 async def _drive(url: str, token: str | None, file: Path, pace: Pace, robot: str, recorded: list[str]) -> None:
     """Drive a robot as the one in the recording was, through its gate; the end of it all stops the robot."""
-    velocities = {each.channel for each in _progress(file) if each.channel.origin == VELOCITY}
+    velocities = [channel for channel in _channels_of(file) if channel.origin == VELOCITY]
     names = sorted({channel.robot for channel in velocities if not recorded or channel.robot in recorded})
     if len(names) != 1:
         raise BadRequest(f"{file} has velocities of {', '.join(names) or 'no robot'}: choose one with --robot")
@@ -222,13 +222,14 @@ def _read_line() -> str:
     return sys.stdin.readline()
 
 
-def _progress(file: Path) -> Iterator[StoredMessage]:
-    """The messages, in a first look at the file."""
-    for number, message in enumerate(Reader(file).messages()):
-        if number % 50_000 == 0 and number:
+def _channels_of(file: Path) -> list[Channel]:
+    """In a first look at the file."""
+    reader = Reader(file)
+    for number, _ in enumerate(reader.messages(), 1):
+        if number % 50_000 == 0:
             show_progress(f"reading {file}: {number} messages")
-        yield message
     show_progress("")
+    return reader.channels
 
 
 def _matches(topic: str, patterns: list[str]) -> bool:

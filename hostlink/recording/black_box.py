@@ -40,6 +40,7 @@ class BlackBox:
         self.rings = Rings(keep_s=config.before_s + config.after_s, max_bytes=int(config.max_memory_mb * MEGABYTE))
         self._hub, self._config = hub, config
         self._rules = IncidentRules()
+        self._channels: dict[Channel, None] = {}
         self._recorder = Recorder(hub, self, Selection(has_derived=False))
         self._observer = hub.join_daemon()
 
@@ -55,6 +56,10 @@ class BlackBox:
         self._observer.leave()
         for incident in list(self.pending):
             await self._save(incident)
+
+    def announce(self, channel: Channel) -> None:
+        """The channels of a robot are in each of its incidents."""
+        self._channels[channel] = None
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         """Keep a message."""
@@ -78,6 +83,7 @@ class BlackBox:
     def _receive(self, event: RobotEvent) -> None:
         if event.kind is EventKind.FORGOTTEN:
             self.rings.forget(event.robot)
+            self._channels = {each: None for each in self._channels if each.robot != event.robot}
             self._rules.forget(event.robot)
         incident = self._rules.observe(event)
         if incident is not None and not self._begin(incident):
@@ -100,7 +106,10 @@ class BlackBox:
             return
         self.pending.remove(incident)
         entries = self.rings.of(incident.robot)
-        write = functools.partial(write_incident, self.folder, incident, entries, before_s=self._config.before_s)
+        channels = [channel for channel in self._channels if channel.robot == incident.robot]
+        write = functools.partial(
+            write_incident, self.folder, incident, channels, entries, before_s=self._config.before_s
+        )
         try:
             path = await asyncio.to_thread(write)
         except OSError as error:
@@ -112,7 +121,9 @@ class BlackBox:
             log.warning("incident.saved", robot=incident.robot, cause=incident.cause, file=str(path))
 
 
-def write_incident(folder: Folder, incident: Incident, entries: list[Entry], *, before_s: float) -> Path:
+def write_incident(
+    folder: Folder, incident: Incident, channels: list[Channel], entries: list[Entry], *, before_s: float
+) -> Path:
     """Write an incident's file, by time; returns where. It waits for the disk.
 
     Raises:
@@ -138,6 +149,8 @@ def write_incident(folder: Folder, incident: Incident, entries: list[Entry], *, 
     beside.unlink(missing_ok=True)
     writer = McapWriter(beside, metadata=metadata)
     try:
+        for channel in channels:
+            writer.announce(channel)
         for entry in sorted(entries, key=lambda entry: entry.stamp_ns):
             if entry.stamp_ns >= first_ns:
                 writer.write(*entry)

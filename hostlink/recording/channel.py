@@ -40,6 +40,10 @@ class Channel:
 class Sink(Protocol):
     """Where a recorder puts messages: a file's writer, a black box. It never waits."""
 
+    def announce(self, channel: Channel) -> None:
+        """There is this channel from now on, though it may have no message: what a robot listens to is part of it."""
+        ...
+
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         """`robot`: whose it is; empty: nobody's."""
         ...

@@ -32,7 +32,7 @@ class Splitting:
 class _Waiting(NamedTuple):
     channel: Channel
     stamp_ns: int
-    payload: bytes
+    payload: bytes | None  # None: the channel is announced
 
 
 class FileThread:
@@ -65,6 +65,7 @@ class FileThread:
         self._on_end, self._on_file = on_end, on_file
         self._loop = loop
         self._waiting: deque[_Waiting] = deque()
+        self._announced: dict[Channel, None] = {}
         self._put_bytes = self._taken_bytes = 0
         self._ending = threading.Event()
         self._ended = asyncio.Event()
@@ -73,6 +74,10 @@ class FileThread:
         self._writer = self._open()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
+
+    def announce(self, channel: Channel) -> None:
+        """Every file has this channel from now on, also without a message."""
+        self._waiting.append(_Waiting(channel, 0, None))
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str = "") -> None:  # noqa: ARG002 - of a Sink
         """Write it soon; dropped and counted while too much waits, or after the end."""
@@ -118,9 +123,13 @@ class FileThread:
         while self._waiting:
             for _ in range(min(BURST, len(self._waiting))):
                 channel, stamp_ns, payload = self._waiting.popleft()
-                self._taken_bytes += len(payload) + MESSAGE_BYTES
-                self._writer.write(channel, stamp_ns, payload)
-                self.messages += 1
+                if payload is None:
+                    self._announced[channel] = None
+                    self._writer.announce(channel)
+                else:
+                    self._taken_bytes += len(payload) + MESSAGE_BYTES
+                    self._writer.write(channel, stamp_ns, payload)
+                    self.messages += 1
             self._keep_time()
         self._keep_time()
 
@@ -142,6 +151,8 @@ class FileThread:
         path = self._path_of(len(self.paths))
         path.parent.mkdir(parents=True, exist_ok=True)
         writer = McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+        for channel in self._announced:
+            writer.announce(channel)
         self.paths.append(path)
         self._begun_s = time.monotonic()
         self._chunk_due_s = self._begun_s + CHUNK_INTERVAL_S

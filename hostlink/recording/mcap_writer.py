@@ -49,7 +49,7 @@ class McapWriter:
 
     def write(self, channel: Channel, stamp_ns: int, payload: bytes) -> None:
         """Add a message to the chunk."""
-        channel_id = self._ids.get(channel) or self._register(channel)
+        channel_id = self.announce(channel)
         self._writer.add_message(channel_id, stamp_ns, payload, stamp_ns, self.messages)
         self.messages += 1
 
@@ -82,6 +82,11 @@ class McapWriter:
         """Close the file as it is: nothing more can be written."""
         with contextlib.suppress(OSError):  # its buffer cannot be written either; the first error was raised already
             self._file.close()
+
+    def announce(self, channel: Channel) -> int:
+        """Its number in the file; a reader knows of it from now on."""
+        channel_id = self._ids.get(channel)
+        return self._register(channel) if channel_id is None else channel_id
 
     def _register(self, channel: Channel) -> int:
         key = (channel.type_name, channel.schema)

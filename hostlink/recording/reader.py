@@ -51,6 +51,11 @@ class Reader:
         except OSError as error:
             raise RecordingFailed(f"{self.path}: {error.strerror}") from error
 
+    @property
+    def channels(self) -> list[Channel]:
+        """Those that were met so far, also without a message."""
+        return list(dict.fromkeys(self._channels.values()))
+
     def _records(self, file: IO[bytes]) -> Iterator[McapRecord]:
         """What is in the file and in its chunks. A chunk that is damaged is left out, with what it contains."""
         records = StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records

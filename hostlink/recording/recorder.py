@@ -95,6 +95,7 @@ class Recorder:
             robot=robot,
             origin=self._origin_of(topic),
         )
+        self._sink.announce(channel)
         receive = functools.partial(self._receive, channel, robot)
         try:
             self._subscriptions[key] = self._participant.subscribe(topic.name, receive, type_name=topic.type_name)

@@ -35,6 +35,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
                 writer.write(*message)
                 if writer.messages % 10_000 == 0:
                     on_progress(writer.messages)
+            for channel in reader.channels:
+                writer.announce(channel)
             writer.add_metadata(reader.metadata)
             writer.close()
             if reader.damage:

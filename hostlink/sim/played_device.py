@@ -8,6 +8,7 @@ from hostlink.cancellation import raise_if_cancelled
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import FIRST_TOPIC_ID, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
+from hostlink.sim.device import MAX_SUBSCRIBERS
 
 READ_BYTES = 4096
 TIME_INTERVAL_S = 2.5  # as every device of the original library: a host takes it for alive
@@ -45,8 +46,13 @@ class PlayedDevice:
 
     def __post_init__(self) -> None:
         mark = PlayedTopic(f"/{self.robot}/{_PLAYED}", _STRING, _STRING_MD5, is_velocity=False)
-        for number, topic in enumerate([mark, *self.topics]):
-            kind, topic_id = Id.SUBSCRIBER if topic.is_velocity else Id.PUBLISHER, FIRST_TOPIC_ID + number
+        subscribed = [topic for topic in self.topics if topic.is_velocity]
+        published = [mark, *(topic for topic in self.topics if not topic.is_velocity)]
+        self._add(Id.PUBLISHER, FIRST_TOPIC_ID + max(MAX_SUBSCRIBERS, len(subscribed)), published)
+        self._add(Id.SUBSCRIBER, FIRST_TOPIC_ID, subscribed)
+
+    def _add(self, kind: Id, first_id: int, topics: list[PlayedTopic]) -> None:
+        for topic_id, topic in enumerate(topics, first_id):
             self._ids[topic.name] = topic_id
             self._infos.append(TopicInfo(kind, topic_id, topic.name, topic.type_name, topic.md5, BUFFER_BYTES))
 

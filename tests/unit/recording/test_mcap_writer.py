@@ -177,3 +177,17 @@ def test_channels_are_values() -> None:
     assert again == CHANNELS[1]
     assert hash(again) == hash(CHANNELS[1])
     assert isinstance(again, Channel)
+
+
+def test_a_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path, metadata={})
+    writer.announce(CHANNELS[0])
+    writer.write(CHANNELS[1], 1, b"")
+    writer.end_chunk()
+    writer.abandon()
+    for _ in range(2):
+        reader = Reader(path)
+        assert len(list(reader.messages())) == 1
+        assert set(reader.channels) == set(CHANNELS[:2])
+        repair(path)
