@@ -14,6 +14,8 @@ from tests.support.fork_server import start
 from tests.support.process import HOSTLINK, run, serve, simulated
 from tests.support.screen import screen
 
+pytestmark = pytest.mark.quiet  # a program that does not run for 0.4 s stops its robot
+
 
 async def until(url: str, is_so: Callable[[RobotState], bool]) -> None:
     """Until the daemon shows the robot so."""
