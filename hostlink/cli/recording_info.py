@@ -1,0 +1,62 @@
+"""What is in a recording, for `hostlink info FILE`."""
+
+import time
+from pathlib import Path
+
+import msgspec
+
+from hostlink.cli.output import table, write
+from hostlink.recording.contents import Contents, TopicContents, contents_of
+
+MEGABYTE = 1_000_000
+NS_PER_S = 1_000_000_000
+
+
+def show_recording(file: Path, *, as_json: bool) -> None:
+    """Write it.
+
+    Raises:
+        RecordingFailed: it cannot be read, or is no recording.
+    """
+    found = contents_of(file)
+    if as_json:
+        write(msgspec.json.encode(_view(found)).decode())
+        return
+    begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.first_ns // NS_PER_S))
+    write(
+        f"{file}: {found.size_bytes / MEGABYTE:.1f} MB, {found.messages} messages, {found.seconds:.1f} s from {begin}",
+        *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
+        *(f"  damage: {damage}; hostlink record --repair {file} mends it" for damage in found.damage),
+        *table(["topic", "type", "messages", "Hz", "robot", "from"], [_row(topic) for topic in found.topics]),
+    )
+
+
+def _row(topic: TopicContents) -> list[str]:
+    channel, rate_hz = topic.channel, topic.rate_hz
+    rate = "" if rate_hz is None else f"{rate_hz:.1f}"
+    return [channel.topic, channel.type_name, str(topic.messages), rate, channel.robot, channel.origin]
+
+
+def _view(found: Contents) -> dict[str, object]:
+    return {
+        "file": str(found.path),
+        "bytes": found.size_bytes,
+        "messages": found.messages,
+        "seconds": round(found.seconds, 6),
+        "begin_ns": found.first_ns,
+        "metadata": found.metadata,
+        "damage": found.damage,
+        "topics": [
+            {
+                "topic": topic.channel.topic,
+                "type": topic.channel.type_name,
+                "encoding": topic.channel.encoding,
+                "robot": topic.channel.robot,
+                "origin": topic.channel.origin,
+                "messages": topic.messages,
+                "bytes": topic.payload_bytes,
+                "rate_hz": None if topic.rate_hz is None else round(topic.rate_hz, 3),
+            }
+            for topic in found.topics
+        ],
+    }

@@ -1,0 +1,145 @@
+"""A recording in other formats, read by those who made the formats."""
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap_ros1.decoder import DecoderFactory
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag2 import Reader as Ros2Reader
+from rosbags.typesys import Stores, get_typestore
+
+from hostlink.errors import RecordingFailed
+from hostlink.messages.catalog import Catalog
+from hostlink.recording.channel import EVENTS, ros_channel
+from hostlink.recording.contents import contents_of
+from hostlink.recording.export_csv import export_csv
+from hostlink.recording.export_ros import RosFormat, export_ros
+from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.plot import draw_fields, draw_map, find_field
+from hostlink.recording.reader import Reader
+from hostlink.recording.tables import read
+
+BEGIN_NS = 1_700_000_000_000_000_000
+STEP_NS = 100_000_000
+ODOMETRY = {
+    "header": {"seq": 7, "stamp": {"secs": 10, "nsecs": 5}, "frame_id": "odom"},
+    "child_frame_id": "base",
+    "pose": {"pose": {"position": {"x": 1.5}}, "covariance": [0.25] * 36},
+}
+
+
+@pytest.fixture
+def catalog(tmp_path: Path) -> Catalog:
+    """With a type that only this user has."""
+    folder = tmp_path / "messages" / "my_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Wheel.msg").write_text("string name\nfloat32[] speeds\ngeometry_msgs/Pose2D pose\n")
+    return Catalog([tmp_path / "messages"])
+
+
+@pytest.fixture
+def recording(tmp_path: Path, catalog: Catalog) -> Path:
+    path = tmp_path / "run.mcap"
+    writer = McapWriter(path, metadata={"owner": "test"})
+    messages: list[tuple[str, str, dict[str, Any]]] = [
+        ("/robot_0/odometry", "geometry_msgs/Pose2D", {"x": 0.5, "y": -1.0, "theta": 2.0}),
+        ("/robot_0/odom", "nav_msgs/Odometry", ODOMETRY),
+        ("/wheel", "my_msgs/Wheel", {"name": "left", "speeds": [1.0, 2.0], "pose": {"x": 3.0}}),
+    ]
+    for number in range(5):
+        for topic, name, fields in messages:
+            type_ = catalog.message(name)
+            assert type_ is not None
+            channel = ros_channel(topic, name, type_, is_latched=False, robot="robot_0", origin="device")
+            writer.write(channel, BEGIN_NS + number * STEP_NS, type_.encode(fields))
+    writer.write(EVENTS, BEGIN_NS, b'{"kind": "locked"}')
+    writer.write(ros_channel("/mystery", "my_msgs/Unknown", None, is_latched=False), BEGIN_NS, b"\1")
+    writer.close()
+    return path
+
+
+def table(file: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(file.read_text())))
+
+
+def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp_path: Path) -> None:
+    lines = export_csv(Reader(recording), tmp_path / "out")
+    assert lines == {"robot_0.odometry.csv": 5, "robot_0.odom.csv": 5, "wheel.csv": 5, "hostlink.events.csv": 1}
+    rows = table(tmp_path / "out" / "robot_0.odometry.csv")
+    assert rows[1] == {"time_s": "1700000000.100000000", "x": "0.5", "y": "-1.0", "theta": "2.0"}
+    odom = table(tmp_path / "out" / "robot_0.odom.csv")[0]
+    assert (odom["pose.pose.position.x"], odom["pose.covariance[35]"]) == ("1.5", "0.25")
+
+
+def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
+    done = export_ros(Reader(recording), tmp_path / "run.bag", RosFormat.ROS1)
+    before = {(message.channel.topic, message.payload) for message in Reader(recording).messages()}
+    with Ros1Reader(tmp_path / "run.bag") as bag:
+        found = [(connection.topic, bytes(payload)) for connection, _, payload in bag.messages()]
+        types = {connection.topic: connection.msgtype for connection in bag.connections}
+    assert (done.messages, list(done.left_out)) == (16, ["/mystery"])
+    assert {each for each in found if not each[0].startswith("/hostlink")} <= before
+    assert types["/wheel"] == "my_msgs/msg/Wheel"
+    (event,) = (payload for topic, payload in found if topic == EVENTS.topic)
+    assert json.loads(event[4:]) == {"kind": "locked"}
+
+
+@pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
+def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
+    recording: Path, tmp_path: Path, format_: RosFormat
+) -> None:
+    done = export_ros(Reader(recording), tmp_path / "bag", format_)
+    store = get_typestore(Stores.ROS2_KILTED)
+    with Ros2Reader(tmp_path / "bag") as bag:
+        messages = [(connection, stamp_ns, payload) for connection, stamp_ns, payload in bag.messages()]
+    assert (done.messages, len(messages), list(done.left_out)) == (16, 16, ["/mystery"])
+    connection, stamp_ns, payload = next(each for each in messages if each[0].topic == "/robot_0/odom")
+    odometry: Any = store.deserialize_cdr(payload, connection.msgtype)
+    assert stamp_ns == BEGIN_NS
+    assert (odometry.header.frame_id, odometry.header.stamp.sec, odometry.pose.pose.position.x) == ("odom", 10, 1.5)
+    assert odometry.pose.covariance.tolist() == [0.25] * 36
+    assert {each.topic for each, _, _ in messages} >= {"/wheel", EVENTS.topic}
+
+
+def test_the_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> None:
+    with recording.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        topics = ["/robot_0/odometry", "/robot_0/odom", "/wheel"]
+        found = {channel.topic: message for _, channel, _, message in reader.iter_decoded_messages(topics=topics)}
+    assert (found["/robot_0/odometry"].x, found["/robot_0/odometry"].theta) == (0.5, 2.0)
+    assert found["/robot_0/odom"].header.frame_id == "odom"
+    assert (found["/wheel"].name, list(found["/wheel"].speeds), found["/wheel"].pose.x) == ("left", [1.0, 2.0], 3.0)
+
+
+def test_a_payload_that_is_none_leaves_its_topic_out_with_the_reason(tmp_path: Path, catalog: Catalog) -> None:
+    writer = McapWriter(tmp_path / "run.mcap", metadata={})
+    text = catalog.message("std_msgs/String")
+    writer.write(ros_channel("/text", "std_msgs/String", text, is_latched=False), BEGIN_NS, b"\xff\xff\xff\xffx")
+    writer.close()
+    done = export_ros(Reader(tmp_path / "run.mcap"), tmp_path / "bag", RosFormat.ROS2_MCAP)
+    assert (done.messages, list(done.left_out)) == (0, ["/text"])
+
+
+def test_contents_are_counted_by_topic(recording: Path) -> None:
+    found = contents_of(recording)
+    assert (found.messages, found.seconds, found.metadata, found.damage) == (17, 0.4, {"owner": "test"}, [])
+    odometry = next(topic for topic in found.topics if topic.channel.topic == "/robot_0/odometry")
+    assert (odometry.messages, odometry.payload_bytes, odometry.rate_hz) == (5, 120, 10.0)
+
+
+def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recording: Path, tmp_path: Path) -> None:
+    tables = read(recording)
+    draw_fields(tables, ["/robot_0/odometry.x", "/robot_0/odom.pose.pose.position.x"], tmp_path / "fields.svg")
+    assert draw_map(tables, tmp_path / "map.png") == 2
+    assert "<svg" in (tmp_path / "fields.svg").read_text()
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(RecordingFailed, match="it has: x, y, theta"):
+        find_field(tables, "/robot_0/odometry.z")
+    with pytest.raises(RecordingFailed, match=r"there are: .*/robot_0/odometry"):
+        find_field(tables, "/robot_1/odometry.x")
+    assert find_field(tables, "/robot_0/odom.header.stamp")[2] == "header.stamp"
