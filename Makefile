@@ -110,6 +110,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python tools/bench_api.py
 	$(BIN)/python tools/bench_crowd.py
 	$(BIN)/python tools/bench_messages.py
+	$(BIN)/python tools/bench_recording.py
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto tests/property

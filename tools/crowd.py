@@ -7,6 +7,7 @@ say nothing.
     python tools/crowd.py silent 10000 HOST:PORT SECONDS     # so many connections, kept open as long as the host does
     python tools/crowd.py flood 1 HOST:PORT SECONDS          # so many devices that publish poses as fast as they can
     python tools/crowd.py mixed 16 HOST:PORT SECONDS         # the same, each with frames of another kind
+    python tools/crowd.py steady 10 HOST:PORT SECONDS        # so many devices, each with 1,000 poses a second
 
 They come from addresses of their own (127.0.0.2 and up), so that each has the bounds of one address. Prints
 "ready" when all are there, and a JSON object at the end.
@@ -39,6 +40,7 @@ TIME = encode(Id.TIME, bytes(8))
 POSE = encode(125, struct.pack("<3d", 1.0, 2.0, 0.5))
 VOLTAGE = encode(126, struct.pack("<f", 12.1))
 CONNECT_TIMEOUT_S = 10.0
+STEADY_HZ = 1000
 FLOOD_BYTES = 65536  # of one write
 
 
@@ -124,6 +126,30 @@ async def devices(
 async def fleet(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
     """Robots that tell the voltage of their batteries, too."""
     await devices(count, host, port, seconds, counts, has_battery=True)
+
+
+async def steady(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
+    """Devices with STEADY_HZ poses a second each, no two of a device alike."""
+    loop = asyncio.get_running_loop()
+    made: list[Device] = []
+    for number in range(count):
+        device = Device(hello(f"crowd_{number}"), counts)
+        await loop.create_connection(lambda device=device: device, host, port, local_addr=(source(number), 0))  # type: ignore[misc]
+        made.append(device)
+    await asyncio.sleep(1.0)
+    for device in made:
+        device.send(TIME)
+    ready()
+    began_s, sent = loop.time(), 0
+    while sent < seconds * STEADY_HZ:
+        sent += STEADY_HZ // 50
+        numbers = range(sent, sent + STEADY_HZ // 50)
+        poses = b"".join(encode(125, struct.pack("<3d", each / 1000, 2.0, 0.5)) for each in numbers)
+        for device in made:
+            device.send(poses + TIME if sent % (2 * STEADY_HZ) == 0 else poses)
+        await asyncio.sleep(max(0.0, began_s + sent / STEADY_HZ - loop.time()))
+    counts["poses"] = sent * count
+    counts["behind_ms"] = round(1000 * (loop.time() - began_s - seconds))
 
 
 async def vanish(count: int, host: str, port: int, seconds: float, counts: Counter[str]) -> None:
@@ -248,7 +274,15 @@ def ready() -> None:
 
 
 CATALOG = Catalog()
-CROWDS = {"devices": devices, "fleet": fleet, "vanish": vanish, "silent": silent, "flood": flood, "mixed": mixed}
+CROWDS = {
+    "devices": devices,
+    "fleet": fleet,
+    "vanish": vanish,
+    "silent": silent,
+    "flood": flood,
+    "mixed": mixed,
+    "steady": steady,
+}
 KINDS = (
     POSE,
     logs(1),
