@@ -165,6 +165,7 @@ void wheel_aim(Wheel* wheel, float ticks_s) { wheel->aim(ticks_s); }
 float wheel_step(Wheel* wheel, uint32_t edges, float dt_s) { return wheel->step(edges, dt_s); }
 int wheel_pwm(Wheel* wheel) { return wheel->pwm(); }
 float wheel_speed(Wheel* wheel) { return wheel->speed_ticks_s(); }
+float wheel_set_point(Wheel* wheel) { return wheel->set_point_ticks_s(); }
 
 int pwm_of(float wanted) { return motor_output(wanted); }
 Drive* drive_new(float left_m, float right_m, float left_ticks, float right_ticks, float separation_m) {

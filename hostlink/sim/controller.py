@@ -49,7 +49,12 @@ RIGHT_GAINS = Gains(24.0, 35.0, 0.1)
 
 
 class MinimumJerk:
-    """A set-point that goes from where it is to a target without a jerk."""
+    """A set-point that goes from where it is to a target without a jerk; the firmware's, operation by operation.
+
+    Its slope is at most 1.875 / S_PER_TICK_S, and it never passes the target. A further or nearer target the same way
+    keeps the slope, so that commands which change ten times a second add up to one motion; one the other way begins at
+    zero slope.
+    """
 
     def __init__(self) -> None:
         self.value = self.target = 0.0
@@ -58,14 +63,22 @@ class MinimumJerk:
 
     def aim(self, target: float) -> None:
         """Go to a new target from the present value; the same target again changes nothing."""
-        if target != self.target:
-            self._from, self.target = self.value, target
-            self._elapsed_s, self._length_s = 0.0, abs(target - self.value) * S_PER_TICK_S
+        if target == self.target:
+            return
+        rest = target - self.value
+        goes_on = rest * (self.target - self.value) > 0.0
+        s = self._rising_phase() if goes_on else 0.0
+        # The slope of each curve is 30 s^2 (1-s)^2 / S_PER_TICK_S, whatever its way.
+        way = rest / (1.0 - travelled(1.0, s))
+        self._from = self.value - travelled(way, s)
+        self.target = target
+        self._length_s = abs(way) * S_PER_TICK_S
+        self._elapsed_s = s * self._length_s
 
     def stop(self) -> None:
         """Be at zero now."""
         self.value = self.target = self._from = 0.0
-        self._length_s = 0.0
+        self._elapsed_s = self._length_s = 0.0
 
     def begin_at_zero(self) -> None:
         """Go to the target from a standstill."""
@@ -76,9 +89,19 @@ class MinimumJerk:
     def step(self, dt_s: float) -> float:
         """The set-point after `dt_s` more."""
         self._elapsed_s += dt_s
-        s = 1.0 if self._length_s <= 0 else min(self._elapsed_s / self._length_s, 1.0)
-        self.value = self._from + (self.target - self._from) * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        if not self._elapsed_s < self._length_s:  # also when there is no way to go
+            self.value = self.target
+            self._elapsed_s = self._length_s
+        else:
+            self.value = self._from + travelled(self.target - self._from, self._elapsed_s / self._length_s)
         return self.value
+
+    def _rising_phase(self) -> float:
+        """Where in its first half a curve has the present slope: the second half has the same slopes, and is slower."""
+        if not self._elapsed_s < self._length_s:
+            return 0.0
+        s = self._elapsed_s / self._length_s
+        return s if s < 0.5 else 1.0 - s  # noqa: PLR2004
 
 
 class RecentSpeed:
@@ -276,6 +299,11 @@ class WheelWatch:
         requested_ticks_s = wheel.requested_ticks_s
         allowed_ticks_s = max(requested_ticks_s + RUNAWAY_TICKS_S, requested_ticks_s * RUNAWAY_FACTOR)
         return wheel.recent.ticks > allowed_ticks_s * wheel.recent.seconds
+
+
+def travelled(way: float, s: float) -> float:
+    """What a minimum-jerk curve has travelled of its way after the share `s` of its time."""
+    return way * s * s * s * (10.0 + s * (-15.0 + 6.0 * s))
 
 
 def has_lasted(time_s: float, wanted_s: float) -> bool:

@@ -24,6 +24,7 @@ FLAGS = [
     "-Wshadow",
     "-Wdouble-promotion",
     "-Werror",
+    "-ffp-contract=off",  # the digits of its Python twins, and of a Cortex-M3 without an FPU, on every processor
 ]
 SANITIZER = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
 OUT_BYTES = 65536
@@ -72,6 +73,7 @@ _SIGNATURES = {
     "wheel_step": (_F, _P, ctypes.c_uint32, _F),
     "wheel_pwm": (ctypes.c_int, _P),
     "wheel_speed": (_F, _P),
+    "wheel_set_point": (_F, _P),
     "pwm_of": (ctypes.c_int, _F),
     "drive_new": (_P, _F, _F, _F, _F, _F),
     "drive_delete": (None, _P),

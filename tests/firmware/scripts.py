@@ -42,6 +42,12 @@ class Script:
         return (CONNECT_MS + sum(ms for _, _, ms in self.pieces)) // ROW_MS
 
     @property
+    def reversals(self) -> int:
+        """How often a wheel is commanded the other way, of the one that is so more often."""
+        signs = np.sign(self.commanded)
+        return max(int(np.count_nonzero(np.diff(wheel[wheel != 0.0]))) for wheel in signs.T)
+
+    @property
     def commanded(self) -> np.ndarray:
         """A row to each of the trace: what the wheels were commanded, left and right, in ticks/s."""
         silent = np.zeros((CONNECT_MS // ROW_MS, 2))
@@ -124,6 +130,28 @@ def draw(seed: int) -> Script:
         right=right,
     )
     return Script(world.changed({}), tuple(_story(random)))
+
+
+def draw_joystick(seed: int) -> Script:
+    """The same world, and a hand on a stick in it: a new command every 20 to 200 ms, and now and then a zero."""
+    return Script(draw(seed).world, tuple(_strokes(np.random.default_rng((seed, 1)))))
+
+
+def _strokes(random: np.random.Generator) -> list[tuple[float, float, int]]:
+    pieces = []
+    interval_ms = 10 * int(random.integers(2, 21))
+    now = np.zeros(2)
+    for _ in range(random.integers(2, 7)):
+        aim = np.array([random.uniform(-0.34, 0.34), random.choice([0.0, random.uniform(-1.5, 1.5)])])
+        share, tremble = random.uniform(0.05, 0.5), random.choice([0.0, 0.001, 0.01])
+        for _ in range(random.integers(5, 41)):
+            now = now + share * (aim - now)
+            linear, angular = now + tremble * random.uniform(-1.0, 1.0, 2)
+            pieces.append((float(linear), float(angular), interval_ms))
+        if random.integers(3) == 0:
+            pieces.append((0.0, 0.0, int(random.choice([40, 100, 600]))))
+            now = np.zeros(2)
+    return [*pieces, (0.0, 0.0, STANDS_MS)]
 
 
 def _story(random: np.random.Generator) -> list[tuple[float, float, int]]:

@@ -4,7 +4,7 @@ A share here; `make soak` sets HOSTLINK_DRIVES to 5000 and HOSTLINK_DRIVES_M3 to
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from hostlink.sim.world_library import load_library
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters
 from tests.firmware.boards import build_m3, build_native
 from tests.firmware.drive_checks import check_odometry, check_speed, check_standstill
-from tests.firmware.scripts import CONNECT_MS, STANDS_MS, Script, column, draw, run_m3, run_native, trace
+from tests.firmware.scripts import CONNECT_MS, STANDS_MS, Script, column, draw, draw_joystick, run_m3, run_native, trace
 
 DRIVES = int(os.environ.get("HOSTLINK_DRIVES", "400"))
 DRIVES_M3 = int(os.environ.get("HOSTLINK_DRIVES_M3", "2"))
@@ -49,33 +49,37 @@ def built() -> None:
 def check(script: Script, rows: np.ndarray) -> None:
     """One drive; the first half second has no command yet."""
     made, start = trace(rows), CONNECT_MS // ROW_MS
-    check_odometry(made.since(start), len(script.pieces) // 2)
+    check_odometry(made.since(start), script.reversals)
     check_speed(made.since(start), script.commanded[start:])
     check_standstill(made.since(len(rows) - STANDS_MS // ROW_MS - 1), script.world)
     assert not np.any(column(rows, "left_fault")), "a fault of the left wheel"
     assert not np.any(column(rows, "right_fault")), "a fault of the right wheel"
 
 
-def wrong_of(seeds: range, folder: Path | None = None) -> list[str]:
+def wrong_of(scripts: Iterable[Script], folder: Path | None = None) -> list[str]:
     wrong = []
-    for seed in seeds:
-        script = draw(seed)
+    for script in scripts:
         rows = run_native(script.text, script.rows) if folder is None else run_m3(script.text, folder)
         try:
             check(script, rows)
         except AssertionError as error:
-            wrong.append(f"seed {seed}: {error}")
+            wrong.append(f"seed {script.world.seed:.0f}: {error}")
     return wrong
 
 
+stories = pytest.mark.parametrize("story", [draw, draw_joystick], ids=["pieces", "joystick"])
+
+
+@stories
 @pytest.mark.timeout(60 + DRIVES)
-def test_no_drive_of_the_native_firmware_is_wrong() -> None:
-    assert wrong_of(range(DRIVES)) == []
+def test_no_drive_of_the_native_firmware_is_wrong(story: Callable[[int], Script]) -> None:
+    assert wrong_of(map(story, range(DRIVES))) == []
 
 
+@stories
 @pytest.mark.timeout(60 + 30 * DRIVES_M3)
-def test_no_drive_of_the_emulated_firmware_is_wrong(tmp_path: Path) -> None:
-    assert wrong_of(range(DRIVES_M3), tmp_path) == []
+def test_no_drive_of_the_emulated_firmware_is_wrong(story: Callable[[int], Script], tmp_path: Path) -> None:
+    assert wrong_of(map(story, range(DRIVES_M3)), tmp_path) == []
 
 
 def changed(rows: np.ndarray, name: str, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:

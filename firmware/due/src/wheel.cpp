@@ -9,14 +9,30 @@ float magnitude(float value) { return value < 0.0f ? -value : value; }
 // Times are sums of turns: half a turn less, so that rounding decides nothing.
 bool has_lasted(float time_s, float wanted_s) { return time_s > wanted_s - static_cast<float>(kLoopUs) * 0.5e-6f; }
 
+// What a minimum-jerk curve has travelled of its way after the share s of its time.
+float travelled(float way, float s) { return way * s * s * s * (10.0f + s * (-15.0f + 6.0f * s)); }
+
 }  // namespace
 
+// The slope of each curve is 30 s^2 (1-s)^2 / kSecondsPerTick, whatever its way: one that begins at s has the slope
+// that the set-point has there. Its way is then what is left, divided by the share that a curve has left at s.
 void MinimumJerk::aim(float target) {
   if (target == target_) return;
-  from_ = value_;
+  const float rest = target - value_;
+  const bool goes_on = rest * (target_ - value_) > 0.0f;
+  const float s = goes_on ? rising_phase() : 0.0f;
+  const float way = rest / (1.0f - travelled(1.0f, s));
+  from_ = value_ - travelled(way, s);
   target_ = target;
-  elapsed_s_ = 0.0f;
-  length_s_ = magnitude(target - value_) * kSecondsPerTick;
+  length_s_ = magnitude(way) * kSecondsPerTick;
+  elapsed_s_ = s * length_s_;
+}
+
+// Where in its first half a curve has the present slope: the second half has the same slopes, and is slower.
+float MinimumJerk::rising_phase() const {
+  if (!(elapsed_s_ < length_s_)) return 0.0f;
+  const float s = elapsed_s_ / length_s_;
+  return s < 0.5f ? s : 1.0f - s;
 }
 
 void MinimumJerk::stop_at_once() {
@@ -37,8 +53,7 @@ float MinimumJerk::step(float dt_s) {
     elapsed_s_ = length_s_;
     return value_;
   }
-  const float s = elapsed_s_ / length_s_;
-  value_ = from_ + (target_ - from_) * s * s * s * (10.0f + s * (-15.0f + 6.0f * s));
+  value_ = from_ + travelled(target_ - from_, elapsed_s_ / length_s_);
   return value_;
 }
 

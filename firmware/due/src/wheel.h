@@ -8,7 +8,9 @@
 
 namespace hostlink {
 
-// A set-point that goes from where it is to a target without a jerk.
+// A set-point that goes from where it is to a target without a jerk. Its slope is at most 1.875 / kSecondsPerTick, and
+// it never passes the target. A further or nearer target the same way keeps the slope, so that commands which change
+// ten times a second add up to one motion; one the other way begins at zero slope.
 class MinimumJerk {
  public:
   void aim(float target);  // the same target again changes nothing
@@ -19,6 +21,8 @@ class MinimumJerk {
   float target() const { return target_; }
 
  private:
+  float rising_phase() const;
+
   float value_ = 0.0f;
   float target_ = 0.0f;
   float from_ = 0.0f;

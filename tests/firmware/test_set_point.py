@@ -1,0 +1,256 @@
+"""The wheels' set-point under commands that change, as a joystick, a ramp or a controller sends them.
+
+The firmware's curve and the simulator's, and the whole firmware in a world.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from itertools import count, repeat
+from typing import Protocol
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from hostlink.sim import controller
+from hostlink.sim.controller import LEFT_GAINS, Feedback, WheelController
+from hostlink.sim.firmware_world import COMMAND_S, FirmwareWorld
+from hostlink.sim.world_library import load_library
+from tests.firmware.boards import build_native
+from tests.firmware.due import library, made
+
+LOOP_S = 1 / 30
+FULL_TICKS_S = 280.0
+STEEPEST_TICKS_S2 = 1.875 / controller.S_PER_TICK_S  # of each minimum-jerk curve, however long its way
+ROUNDING_TICKS_S = 0.001
+HUGE = 2.0**122
+LAG_S = 0.1
+Story = list[tuple[float, int]]  # targets, and the turns of the loop until the next one
+
+
+class Curve(Protocol):
+    """A set-point."""
+
+    def aim(self, target: float) -> None: ...
+    def step(self, dt_s: float) -> float: ...
+
+
+class FirmwareCurve:
+    """MinimumJerk of wheel.h."""
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+
+    def aim(self, target: float) -> None:
+        library().jerk_aim(self._handle, target)
+
+    def step(self, dt_s: float) -> float:
+        return float(library().jerk_step(self._handle, dt_s))
+
+
+@contextmanager
+def firmware_curve() -> Iterator[Curve]:
+    with made("jerk") as handle:
+        yield FirmwareCurve(handle)
+
+
+def simulated_curve() -> AbstractContextManager[Curve]:
+    return nullcontext(controller.MinimumJerk())
+
+
+CurveOf = Callable[[], AbstractContextManager[Curve]]
+both = pytest.mark.parametrize("curve_of", [firmware_curve, simulated_curve], ids=["firmware", "simulator"])
+steps_s = st.sampled_from([0.001, 0.01, LOOP_S, 0.05, 0.2])
+
+
+@st.composite
+def joysticks(draw: st.DrawFn) -> Story:
+    """Creeping, sweeping, trembling and jumping, with a new command every few turns."""
+    target, story = 0.0, []
+    change = st.just(0.0) | st.floats(-15.0, 15.0, width=32) | st.floats(-500.0, 500.0, width=32)
+    for by, tremble, commands, turns in draw(
+        st.lists(
+            st.tuples(change, st.sampled_from([0.0, 0.8, 5.0]), st.integers(1, 15), st.integers(1, 10)), max_size=6
+        )
+    ):
+        for number in range(commands):
+            target = max(-FULL_TICKS_S, min(FULL_TICKS_S, target + by))
+            story.append((float(np.float32(target + tremble * (-1) ** number)), turns))
+    return story
+
+
+@both
+@given(joysticks(), steps_s)
+def test_it_goes_to_each_target_never_past_it_and_no_faster_than_the_paper_s_curve(
+    curve_of: CurveOf, story: Story, dt_s: float
+) -> None:
+    with curve_of() as curve:
+        value = 0.0
+        for target, turns in story:
+            curve.aim(target)
+            for _ in range(turns):
+                before, value = value, curve.step(dt_s)
+                assert min(before, target) - ROUNDING_TICKS_S <= value <= max(before, target) + ROUNDING_TICKS_S
+                assert abs(value - before) <= STEEPEST_TICKS_S2 * dt_s + ROUNDING_TICKS_S
+
+
+@both
+@given(joysticks(), steps_s, st.floats(-FULL_TICKS_S, FULL_TICKS_S, width=32))
+def test_a_changed_command_is_reached_no_later_than_by_a_curve_from_a_standstill(
+    curve_of: CurveOf, story: Story, dt_s: float, last: float
+) -> None:
+    with curve_of() as curve:
+        value = 0.0
+        for target, turns in story:
+            curve.aim(target)
+            for _ in range(turns):
+                value = curve.step(dt_s)
+        curve.aim(last)
+        if story and last == story[-1][0]:
+            return
+        for _ in range(math.ceil(abs(last - value) * controller.S_PER_TICK_S / dt_s * 1.001) + 1):
+            value = curve.step(dt_s)
+        assert value == last
+
+
+@both
+@given(
+    first=st.floats(40.0, FULL_TICKS_S, width=32),
+    share=st.floats(0.02, 0.98),
+    further=st.floats(20.0, 500.0, width=32),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
+def test_another_target_the_same_way_keeps_the_slope(
+    curve_of: CurveOf, first: float, share: float, further: float, sign: float
+) -> None:
+    """Over a millisecond a curve of 20 ticks/s or more changes its slope by less than 1 tick/s2."""
+    with curve_of() as curve:
+        curve.aim(sign * first)
+        values = [curve.step(0.001) for _ in range(math.ceil(share * first * controller.S_PER_TICK_S / 0.001))]
+        curve.aim(float(np.float32(values[-1] + sign * further)))
+        values.append(curve.step(0.001))
+    before, after = np.diff(np.array([0.0, 0.0, *values]))[-2:] / 0.001
+    assert after == pytest.approx(before, abs=2.0)
+
+
+@both
+@given(joysticks())
+def test_a_repeated_command_changes_nothing(curve_of: CurveOf, story: Story) -> None:
+    with curve_of() as once, curve_of() as again:
+        for target, turns in story:
+            once.aim(target)
+            for _ in range(turns):
+                again.aim(target)
+                assert again.step(LOOP_S) == once.step(LOOP_S)
+
+
+@both
+@given(
+    rate=st.floats(1.0, 90.0),
+    turns=st.integers(1, 6),
+    tremble=st.floats(0.0, 1.0),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
+def test_a_ramp_of_small_changes_is_followed(
+    curve_of: CurveOf, rate: float, turns: int, tremble: float, sign: float
+) -> None:
+    """At up to 90 ticks/s2 (0.11 m/s2) the set-point is behind by what the command changes in LAG_S."""
+    with curve_of() as curve:
+        for number in range(round(4.0 / LOOP_S / turns)):
+            target = rate * number * turns * LOOP_S + tremble * (-1) ** number
+            curve.aim(sign * target)
+            for _ in range(turns):
+                value = sign * curve.step(LOOP_S)
+            assert target - value <= rate * LAG_S + 2.0 * tremble
+
+
+hostile = st.floats(-HUGE, HUGE, width=32) | st.sampled_from([2.0**-149, -(2.0**-149), HUGE, -HUGE, 0.0])
+
+
+@both
+@given(st.lists(st.tuples(hostile, st.integers(0, 3)), max_size=20), st.floats(1e-6, 0.2))
+@example([(2.0**-146, 0), (2.0**100, 0), (HUGE, 2)], LOOP_S)
+def test_any_number_leaves_a_number(curve_of: CurveOf, story: Story, dt_s: float) -> None:
+    with curve_of() as curve:
+        for target, turns in story:
+            curve.aim(target)
+            assert all(math.isfinite(curve.step(dt_s)) for _ in range(turns))
+
+
+@given(joysticks(), steps_s)
+def test_firmware_and_simulator_compute_the_same_digits(story: Story, dt_s: float) -> None:
+    """The simulator's curve in single precision, as the firmware has it."""
+    twin, single_dt_s = controller.MinimumJerk(), np.float32(dt_s)
+    with firmware_curve() as curve:
+        for target, turns in story:
+            curve.aim(target)
+            twin.aim(np.float32(target))
+            for _ in range(turns):
+                value = twin.step(single_dt_s)
+                assert curve.step(dt_s) == float(value)
+
+
+@given(joysticks())
+def test_a_zero_stops_at_once_and_the_next_motion_begins_without_slope(story: Story) -> None:
+    twin = WheelController(LEFT_GAINS)
+    with made("wheel", Feedback.WASHED_OUT.value) as wheel:
+        for target, turns in [*story, (200.0, 20)]:
+            library().wheel_aim(wheel, target)
+            twin.aim(target)
+            for _ in range(turns):
+                library().wheel_step(wheel, 2, LOOP_S)
+                twin.step(2, LOOP_S)
+        library().wheel_aim(wheel, 0.0)
+        twin.aim(0.0)
+        assert (library().wheel_set_point(wheel), twin.set_point.value) == (0.0, 0.0)
+        library().wheel_step(wheel, 0, LOOP_S)
+        twin.step(0, LOOP_S)
+        assert (library().wheel_pwm(wheel), twin.pwm) == (0, 0)
+        begin_again(wheel, twin)
+
+
+def begin_again(wheel: int, twin: WheelController) -> None:
+    """In its first turn a curve of 200 ticks/s goes 0.002 of them."""
+    library().wheel_aim(wheel, 200.0)
+    twin.aim(200.0)
+    library().wheel_step(wheel, 0, LOOP_S)
+    twin.step(0, LOOP_S)
+    assert abs(library().wheel_set_point(wheel)) < 0.01
+    assert abs(twin.set_point.value) < 0.01
+
+
+@pytest.fixture(scope="module")
+def world_built() -> None:
+    """The library, compiled before the clock of the first test runs."""
+    build_native()
+    load_library.cache_clear()
+
+
+def reached_s(commands: Iterable[float], share: float = 0.95) -> float:
+    """When a robot that gets a new velocity every tenth of a second has so much of 0.2 m/s; at most 30 s."""
+    robot = FirmwareWorld()
+    robot.connect()
+    for number, command in zip(range(300), commands, strict=False):
+        robot.drive(command, 0.0, COMMAND_S)
+        if abs(robot.world.left.speed_m_s) >= share * 0.2:
+            return (number + 1) * COMMAND_S
+    return math.inf
+
+
+@pytest.mark.usefixtures("world_built")
+@pytest.mark.parametrize("acceleration_m_s2", [0.03, 0.1, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_robot_follows_a_stick_no_later_than_a_single_command_after_it(
+    acceleration_m_s2: float, sign: float
+) -> None:
+    ramp = (sign * min(0.2, acceleration_m_s2 * COMMAND_S * (number + 1)) for number in count())
+    assert reached_s(ramp) <= 0.2 / acceleration_m_s2 + reached_s(repeat(sign * 0.2))
+
+
+@pytest.mark.usefixtures("world_built")
+@pytest.mark.parametrize("amplitude_m_s", [0.0001, 0.001, 0.005])
+def test_a_trembling_stick_drives_the_robot(amplitude_m_s: float) -> None:
+    trembling = (0.2 + amplitude_m_s * math.sin(4.0 * number) for number in count())
+    assert reached_s(trembling) <= reached_s(repeat(0.2)) + COMMAND_S
