@@ -312,8 +312,8 @@ def has_lasted(time_s: float, wanted_s: float) -> bool:
 
 
 def motor_output(wanted: float) -> int:
-    """The PWM with a sign: nothing up to 10, at least 700 above, 4095 at the most."""
+    """The PWM with a sign: nothing up to 10, at least 700 above, 4095 at the most; what is no number is nothing."""
     size = min(abs(wanted), FULL_PWM)
-    if size <= DEAD_BAND_PWM:
+    if not size > DEAD_BAND_PWM:  # NaN compares false
         return 0
     return round(max(size, LEAST_PWM)) * (1 if wanted > 0 else -1)

@@ -203,6 +203,12 @@ class SimulatedRobot:
     def _receive_velocity(self, payload: bytes) -> None:
         twist: dict[str, Any] = self._types["Twist"].decode(payload)
         linear_m_s, angular_rad_s = twist["linear"]["x"], twist["angular"]["z"]
+        if not all(map(math.isfinite, self.geometry.wheel_speeds(linear_m_s, angular_rad_s))):
+            self._command(0.0, 0.0)
+            self._commanded_at_s = None
+            self.errors.raise_(Error.NO_NUMBER, self._now_s)
+            self.device.log(_ERROR, "a velocity that is no number: stopped", self._now_s)
+            return
         self._has_zero |= linear_m_s == angular_rad_s == 0
         if not self._is_faulted:
             self._commanded_at_s = self._now_s

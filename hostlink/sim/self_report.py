@@ -18,6 +18,7 @@ class Error(IntEnum):
     LEFT_RUNAWAY = 21
     RIGHT_RUNAWAY = 22
     NO_COMMAND = 31
+    NO_NUMBER = 33
     REFUSED = 34
     BATTERY_LOW = 51
 

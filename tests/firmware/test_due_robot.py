@@ -135,8 +135,9 @@ def test_it_publishes_ten_times_a_second() -> None:
 
 
 @pytest.mark.parametrize(
-    "last", [b"", velocity(0.0, 0.0), velocity(math.nan, 0.0), velocity(0.2, math.inf), STOP_REQUEST],
-    ids=["silence", "zero", "NaN", "infinite", "host stops"],
+    "last",
+    [b"", velocity(0.0, 0.0), velocity(math.nan, 0.0), velocity(0.2, math.inf), velocity(3e38, 0.0), STOP_REQUEST],
+    ids=["silence", "zero", "NaN", "infinite", "infinite ticks", "host stops"],
 )  # fmt: skip
 @pytest.mark.parametrize(
     "starts_at_s", [1.0, 2**32 / 1e6 - 3.0, 2**32 / 1e3 - 3.0], ids=["", "micros wrap", "millis wrap"]

@@ -254,3 +254,19 @@ def test_the_robot_follows_a_stick_no_later_than_a_single_command_after_it(
 def test_a_trembling_stick_drives_the_robot(amplitude_m_s: float) -> None:
     trembling = (0.2 + amplitude_m_s * math.sin(4.0 * number) for number in count())
     assert reached_s(trembling) <= reached_s(repeat(0.2)) + COMMAND_S
+
+
+@pytest.mark.usefixtures("world_built")
+@given(st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=5))
+@example([(3e38, 0.0)])
+@example([(1e300, -1e300)])
+def test_a_velocity_that_is_no_number_stops_and_the_next_one_drives(commands: list[tuple[float, float]]) -> None:
+    robot = FirmwareWorld()
+    robot.connect()
+    for linear, angular in commands:
+        robot.drive(linear, angular, COMMAND_S)
+        assert all(abs(robot.row[f"{side}_set_ticks_s"]) <= FULL_TICKS_S + 0.01 for side in ("left", "right"))
+    robot.drive(0.0, 0.0, 1.0)
+    robot.drive(3e38, 0.0, COMMAND_S)
+    robot.drive(0.2, 0.0, 3.0)
+    assert robot.world.left.speed_m_s > 0.1

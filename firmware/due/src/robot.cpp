@@ -271,18 +271,18 @@ void Robot::publish() {
 
 void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   Robot& robot = *static_cast<Robot*>(self);
-  const float linear_m_s = read_float64(payload);
-  const float angular_rad_s = read_float64(payload + 5 * kFloat64Bytes);
-  const bool is_number = linear_m_s - linear_m_s == 0.0f && angular_rad_s - angular_rad_s == 0.0f;
+  float left_ticks_s = 0.0f;
+  float right_ticks_s = 0.0f;
+  robot.drive_.wheel_speeds(read_float64(payload), read_float64(payload + 5 * kFloat64Bytes), left_ticks_s,
+                            right_ticks_s);
+  // Of the ticks, not of the metres: a velocity may be finite and its ticks not. Scaling those gives no number.
+  const bool is_number = left_ticks_s - left_ticks_s == 0.0f && right_ticks_s - right_ticks_s == 0.0f;
   if (!is_number) {
     robot.stop();
     robot.raise(Error::kNoNumber);
     robot.node_.log(kError, "a velocity that is no number: stopped");
     return;
   }
-  float left_ticks_s = 0.0f;
-  float right_ticks_s = 0.0f;
-  robot.drive_.wheel_speeds(linear_m_s, angular_rad_s, left_ticks_s, right_ticks_s);
   if (left_ticks_s == 0.0f && right_ticks_s == 0.0f) {
     robot.has_zero_ = true;
     robot.stop();  // now, not with the next turn; and who stands needs no watching

@@ -154,7 +154,8 @@ def test_gains_by_message() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "pwm"), [(0, 0), (10, 0), (11, 700), (700, 700), (701, 701), (4095, 4095), (5000, 4095), (-11, -700)]
+    ("wanted", "pwm"),
+    [(0, 0), (10, 0), (11, 700), (700, 700), (701, 701), (4095, 4095), (5000, 4095), (-11, -700), (math.nan, 0)],
 )
 def test_the_dead_band(wanted: float, pwm: int) -> None:
     assert motor_output(wanted) == pwm
@@ -208,6 +209,17 @@ def test_a_blocked_wheel_stops_both_is_logged_once_and_waits_for_a_zero() -> Non
     track.drive(0.2, 0.0, 3.0)
     assert min(pwms(track)) > 0
     assert len(errors(track)) == 1
+
+
+@pytest.mark.parametrize(("linear", "angular"), [(math.nan, 0.0), (0.2, math.inf), (1e308, 0.0), (1e308, -1e308)])
+def test_a_velocity_that_is_no_number_stops_it_and_the_next_one_drives(linear: float, angular: float) -> None:
+    track = Track()
+    track.drive(0.2, 0.0, 2.0)
+    track.drive(linear, angular, LOOP_S)
+    assert pwms(track) == [0, 0]
+    assert errors(track) == ["a velocity that is no number: stopped"]
+    track.drive(0.2, 0.0, 3.0)
+    assert track.robot.speed_m_s > 0.1
 
 
 @pytest.mark.parametrize(("fault", "reported"), [("stalled_wheel", "stalled"), ("runaway_wheel", "runs away")])
