@@ -20,7 +20,9 @@ HIGH_PWM = 2048  # turns any wheel that is free
 STALLED_S = 0.5  # with a high PWM and no edge
 BLIND_S = 5.0  # with any PWM and no edge
 RECENT_TURNS = 6  # a fifth of a second: the filter is late by a third of one
-TOO_FAST_FACTOR = 1.05  # of the requested speed: from here a wheel brakes, whatever the PID computes
+REQUEST_TURNS = 9  # 0.3 s: a wheel follows its set-point that much later
+TOO_FAST_FACTOR = 1.05  # of the requested speed, and so much more: from here a wheel brakes,
+TOO_FAST_TICKS_S = 2.0  # whatever the PID computes
 RUNAWAY_FACTOR = 1.1  # too fast, although it has braked since 1.05: by so much,
 RUNAWAY_TICKS_S = 20.0  # and by so much,
 RUNAWAY_S = 0.5  # the least duration
@@ -178,7 +180,8 @@ class WheelController:
     | set-point        | wheel                         | motor                                                 |
     |------------------|-------------------------------|-------------------------------------------------------|
     | zero             | any                           | brakes; the edges keep their sign                     |
-    | along the sign   | faster than requested         | brakes, at the latest after 0.2 s                     |
+    | along the sign   | faster than requested in the  | brakes, at the latest after 0.2 s                     |
+    |                  | last 0.3 s                    |                                                       |
     | along the sign   | any                           | driven that way, or brakes: never a torque against it |
     | against the sign | had an edge in the last 0.1 s | brakes; the set-point waits at zero                   |
     | against the sign | stands: braked for 0.1 s, and | the sign changes, then it is driven                   |
@@ -193,6 +196,7 @@ class WheelController:
         self.direction = 1  # the sign that the encoder's ticks are given
         self.watch = WheelWatch()
         self.recent = RecentSpeed()
+        self._recent_requests = deque([0.0], REQUEST_TURNS)
         self._still_s = 0.0  # since the last edge, and since it was driven: a wheel may roll before it has an edge
 
     def aim(self, ticks_s: float) -> None:
@@ -212,6 +216,11 @@ class WheelController:
         """The fastest that the set-point allows."""
         return max(abs(self.set_point.value), abs(self.set_point.target))
 
+    @property
+    def recent_request_ticks_s(self) -> float:
+        """The fastest that the set-point allowed in the last 0.3 s."""
+        return max(self._recent_requests)
+
     def step(self, edges: int, dt_s: float) -> float:
         """One turn of the loop; returns the signed ticks that the wheel rolled since the last one."""
         ticks = edges / EDGES_PER_TICK
@@ -220,6 +229,7 @@ class WheelController:
         self.recent.add(ticks, dt_s)
         self._still_s = 0.0 if edges or self.pwm else min(self._still_s + dt_s, 1.0)
         wanted = self.set_point.step(dt_s)
+        self._recent_requests.append(self.requested_ticks_s)
         is_reversal = wanted * self.direction < -NOTHING_TICKS_S
         is_resting = wanted * self.direction < NOTHING_TICKS_S
         if is_resting:
@@ -244,7 +254,8 @@ class WheelController:
     def _regulate(self, wanted: float, dt_s: float) -> float:
         low, high = (0.0, float(FULL_PWM)) if self.direction > 0 else (-float(FULL_PWM), 0.0)
         output = self.pid.step(wanted, self.speed_ticks_s, dt_s, low=low, high=high)
-        return 0.0 if self.recent.is_above(TOO_FAST_FACTOR * self.requested_ticks_s) else output
+        too_fast_ticks_s = TOO_FAST_FACTOR * self.recent_request_ticks_s + TOO_FAST_TICKS_S
+        return 0.0 if self.recent.is_above(too_fast_ticks_s) else output
 
 
 class WheelWatch:
@@ -296,7 +307,7 @@ class WheelWatch:
         return not slows_down
 
     def _is_over(self, wheel: WheelController) -> bool:
-        requested_ticks_s = wheel.requested_ticks_s
+        requested_ticks_s = wheel.recent_request_ticks_s
         allowed_ticks_s = max(requested_ticks_s + RUNAWAY_TICKS_S, requested_ticks_s * RUNAWAY_FACTOR)
         return wheel.recent.ticks > allowed_ticks_s * wheel.recent.seconds
 

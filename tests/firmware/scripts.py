@@ -144,7 +144,7 @@ def _strokes(random: np.random.Generator) -> list[tuple[float, float, int]]:
     for _ in range(random.integers(2, 7)):
         aim = np.array([random.uniform(-0.34, 0.34), random.choice([0.0, random.uniform(-1.5, 1.5)])])
         share, tremble = random.uniform(0.05, 0.5), random.choice([0.0, 0.001, 0.01])
-        for _ in range(random.integers(5, 41)):
+        for _ in range(random.integers(5, 3000 // interval_ms)):  # a command too small to turn a wheel stalls after 5 s
             now = now + share * (aim - now)
             linear, angular = now + tremble * random.uniform(-1.0, 1.0, 2)
             pieces.append((float(linear), float(angular), interval_ms))

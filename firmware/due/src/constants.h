@@ -22,7 +22,8 @@ const bool kIsReversedRight = true;
 
 const float kFilterWeight = 0.1f;      // of the newest speed
 const float kSecondsPerTick = 0.018f;  // of minimum jerk, for each tick/s of change
-const float kTooFastFactor = 1.05f;    // of the requested speed: from here a wheel brakes, whatever the PID computes
+const float kTooFastFactor = 1.05f;    // of the requested speed, and so much more: from here a wheel brakes,
+const float kTooFastTicksS = 2.0f;     // whatever the PID computes
 const float kNothingTicksS = 0.001f;   // a set-point of less is zero: rounding must not decide a sign
 const float kStandingS = 0.1f;         // braked and without an edge: a wheel has come to rest, or all but
 const float kRestS = 5.0f;             // from a zero to rest; a wheel that is slower runs away

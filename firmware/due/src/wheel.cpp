@@ -106,6 +106,17 @@ float RecentSpeed::seconds() const {
   return sum;
 }
 
+void RecentRequest::add(float ticks_s) {
+  ticks_s_[at_] = ticks_s;
+  at_ = static_cast<uint8_t>((at_ + 1) % kTurns);
+}
+
+float RecentRequest::most() const {
+  float most = 0.0f;
+  for (uint8_t i = 0; i < kTurns; ++i) most = ticks_s_[i] > most ? ticks_s_[i] : most;
+  return most;
+}
+
 void Wheel::aim(float ticks_s) {
   if (ticks_s == 0.0f) {
     set_point_.stop_at_once();
@@ -136,12 +147,14 @@ float Wheel::requested_ticks_s() const {
 
 // Nearly an edge more: so much the count of a window may be off.
 bool Wheel::is_too_fast() const {
-  return recent_.ticks() > kTooFastFactor * requested_ticks_s() * recent_.seconds() + 0.49f;
+  const float allowed_ticks_s = kTooFastFactor * recent_request_.most() + kTooFastTicksS;
+  return recent_.ticks() > allowed_ticks_s * recent_.seconds() + 0.49f;
 }
 
 // The PWM of the motor, by the table of the class.
 float Wheel::regulate(float dt_s) {
   const float wanted = set_point_.step(dt_s);
+  recent_request_.add(requested_ticks_s());
   const float along = wanted * static_cast<float>(direction_);
   const bool is_reversal = along < -kNothingTicksS;
   waited_s_ = along < kNothingTicksS && set_point_.target() != 0.0f ? waited_s_ + dt_s : 0.0f;
@@ -177,7 +190,7 @@ bool Wheel::is_stalled(bool has_edges, float dt_s) {
 // A wheel that coasts or has a lower set-point slows down; one that is driven from outside does not.
 bool Wheel::runs_away(float dt_s) {
   if (has_lasted(waited_s_, kRestS)) return true;
-  const float requested = requested_ticks_s();
+  const float requested = recent_request_.most();
   const float speed = recent_.ticks() / recent_.seconds();
   if (has_stood_ || speed <= requested + kRunawayTicksS || speed <= requested * kRunawayFactor) {
     over_s_ = peak_ticks_s_ = 0.0f;

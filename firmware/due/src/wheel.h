@@ -69,6 +69,18 @@ class RecentSpeed {
   uint8_t at_ = 0;
 };
 
+// The fastest that was requested in the last 0.3 s: a wheel follows its set-point that much later.
+class RecentRequest {
+ public:
+  void add(float ticks_s);
+  float most() const;
+
+ private:
+  static const uint8_t kTurns = 9;
+  float ticks_s_[kTurns] = {};
+  uint8_t at_ = 0;
+};
+
 enum class WheelFault : uint8_t {
   kNone,
   kStalled,  // driven, and no edge: blocked, or its encoder is dead
@@ -80,7 +92,8 @@ enum class WheelFault : uint8_t {
 //   | set-point         | wheel                         | motor                                                     |
 //   |-------------------|-------------------------------|-----------------------------------------------------------|
 //   | zero              | any                           | brakes; the edges keep their sign                         |
-//   | along the sign    | faster than requested         | brakes, at the latest after 0.2 s                         |
+//   | along the sign    | faster than requested in the  | brakes, at the latest after 0.2 s                         |
+//   |                   | last 0.3 s                    |                                                           |
 //   | along the sign    | any                           | driven that way, or brakes: never a torque against it     |
 //   | against the sign  | had an edge in the last 0.1 s | brakes; the set-point waits at zero                       |
 //   | against the sign  | stands: braked for 0.1 s, and | the sign changes, then it is driven                       |
@@ -115,6 +128,7 @@ class Wheel {
   MinimumJerk set_point_;
   Pid pid_;
   RecentSpeed recent_;
+  RecentRequest recent_request_;
   float speed_ticks_s_ = 0.0f;
   int16_t pwm_ = 0;
   int8_t direction_ = 1;       // the sign that the edges are given: one channel has none of its own
