@@ -1,5 +1,6 @@
 #include "drive_train.h"
 
+#include <float.h>
 #include <math.h>
 
 namespace hostlink {
@@ -7,7 +8,8 @@ namespace hostlink {
 namespace {
 
 const double kEdgesPerTick = 2.0;  // a rising and a falling one
-const double kNoiseM = 0.01;       // rolled between two numbers of the slip's noise
+const double kBeforeAnEdgeTicks = (1.0 - DBL_EPSILON) / kEdgesPerTick;
+const double kNoiseM = 0.01;  // rolled between two numbers of the slip's noise
 
 }  // namespace
 
@@ -80,6 +82,8 @@ void DriveTrain::count(double rolled_rad) {
   part_ticks_ += rolled_rad * wheel_.ticks_per_turn / kTurnRad;
   const double passed = floor(part_ticks_ * kEdgesPerTick);
   part_ticks_ -= passed / kEdgesPerTick;
+  // Rounded onto the edge that it has just come back over, it would pass that again with each step.
+  if (part_ticks_ > kBeforeAnEdgeTicks) part_ticks_ = kBeforeAnEdgeTicks;
   if (!is_deaf_) edges_ += static_cast<uint32_t>(fabs(passed));
 }
 

@@ -4,6 +4,7 @@ The twin of firmware/host/drive_train.cpp, operation by operation.
 """
 
 import math
+import sys
 
 from hostlink.sim.random_numbers import RandomNumbers
 from hostlink.sim.rolling import Rolling
@@ -11,6 +12,7 @@ from hostlink.sim.world_parameters import WheelParameters
 
 FULL_PWM = 4095
 EDGES_PER_TICK = 2  # a rising and a falling one
+_BEFORE_AN_EDGE_TICKS = (1.0 - sys.float_info.epsilon) / EDGES_PER_TICK
 FULL_SPEED_TICKS_S = 280.0  # docs/robot.md#numbers: the top speed
 _NOISE_M = 0.01  # rolled between two numbers of the slip's noise
 
@@ -115,7 +117,8 @@ class DriveTrain(Rolling):
         self.rolled_rad += rolled_rad
         self._part_ticks += rolled_rad * self.wheel.ticks_per_turn / math.tau
         passed = math.floor(self._part_ticks * EDGES_PER_TICK)
-        self._part_ticks -= passed / EDGES_PER_TICK
+        # Rounded onto the edge that it has just come back over, it would pass that again with each step.
+        self._part_ticks = min(self._part_ticks - passed / EDGES_PER_TICK, _BEFORE_AN_EDGE_TICKS)
         if not self.is_deaf:
             self.edges += abs(passed)
 

@@ -177,6 +177,18 @@ def test_a_minute_in_coarse_steps_is_a_minute_in_fine_ones() -> None:
     assert fine.rolled_m > 8.0
 
 
+@pytest.mark.parametrize("make", [NativeWorld, World])
+@pytest.mark.parametrize("ticks_s", [-5e-324, -5e-244, -1e-30, -1e-18, 1e-18, 5e-324])
+def test_a_wheel_that_creeps_less_than_a_digit_passes_an_edge_once(
+    make: type[NativeWorld] | type[World], ticks_s: float
+) -> None:
+    world = make(WorldParameters())
+    world.left.grip(ticks_s)
+    for _ in range(1000):
+        world.step(0.001)
+    assert world.left.edges <= 1
+
+
 def test_a_simulated_robot_drives_the_same_way_in_either() -> None:
     poses = []
     for world in (NativeWorld(SLIPPERY), World(SLIPPERY)):
