@@ -55,6 +55,21 @@ void test_minimum_jerk() {
   CHECK(jerk.value() == 100.0f);
 }
 
+void test_targets_that_tremble() {
+  MinimumJerk jerk;
+  float fastest = 0.0f;
+  for (int i = 0; i < 90; ++i) {
+    const float before = jerk.value();
+    if (i % 3 == 0) jerk.aim(i % 2 == 0 ? 100.0f : 101.0f);
+    const float change = jerk.step(1.0f / 30.0f) - before;
+    fastest = change > fastest ? change : fastest;
+  }
+  CHECK(jerk.value() >= 100.0f && jerk.value() <= 101.0f);
+  CHECK(fastest * 30.0f <= 1.875f / kSecondsPerTick + 0.1f);
+  jerk.stop_at_once();
+  CHECK(jerk.value() == 0.0f && jerk.step(0.1f) == 0.0f);
+}
+
 void test_filter() {
   Wheel wheel(left_gains());
   wheel.step(20, 0.1f);
@@ -213,6 +228,7 @@ void test_world_parameters() {
 int main() {
   test_motor_output();
   test_minimum_jerk();
+  test_targets_that_tremble();
   test_filter();
   test_kinematics();
   test_float64();
