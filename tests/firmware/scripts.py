@@ -133,7 +133,7 @@ def draw(seed: int) -> Script:
 
 
 def draw_joystick(seed: int) -> Script:
-    """The same world, and a hand on a stick in it: a new command every 20 to 200 ms, and now and then a zero."""
+    """The same world, driven with a joystick: a new command every 20 to 200 ms, and sometimes a zero."""
     return Script(draw(seed).world, tuple(_strokes(np.random.default_rng((seed, 1)))))
 
 

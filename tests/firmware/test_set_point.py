@@ -243,7 +243,7 @@ def reached_s(commands: Iterable[float], share: float = 0.95) -> float:
 @pytest.mark.usefixtures("world_built")
 @pytest.mark.parametrize("acceleration_m_s2", [0.03, 0.1, 0.2, 0.5, 1.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_the_robot_follows_a_stick_no_later_than_a_single_command_after_it(
+def test_the_robot_follows_a_joystick_no_later_than_a_single_command_after_it(
     acceleration_m_s2: float, sign: float
 ) -> None:
     ramp = (sign * min(0.2, acceleration_m_s2 * COMMAND_S * (number + 1)) for number in count())
@@ -252,7 +252,7 @@ def test_the_robot_follows_a_stick_no_later_than_a_single_command_after_it(
 
 @pytest.mark.usefixtures("world_built")
 @pytest.mark.parametrize("amplitude_m_s", [0.0001, 0.001, 0.005])
-def test_a_trembling_stick_drives_the_robot(amplitude_m_s: float) -> None:
+def test_a_trembling_joystick_drives_the_robot(amplitude_m_s: float) -> None:
     trembling = (0.2 + amplitude_m_s * math.sin(4.0 * number) for number in count())
     assert reached_s(trembling) <= reached_s(repeat(0.2)) + COMMAND_S
 
@@ -285,7 +285,7 @@ SLOWER = {
 @pytest.mark.parametrize("commands", SLOWER.values(), ids=SLOWER.keys())
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_wheel_that_is_to_go_slower_follows_and_does_not_swing(commands: list[float], sign: float) -> None:
-    """Braked only for what it was requested in the last 0.3 s: else each slower command is a swing without an end."""
+    """Braked only above what was requested in the last 0.3 s: else it swings for as long as the command lasts."""
     robot = FirmwareWorld()
     robot.connect()
     robot.drive(sign * 0.3, 0.0, 6.0)
@@ -300,7 +300,7 @@ def test_a_wheel_that_is_to_go_slower_follows_and_does_not_swing(commands: list[
 
 @pytest.mark.usefixtures("world_built")
 def test_in_drawn_worlds_nineteen_of_twenty_wheels_that_are_to_go_slower_do_not_swing() -> None:
-    """What is left: motors that the brake stops within two turns of the loop, which the filter finds out late."""
+    """The others have motors that the brake stops within two turns of the loop; the filtered speed shows that late."""
     swings = 0
     for seed in range(100):
         script = Script(draw(seed).world, ((0.3, 0.0, 6000), (0.1, 0.0, 5000)))
