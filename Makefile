@@ -159,6 +159,7 @@ soak: $(VENV)/.dev
 	HOSTLINK_SEEDS=30 $(BIN)/python -m pytest tests/firmware/test_due_calibration.py
 	$(BIN)/python tools/measure_calibration.py
 	$(BIN)/python tools/soak_link.py --seconds 600
+	HOSTLINK_RECORDING_KILLS=50 $(BIN)/python -m pytest tests/system/test_record_and_play.py -k killed
 	$(BIN)/python tools/chaos_daemon.py --seconds $(CHAOS_S) $(if $(CHAOS_SEED),--seed $(CHAOS_SEED))
 	$(BIN)/python tools/measure_damage.py --frames 10000000
 	HOSTLINK_KILLS=1000 $(BIN)/python -m pytest -s tests/system/test_guardian_kills.py
