@@ -24,6 +24,7 @@ from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
 from hostlink.api.heads import refuse_subprotocol, refuse_unreadable
+from hostlink.api.history import HistoryRoutes
 from hostlink.api.incidents import IncidentRoutes
 from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
@@ -107,6 +108,7 @@ class ApiServer:
             *Captures(self._hub).routes(),
             *RecordingRoutes(self._recordings).routes(),
             *IncidentRoutes(self._recordings.black_box).routes(),
+            *HistoryRoutes(self._hub, self._recordings.black_box).routes(),
             self._metrics.route(),
             Route(
                 "/api/openapi.json",

@@ -90,7 +90,7 @@ class OdometryEstimator:
         self.count = 0
         self.restarts = 0  # how often the device began anew without a request
         self.ignored = 0  # poses that cannot be true
-        self._continues = continues
+        self._continues, self._fastest = continues, fastest
         self._correction = correction
         self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
         self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
@@ -102,6 +102,10 @@ class OdometryEstimator:
         self._twist: Twist | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
         self._window: deque[_Sample] = deque()
+
+    def anew(self) -> "OdometryEstimator":
+        """Another with the same settings, which has seen nothing."""
+        return OdometryEstimator(continues=self._continues, fastest=self._fastest, correction=self._correction)
 
     def expect_reset(self, now_s: float) -> None:
         """The device was commanded to make its place the origin: the next pose there is right."""

@@ -149,3 +149,21 @@ async def test_files_that_are_no_incidents_are_not_listed(tmp_path: Path) -> Non
         for name, content in (("a.mcap", b""), ("b.mcap", b"\x89MCAP0\r\n" + bytes(100)), ("c.txt", b"text")):
             await asyncio.to_thread((folder / name).write_bytes, content)
         assert (await host.get("/api/incidents"))["incidents"] == []
+
+
+async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, device):
+        for number in range(1, 4):
+            await device.send(pose(1.0 + number / 100, 2.0, 0.5))
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 4)
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        history = await host.get("/api/robots/robot_0/history")
+        robot = await host.get("/api/robots/robot_0")
+        assert (await host.rest("GET", "/api/robots/robot_9/history"))[0] == 404
+    assert [each["pose"]["x_m"] for each in history["poses"]] == [1.0, 1.01, 1.02, 1.03]
+    assert history["poses"][-1]["pose"] == robot["odometry"]["pose"]
+    assert all(each["age_s"] >= 0 for each in history["poses"])
+    assert [each["msg"]["kind"] for each in history["events"]][-1] == "locked"
+    assert "commanded" not in {each["msg"]["kind"] for each in history["events"]}
+    assert history["plot_data"] == []

@@ -13,6 +13,7 @@ import { Events } from "./events";
 import { Fleet } from "./fleet";
 import { Followed } from "./followed";
 import { type BatteryState, Health } from "./health";
+import { History } from "./history";
 import { DeviceLog } from "./log";
 import { RobotMap } from "./map";
 import { notice } from "./notice";
@@ -48,6 +49,7 @@ const events = new Events(
       fleet.isKnown = true;
       show();
       showPoses();
+      history.show(data.robots);
     },
     links: (data) => {
       fleet.links = data.links;
@@ -102,6 +104,7 @@ const errors = new Followed<{ data: number[] }>(
   () => health.setErrors(null),
 );
 const log = new DeviceLog();
+const history = new History(map, plots, log, (name) => fleet.robot?.name === name);
 const access = new Access(() => {
   connection.retryNow();
   events.retryNow();

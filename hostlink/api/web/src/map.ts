@@ -45,6 +45,14 @@ export class RobotMap {
     this.redraw();
   }
 
+  /** Where it drove before this page knew it: in front of what the page has seen since. */
+  prepend(name: string, poses: Pose[]): void {
+    const path = new Path();
+    for (const pose of [...poses, ...(this.paths.get(name)?.poses() ?? [])]) path.add(pose);
+    this.paths.set(name, path);
+    this.redraw();
+  }
+
   show(robots: RobotView[], selected: string | null): void {
     this.robots = [...robots].sort((one, other) => Number(one.name === selected) - Number(other.name === selected));
     this.selected = selected;

@@ -28,6 +28,12 @@ export class Path {
     if (this.points.length > MAX_POINTS) this.thin();
   }
 
+  /** What it was made of, as far as it is drawn. */
+  poses(): Pose[] {
+    const poses = this.points.map(({ x, y }) => ({ x_m: x, y_m: y, theta_rad: 0 }));
+    return this.pose ? [...poses, this.pose] : poses;
+  }
+
   clear(): void {
     this.points = [];
     this.length_m = 0;

@@ -76,6 +76,18 @@ export class Plots {
     this.hasNews = true;
   }
 
+  /** What the plots showed before the page was opened, in front of what it has. */
+  prepend(past: { age_s: number; msg: PlotData }[]): void {
+    const now = performance.now() / 1000;
+    const begin = this.times[0] ?? now;
+    const older = past.map(({ age_s, msg }) => ({ time: now - age_s, msg })).filter(({ time }) => time < begin);
+    this.times.unshift(...older.map(({ time }) => time));
+    for (const { lines, data } of this.charts) {
+      for (const [index, line] of lines.entries()) data[index]?.unshift(...older.map(({ msg }) => line.read(msg)));
+    }
+    this.hasNews = true;
+  }
+
   /** Another robot, or none. */
   clear(): void {
     this.times = [];
