@@ -23,7 +23,7 @@ def config(folder: Path, *, free_mb: float = 0.0, **changes: Any) -> Config:
 @contextlib.asynccontextmanager
 async def boxed(settings: Config, name: str = "robot_0") -> AsyncIterator[tuple[Daemon, FakeDevice]]:
     """A daemon with a robot that has said where it is."""
-    async with daemon(settings) as host, fake_device(host.tcp, robot_topics(name)) as device:
+    async with daemon(settings, has_black_box=True) as host, fake_device(host.tcp, robot_topics(name)) as device:
         await expect(lambda: [robot.name for robot in host.hub.robots.all()] == [name])
         await asyncio.sleep(0.1)
         await device.send(pose(1.0, 2.0, 0.5))
@@ -83,7 +83,7 @@ async def test_a_driver_that_falls_silent_is_an_incident_and_one_that_stops_is_n
 
 
 async def test_a_link_that_breaks_while_the_robot_moves_is_one_with_the_robots_name(tmp_path: Path) -> None:
-    async with daemon(config(tmp_path)) as host:
+    async with daemon(config(tmp_path), has_black_box=True) as host:
         async with fake_device(host.tcp, robot_topics()):
             await expect(lambda: [robot.name for robot in host.hub.robots.all()] == ["robot_0"])
             host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
@@ -112,7 +112,7 @@ async def test_a_neighbours_messages_are_not_in_a_robots_incident(tmp_path: Path
 async def test_the_end_of_the_daemon_saves_what_is_pending(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, after_s=60.0)) as (host, _):
         await host.rest("POST", "/api/robots/robot_0/lock")
-    async with daemon(config(tmp_path)) as host:
+    async with daemon(config(tmp_path), has_black_box=True) as host:
         (incident,) = await saved(host)
     assert incident["cause"] == "locked"
 
@@ -143,7 +143,7 @@ async def test_what_hostlink_makes_of_poses_is_not_made_for_the_black_box(tmp_pa
 
 
 async def test_files_that_are_no_incidents_are_not_listed(tmp_path: Path) -> None:
-    async with daemon(config(tmp_path)) as host:
+    async with daemon(config(tmp_path), has_black_box=True) as host:
         folder = tmp_path / "incidents"
         await asyncio.to_thread(folder.mkdir)
         for name, content in (("a.mcap", b""), ("b.mcap", b"\x89MCAP0\r\n" + bytes(100)), ("c.txt", b"text")):

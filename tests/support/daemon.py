@@ -9,7 +9,7 @@ import aiohttp
 import msgspec
 
 from hostlink.cli.serve import running
-from hostlink.config import Config
+from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
 
 
@@ -35,9 +35,11 @@ class Daemon:
 
 
 @contextlib.asynccontextmanager
-async def daemon(config: Config | None = None) -> AsyncIterator[Daemon]:
-    """Run a daemon for the length of the block."""
+async def daemon(config: Config | None = None, *, has_black_box: bool = False) -> AsyncIterator[Daemon]:
+    """Run a daemon for the length of the block; without a black box nobody but the test subscribes to anything."""
     config = Config() if config is None else config
+    if not has_black_box:
+        config = replace(config, black_box=BlackBoxConfig(enabled=False))
     config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0), api=replace(config.api, port=0))
     async with running(config) as (hub, addresses), aiohttp.ClientSession() as session:
         yield Daemon(hub, addresses.tcp, addresses.api, session)
