@@ -6,7 +6,8 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
-from hostlink.listeners.tcp_acceptor import PAUSE_S, TcpAcceptor
+from hostlink.listeners.refusals import PAUSE_S
+from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
