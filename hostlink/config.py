@@ -14,6 +14,7 @@ import msgspec
 
 from hostlink.errors import ConfigError
 
+MAX_PORT = 0xFFFF
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
 ParameterScalar = bool | int | float | str
@@ -38,6 +39,36 @@ class TcpConfig:
             ipaddress.ip_network(network)  # its ValueError names it
         if min(self.max_connections, self.max_connections_per_address) < 1:
             raise ValueError("a bound on connections must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UdpConfig:
+    """Where devices send datagrams."""
+
+    host: str = "0.0.0.0"  # noqa: S104 - devices come from the network; the API is what stays on loopback
+    port: int = 11411  # rosserial_server's
+    allow: tuple[str, ...] = ()  # networks that may send; none named: everybody
+    trusted: tuple[str, ...] = ()  # networks where nobody sends under another's address; others get what they send
+    devices: tuple[str, ...] = ()  # "HOST:PORT" of those that wait until the host has sent something
+    max_connections: int = 256  # sessions; half of them of addresses that may be another's
+    max_connections_per_address: int = 64
+    key_file: Path | None = None
+    keyless: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for network in (*self.allow, *self.trusted, *self.keyless):
+            ipaddress.ip_network(network)  # its ValueError names it
+        if self.max_connections < 2 or self.max_connections_per_address < 1:  # noqa: PLR2004 - each kind has its half
+            raise ValueError("max_connections must be at least 2, max_connections_per_address 1")
+        self.device_addresses()
+
+    def device_addresses(self) -> list[tuple[str, int]]:
+        """Host and port of each of `devices`.
+
+        Raises:
+            ValueError: one has no IP address, or no port.
+        """
+        return [_device_address(text) for text in self.devices]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,6 +218,7 @@ class Config:
     """The whole of hostlink.toml."""
 
     tcp: TcpConfig = field(default_factory=TcpConfig)
+    udp: UdpConfig | None = None  # without it nobody receives datagrams
     serial: tuple[SerialConfig, ...] = ()
     link: LinkConfig = field(default_factory=LinkConfig)
     api: ApiConfig = field(default_factory=ApiConfig)
@@ -218,6 +250,13 @@ def load(path: Path) -> Config:
     return typing.cast("Config", _beside(config, path.parent))
 
 
+def _device_address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
+        raise ValueError(f"udp.devices: {text!r} is not HOST:PORT")
+    return str(ipaddress.ip_address(host.strip("[]"))), int(port)
+
+
 def _beside(part: Any, folder: Path) -> Any:
     """The same settings, with every path relative to the file's folder."""
     if isinstance(part, Path):
@@ -238,6 +277,7 @@ def _decode(wanted: type, value: object) -> object:
 
 def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
     """Walk the tables that the dataclasses describe; a key that none has is an error."""
+    wanted = next((each for each in typing.get_args(wanted) if dataclasses.is_dataclass(each)), wanted)
     if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):
         hints = typing.get_type_hints(wanted)
         for key, value in raw.items():

@@ -127,6 +127,10 @@ class _Graph(Collector):
         for cause, count in self._hub.refused.items():
             refused.add_metric([cause], count)
         yield refused
+        dropped = CounterMetricFamily("hostlink_datagrams_dropped", "Of UDP, either way, by cause", labels=["cause"])
+        for cause, count in self._hub.datagrams_dropped.items():
+            dropped.add_metric([cause], count)
+        yield dropped
         yield from self._robots()
         yield from self._links()
         yield from self._to_clients()

@@ -109,6 +109,7 @@ class LinkView(TypedDict):
     """One live connection, its topics, its counters, and what is wrong with it, the likeliest cause first."""
 
     number: int
+    transport: str
     peer: str
     silent_s: float
     diagnosis: list[FindingView]
@@ -234,6 +235,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
     counts, clock = facts.counts, facts.clock
     return {
         "number": link.number,
+        "transport": link.kind,
         "peer": link.peer,
         "silent_s": round(link.silent_s, 3),
         "diagnosis": finding_views(diagnosis.findings),

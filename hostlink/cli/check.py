@@ -9,6 +9,7 @@ import importlib.util
 import math
 import operator
 import re
+from collections import Counter
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
@@ -17,15 +18,17 @@ from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_address
 from hostlink.cli.descriptors import fitted
-from hostlink.config import Config, SerialConfig
+from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
 from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
+from hostlink.listeners.udp_acceptor import UdpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.transport.ports import find_port
+from hostlink.transport.udp_port import serve_udp
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names
 _SENSIBLE = (  # setting, the least that works, and why
@@ -47,17 +50,22 @@ async def check(config: Config, *, descriptors: int) -> list[str]:
         ConfigError: it cannot be served.
     """
     _check_values(config)
-    TcpAcceptor(Hub(config, Catalog(config.message_folders)), config.tcp)  # message folders, limits of robots, the key
+    hub = Hub(config, Catalog(config.message_folders))  # message folders, limits of robots
+    TcpAcceptor(hub, config.tcp)  # the key
     Access(config.api)
     tls_context(config.api)
     if config.tcp.mdns and not all(map(importlib.util.find_spec, ("ifaddr", "zeroconf"))):
         raise ConfigError("tcp.mdns", "needs zeroconf: pip install 'hostlink[mdns]'")
     warnings = [*await _try_port("tcp", config.tcp.host, config.tcp.port)]
     warnings += await _try_port("api", config.api.host, config.api.port)
+    if config.udp is not None:
+        UdpAcceptor(hub, config.udp)
+        warnings += await _try_datagrams(config.udp)
     fits = fitted(config, descriptors)
     if fits != config:
+        sessions = "" if fits.udp is None else f", {fits.udp.max_connections} over UDP"
         warnings.append(
-            f"{descriptors} descriptors (ulimit -n) are enough for {fits.tcp.max_connections} devices and "
+            f"{descriptors} descriptors (ulimit -n) are enough for {fits.tcp.max_connections} devices{sessions} and "
             f"{fits.api.max_connections} connections of programs only"
         )
     return [*warnings, *_suspicious(config)]
@@ -65,16 +73,25 @@ async def check(config: Config, *, descriptors: int) -> list[str]:
 
 def describe(config: Config) -> list[str]:
     """A line for each thing that would be served."""
-    tcp, api = config.tcp, config.api
-    who = ", ".join(tcp.allow) or "everybody"
-    if tcp.key_file is not None:
-        who += ", with the key" + (f" but {', '.join(tcp.keyless)}" if tcp.keyless else "")
-    lines = [f"devices on TCP {tcp.host}:{tcp.port}, from {who}, at most {tcp.max_connections}"]
+    tcp, udp, api = config.tcp, config.udp, config.api
+    lines = [f"devices on TCP {tcp.host}:{tcp.port}, from {_describe_who(tcp)}, at most {tcp.max_connections}"]
+    if udp is not None:
+        believed = f"; {', '.join((*udp.trusted, *udp.devices))} trusted" if udp.trusted or udp.devices else ""
+        lines.append(
+            f"devices on UDP {udp.host}:{udp.port}, from {_describe_who(udp)}, at most {udp.max_connections}{believed}"
+        )
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
     lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{api.host}:{api.port}")
     lines += [f"robot {name}, {robot.address or 'known by its topics'}" for name, robot in config.robots.items()]
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, f"{len(config.parameters)} parameters"]
+
+
+def _describe_who(config: TcpConfig | UdpConfig) -> str:
+    who = ", ".join(config.allow) or "everybody"
+    if config.key_file is None:
+        return who
+    return f"{who}, with the key" + (f" but {', '.join(config.keyless)}" if config.keyless else "")
 
 
 def _describe_port(port: SerialConfig) -> str:
@@ -85,7 +102,9 @@ def _describe_port(port: SerialConfig) -> str:
 
 
 def _check_values(config: Config) -> None:
-    for where, port in (("tcp.port", config.tcp.port), ("api.port", config.api.port)):
+    ports = [("tcp.port", config.tcp.port), ("api.port", config.api.port)]
+    ports += [] if config.udp is None else [("udp.port", config.udp.port)]
+    for where, port in ports:
         if not 0 <= port <= MAX_PORT:
             raise ConfigError(where, f"{port} is no port; they go from 0 (any free one) to {MAX_PORT}")
     for where, number in _positive(config):
@@ -116,6 +135,16 @@ async def _try_port(part: str, host: str, port: int) -> list[str]:
     return []
 
 
+async def _try_datagrams(config: UdpConfig) -> list[str]:
+    try:
+        async with serve_udp(config, Counter(), lambda _port, _datagram: None):
+            return []
+    except ConfigError as error:
+        if isinstance(error.__cause__, OSError) and error.__cause__.errno == errno.EADDRINUSE:
+            return [f"udp.port {config.port} is in use at this moment"]
+        raise
+
+
 # -- warnings --------------------------------------------------------------------------------------------------------
 
 
@@ -126,6 +155,8 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _suspicious_api(config)
     if config.tcp.keyless and config.tcp.key_file is None:
         yield "tcp.keyless means nothing without tcp.key_file: nobody needs a key"
+    if config.udp is not None and config.udp.keyless and config.udp.key_file is None:
+        yield "udp.keyless means nothing without udp.key_file: nobody needs a key"
     for port in config.serial:
         try:
             find_port(port)

@@ -28,12 +28,17 @@ def fitted(config: Config, descriptors: int) -> Config:
     if descriptors < FEWEST + len(config.serial):
         raise ConfigError("ulimit -n", f"{descriptors} descriptors are too few: at least {FEWEST + len(config.serial)}")
     room = descriptors - OWN - len(config.serial)
-    devices, programs = config.tcp.max_connections, config.api.max_connections
+    datagrams = 0 if config.udp is None else config.udp.max_connections
+    devices, programs = config.tcp.max_connections + datagrams, config.api.max_connections
     if devices + programs <= room:
         return config
     programs = max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs))
+    datagrams = min(datagrams, max(2, (room - programs) * datagrams // devices)) if datagrams else 0
     return dataclasses.replace(
         config,
-        tcp=dataclasses.replace(config.tcp, max_connections=min(devices, room - programs)),
+        tcp=dataclasses.replace(
+            config.tcp, max_connections=min(config.tcp.max_connections, room - programs - datagrams)
+        ),
+        udp=None if config.udp is None else dataclasses.replace(config.udp, max_connections=datagrams),
         api=dataclasses.replace(config.api, max_connections=programs),
     )

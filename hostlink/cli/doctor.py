@@ -88,7 +88,7 @@ def _lines(report: Report) -> list[str]:
     for link in report["links"]:
         state = f"ended: {link['end']}" if link["end"] else f"{link['seconds']:.0f} s"
         baud = f", {link['baud']} baud" if link.get("baud") else ""
-        state += f", {link['topics']} topics{baud}"
+        state += f", {link['topics']} topics{baud}" + (", UDP" if link.get("transport") == "udp" else "")
         well = "  nothing was wrong" if link["end"] else "  healthy"
         lines += [f"link {link['number']}  {link['peer']}  ({state})" + ("" if link["diagnosis"] else well)]
         lines += [f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found)]

@@ -126,7 +126,7 @@ def _host(link: Report) -> str:
 
 
 def _live(link: dict[str, Any]) -> Report:
-    known = {key: link[key] for key in ("number", "peer", "seconds", "diagnosis")}
+    known = {key: link[key] for key in ("number", "transport", "peer", "seconds", "diagnosis")}
     return known | {"topics": len(link["topics"]), "end": None}
 
 

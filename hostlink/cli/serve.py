@@ -25,17 +25,19 @@ from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
 from hostlink.cli.output import write, write_error
 from hostlink.cli.systemd import Notifier
-from hostlink.config import Config, load
+from hostlink.config import Config, UdpConfig, load
 from hostlink.errors import ConfigError
 from hostlink.guardian.guardian import guarded
 from hostlink.hub.guard import Guard
 from hostlink.hub.hub import Hub
 from hostlink.listeners.serial_ports import serve_serial
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
+from hostlink.listeners.udp_acceptor import UdpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings
 from hostlink.transport.mdns import advertised
 from hostlink.transport.tcp import serve_tcp
+from hostlink.transport.udp_port import serve_udp
 
 log = structlog.get_logger()
 
@@ -49,6 +51,7 @@ class Addresses:
 
     tcp: tuple[str, int]
     api: str
+    udp: tuple[str, int] | None = None
 
 
 @contextlib.asynccontextmanager
@@ -65,7 +68,8 @@ async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterato
             _recordings(hub) as recordings,
             _listening(hub, config, recordings) as addresses,
         ):
-            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api)
+            udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
+            log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, **udp)
             try:
                 yield hub, addresses
             except Exception as error:
@@ -111,9 +115,28 @@ async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncI
         contextlib.AsyncExitStack() as last,  # mDNS may be slow
     ):
         acceptor = TcpAcceptor(hub, config.tcp)
-        async with serve_tcp(config.tcp, acceptor.accept) as listener, _serial_ports(hub, config):
+        async with (
+            serve_tcp(config.tcp, acceptor.accept) as listener,
+            _datagrams(hub, config.udp) as udp,
+            _serial_ports(hub, config),
+        ):
             await last.enter_async_context(advertised(config.tcp, listener.address))
-            yield Addresses(listener.address, api)
+            yield Addresses(listener.address, api, udp)
+
+
+@contextlib.asynccontextmanager
+async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[str, int] | None]:
+    """The port for devices over UDP, where it is configured."""
+    if config is None:
+        yield None
+        return
+    acceptor = UdpAcceptor(hub, config)
+    async with serve_udp(config, hub.datagrams_dropped, acceptor.receive) as ports, asyncio.TaskGroup() as tasks:
+        inviting = tasks.create_task(acceptor.invite(ports), name="invitations over UDP")
+        try:
+            yield ports[0].address[:2]
+        finally:
+            inviting.cancel()
 
 
 @contextlib.asynccontextmanager
@@ -133,6 +156,9 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     listen: Annotated[
         str | None, typer.Option(help="Where devices connect: HOST:PORT.", show_default="0.0.0.0:11411")
     ] = None,
+    udp: Annotated[
+        str | None, typer.Option(help="Where devices send datagrams: PORT or HOST:PORT; without it nowhere.")
+    ] = None,
     serial: Annotated[
         list[str] | None, typer.Option(help="A serial port with a device: /dev/ttyACM0@57600. May be repeated.")
     ] = None,
@@ -151,7 +177,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         str | None, typer.Option(metavar="NAME", help="Print an example file: config, systemd or udev.")
     ] = None,
 ) -> None:
-    """Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.
+    """Run the daemon: devices on TCP port 11411, serial ports and UDP, programs on port 9090.
 
     Exit status: 0 stopped as asked, 1 failed, 2 wrong arguments or settings, or an address that is in use.
     """
@@ -163,7 +189,9 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     new_loop = loop_factory(loop)
     logs.configure(level=log_level)
     file = check_config or config
-    settings = merge(load(file) if file else Config(), listen=listen, serial=serial, api=api, messages=messages)
+    settings = merge(
+        load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
+    )
     warnings = asyncio.run(check(settings, descriptors=limit()))
     if check_config is not None:
         write(*describe(settings))
@@ -225,6 +253,7 @@ def merge(
     config: Config,
     *,
     listen: str | None = None,
+    udp: str | None = None,
     serial: list[str] | None = None,
     api: str | None = None,
     messages: list[Path] | None = None,
@@ -233,6 +262,10 @@ def merge(
     if listen is not None:
         host, port = parse_address("--listen", listen, config.tcp.host)
         config = dataclasses.replace(config, tcp=dataclasses.replace(config.tcp, host=host, port=port))
+    if udp is not None:
+        wanted = UdpConfig() if config.udp is None else config.udp
+        host, port = parse_address("--udp", udp if ":" in udp else f":{udp}", wanted.host)
+        config = dataclasses.replace(config, udp=dataclasses.replace(wanted, host=host, port=port))
     if api is not None:
         host, port = parse_address("--api", api, config.api.host)
         config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))

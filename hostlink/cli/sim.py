@@ -19,6 +19,7 @@ def command(
     *,
     connect: Annotated[str, typer.Option(help="The host's address for devices: HOST:PORT.")] = "127.0.0.1:11411",
     robots: Annotated[int, typer.Option(min=1, max=200, help="How many: robot_0, robot_1, ...")] = 1,
+    udp: Annotated[bool, typer.Option("--udp", help="Over UDP, not TCP.")] = False,
     first: Annotated[int, typer.Option(min=0, help="The number of the first one.")] = 0,
     world: Annotated[
         Path | None, typer.Option(help="A file of lines name=value: what their motors, wheels and floor are like.")
@@ -31,7 +32,9 @@ def command(
     chosen = HEALTHY if fault is None else FAULTS[fault]
     host, port = parse_address("--connect", connect, "127.0.0.1")
     parameters = WorldParameters() if world is None else _read(world)
-    fleet = run_fleet(host, port, robots=robots, first=first, fault=chosen, world=parameters, log=write_error)
+    fleet = run_fleet(
+        host, port, robots=robots, first=first, is_udp=udp, fault=chosen, world=parameters, log=write_error
+    )
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(fleet)
 

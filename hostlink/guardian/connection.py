@@ -11,16 +11,20 @@ from hostlink.guardian.frames import StopWriter
 
 STALE_BYTES = 128  # a turn of a robot's loop at 38400 baud: what the daemon's pacing may leave in a serial port
 READ_BYTES = 65536
+DATAGRAM_BYTES = 1024  # of one write over UDP: no network splits it
 _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class Connection:
-    """TCP or serial. Nothing is read or written before the first `step`: until then the daemon does that."""
+    """TCP, UDP or serial. Nothing is read or written before the first `step`: until then the daemon does that."""
 
     def __init__(self, descriptor: int, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
         self.descriptor = descriptor
         self.is_open = True
         self._is_serial = os.isatty(descriptor)
+        self._is_udp = not self._is_serial and _is_udp(descriptor)
+        if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
+            claim_bytes = 0  # such a frame left as one datagram, whole or not at all
         self._writer = StopWriter(topic_ids, claim_bytes)
         self._is_readable = True  # until its end has come
         self._is_begun = self._is_finished = False
@@ -48,11 +52,11 @@ class Connection:
         try:
             if not self._is_begun:
                 self._begin()
-            if events & _GONE and not events & select.POLLIN:
+            if events & _GONE and not events & select.POLLIN and not self._is_udp:
                 self.close()
                 return
             self._write(now_s)
-            if events & select.POLLIN:
+            if events & (select.POLLIN | _GONE):
                 self._discard()
             if self.is_open and self._writer.is_done():
                 self._finish()
@@ -78,12 +82,27 @@ class Connection:
     def _write(self, now_s: float) -> None:
         try:
             while waiting := self._writer.pop_due(now_s):
-                self._writer.written(os.write(self.descriptor, waiting))
+                self._writer.written(self._send(waiting) if self._is_udp else os.write(self.descriptor, waiting))
         except BlockingIOError:
             return  # poll() returns when there is room
 
+    def _send(self, waiting: bytes) -> int:
+        """A datagram of it. An error may be about an earlier one; one that cannot be sent at all is lost, as others."""
+        datagram = waiting[:DATAGRAM_BYTES]
+        for _ in range(2):
+            try:
+                return os.write(self.descriptor, datagram)
+            except BlockingIOError:
+                raise
+            except OSError:
+                continue
+        return len(datagram)
+
     def _discard(self) -> None:
         """A device whose bytes nobody takes may stop reading; closing a connection with unread bytes resets it."""
+        if self._is_udp:
+            _discard_datagram(self.descriptor)
+            return
         try:
             self._is_readable = bool(os.read(self.descriptor, READ_BYTES))
         except BlockingIOError:
@@ -93,6 +112,9 @@ class Connection:
 
     def _finish(self) -> None:
         """All is written: a serial port is closed when it has sent that, a TCP connection when its peer closes too."""
+        if self._is_udp:
+            self.close()
+            return
         if self._is_serial:
             if not self._unsent_bytes():
                 self.close()
@@ -110,6 +132,24 @@ class Connection:
         except OSError:
             return 0
         return int.from_bytes(count, sys.byteorder)
+
+
+def _is_udp(descriptor: int) -> bool:
+    try:
+        connection = _socket.socket(fileno=descriptor)
+    except OSError:
+        return False
+    kind = connection.type
+    connection.detach()
+    return kind == _socket.SOCK_DGRAM
+
+
+def _discard_datagram(descriptor: int) -> None:
+    """An empty one is no end, and neither is an error: it may be about one that was sent before."""
+    try:
+        os.read(descriptor, READ_BYTES)
+    except OSError:
+        return
 
 
 def _end_sending(descriptor: int) -> None:

@@ -126,6 +126,10 @@ class Diagnoses:
         ended = (diagnosis for diagnosis in self.ended if diagnosis.link.number == number)
         return self._live.get(number) or next(ended, None)
 
+    def live(self) -> list[Diagnosis]:
+        """Of the live links, oldest first."""
+        return list(self._live.values())
+
     def numbers(self) -> list[int]:
         """Of every link that has a diagnosis."""
         return sorted([*self._live, *(diagnosis.link.number for diagnosis in self.ended)])

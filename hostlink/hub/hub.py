@@ -16,6 +16,7 @@ from hostlink.hub.device import Device, check_type
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.device_events import DeviceEvents, Receivers
 from hostlink.hub.diagnoses import Diagnoses
+from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import Gates
 from hostlink.hub.graph_changes import GraphChanges
@@ -60,6 +61,7 @@ class Hub:
         self.config, self.catalog = config, catalog
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.refused: Counter[str] = Counter()  # connections that were not served or were evicted, by cause
+        self.datagrams_dropped: Counter[str] = Counter()  # of UDP, either way, by cause
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
         changes = GraphChanges()
@@ -111,6 +113,7 @@ class Hub:
         async with asyncio.TaskGroup() as self._tasks:
             self.spawn(self.diagnoses.run(), name="diagnoses")
             self.spawn(self.robots.run(), name="known robots")
+            self.spawn(self._diagnostics().run(), name="diagnostics")
             self.spawn(_log_what_is_missing(), name="log")
             self.is_running.set()
             await self.gates.run()
@@ -231,6 +234,9 @@ class Hub:
                     await link.drained()
         for link in self.links():
             link.end(LinkEnd.STOPPED)
+
+    def _diagnostics(self) -> DiagnosticsTopic:
+        return DiagnosticsTopic(self.join_daemon(), self.diagnoses, self.robots, self.isolation, self.refused)
 
     def _uart_bytes_s(self, transport: Transport, config: LinkConfig) -> int | None:
         here = (transport.peer, transport.address)

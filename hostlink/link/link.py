@@ -75,7 +75,7 @@ class Link:
     ) -> None:
         """`share`: of the event loop, with all other links."""
         self.number = number
-        self.peer = transport.peer
+        self.kind, self.peer = transport.kind, transport.peer
         self.address = transport.address
         self.session = session
         self.last_frame = b""  # of a robot: its zero

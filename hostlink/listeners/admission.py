@@ -1,11 +1,11 @@
-"""Admission: which connections over TCP may be there at once. Nobody takes a robot's place by connecting often."""
+"""Admission: which connections may be there at once. Nobody takes a robot's place by connecting often."""
 
 import ipaddress
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hostlink.config import TcpConfig
+from hostlink.config import TcpConfig, UdpConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +36,19 @@ class Admission:
     |                                   | else it is refused: too_many                                             |
     """
 
-    def __init__(self, config: TcpConfig) -> None:
+    def __init__(self, config: TcpConfig | UdpConfig) -> None:
         self._config = config
         self._allowed = [ipaddress.ip_network(network) for network in config.allow]
         self._keyless = [ipaddress.ip_network(network) for network in config.keyless]
 
-    def judge(self, address: str, connections: Sequence[OpenConnection]) -> Verdict:
-        """`connections`: those that are there, oldest first."""
+    def judge(self, address: str, connections: Sequence[OpenConnection], *, room: int | None = None) -> Verdict:
+        """`connections`: those that are there, oldest first; `room`: for how many, if not the bound of all."""
+        most = self._config.max_connections if room is None else room
         if self._allowed and not is_within(address, self._allowed):
             return Verdict(refusal="not_allowed")
         if sum(connection.address == address for connection in connections) >= self._config.max_connections_per_address:
             return Verdict(refusal="too_many_of_address")
-        if len(connections) < self._config.max_connections:
+        if len(connections) < most:
             return Verdict()
         unidentified = [connection for connection in connections if not connection.is_identified]
         counts = Counter(connection.address for connection in unidentified)

@@ -20,7 +20,7 @@ class TcpAcceptor:
         """
         self._hub = hub
         self._admission = Admission(config)
-        self._key = None if config.key_file is None else read_key(config.key_file)
+        self._key = None if config.key_file is None else read_key(config.key_file, "tcp.key_file")
         self._links: dict[int, Link] = {}  # oldest first
         self._refusals = Refusals(hub)
 

@@ -121,6 +121,11 @@ class SimulatedDevice:
         """Send a line to the host's log."""
         self.publish(Id.LOG, encode_log(Log(level, text)), now_s)
 
+    def request_time(self, now_s: float) -> None:
+        """Request the time: also what a device may begin with where nothing connects."""
+        self.publish(Id.TIME, bytes(8), now_s)
+        self._time_sent_ms = self._ms(now_s)
+
     def request_parameter(self, name: str, answer: Callable[[Parameter], None], now_s: float) -> None:
         """Request a parameter; the original waits a second for it, here the program goes on."""
         self._parameter = answer
@@ -161,7 +166,7 @@ class SimulatedDevice:
                 break
         self._is_spinning = False
         if self.is_configured and self._began_ms - self._time_requested_ms > TIME_INTERVAL_MS:
-            self._request_time(now_s)
+            self.request_time(now_s)
             self._time_requested_ms = self._began_ms
         return None
 
@@ -190,7 +195,7 @@ class SimulatedDevice:
                 if byte != 0xFE:  # noqa: PLR2004 - the version
                     self._mode = Mode.FIRST_FF
                     if not self.is_configured:
-                        self._request_time(now_s)
+                        self.request_time(now_s)
             case Mode.SIZE_LOW:
                 self._size = self._checksum = byte
                 self._message.clear()
@@ -222,7 +227,7 @@ class SimulatedDevice:
         payload = bytes(self._message)
         match self._topic_id:
             case Id.PUBLISHER:
-                self._request_time(now_s)
+                self.request_time(now_s)
                 self._announce_topics(now_s)
                 self._time_requested_ms = self._time_received_ms = self._began_ms
                 return True
@@ -241,10 +246,6 @@ class SimulatedDevice:
         if not 0 <= number < len(self._to_device):
             raise DeviceCrashed(f"a message for id {topic_id}, which was never announced")
         self._to_device[number][1](payload)
-
-    def _request_time(self, now_s: float) -> None:
-        self.publish(Id.TIME, bytes(8), now_s)
-        self._time_sent_ms = self._ms(now_s)
 
     def _set_time(self, payload: bytes, now_s: float) -> None:
         wall_ns = decode_time(payload)

@@ -1,4 +1,4 @@
-"""Runs simulated robots in real time against a host: over TCP, as their ESP8266 would, or over any pair of streams."""
+"""Runs simulated robots in real time against a host: over TCP, as their ESP8266 would, UDP, or any pair of streams."""
 
 import asyncio
 import contextlib
@@ -11,21 +11,22 @@ from hostlink.sim.controller import LOOP_S
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
 from hostlink.sim.robot import SimulatedRobot
+from hostlink.sim.udp import LINE_POLL_S, RETRY_S, talk_over_udp
 from hostlink.sim.world_parameters import WorldParameters
 from hostlink.sim.worlds import AnyWorld, open_world
 
 READ_BYTES = 4096
 RECONNECT_S = 0.5
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged: the host is gone
-LINE_POLL_S = 0.004  # how often what has left the UART is passed on: as an ESP8266's loop does
 
 
-async def run_fleet(
+async def run_fleet(  # noqa: PLR0913 - as `hostlink sim` has it
     host: str,
     port: int,
     *,
     robots: int = 1,
     first: int = 0,
+    is_udp: bool = False,
     fault: Fault = HEALTHY,
     world: WorldParameters | None = None,
     log: Callable[[str], None] = lambda _: None,
@@ -36,7 +37,8 @@ async def run_fleet(
         for number in range(first, first + robots):
             device = SimulatedDevice(clock_rate=fault.clock_rate)
             robot = SimulatedRobot(f"robot_{number}", catalog, device=device, world=world_of(number, world))
-            tasks.create_task(run_over_tcp(robot, host, port, fault=fault, log=log), name=robot.name)
+            run = run_over_udp if is_udp else run_over_tcp
+            tasks.create_task(run(robot, host, port, fault=fault, log=log), name=robot.name)
 
 
 def world_of(number: int, world: WorldParameters | None) -> AnyWorld:
@@ -77,6 +79,32 @@ async def run_over_tcp(
                 if fault.runs_s is not None:
                     robot.reboot()
             await asyncio.sleep(RECONNECT_S)
+
+
+async def run_over_udp(
+    robot: SimulatedRobot,
+    host: str,
+    port: int,
+    *,
+    fault: Fault = HEALTHY,
+    local_host: str | None = None,
+    log: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Send to the host (from `local_host`), whether it is there or not, until cancelled."""
+    last_error = ""
+    fault.break_wheel(robot.wheels[0])
+    async with _alive(robot):
+        while True:
+            try:
+                async with asyncio.timeout(fault.runs_s):
+                    await talk_over_udp(robot, host, port, fault=fault, local_host=local_host, log=log)
+            except TimeoutError:
+                robot.reboot()
+            except OSError as error:  # no such address, or no way there
+                if last_error != str(error):
+                    last_error = str(error)
+                    log(f"{robot.name}: cannot send to {host}:{port}: {error.strerror or error}")
+            await asyncio.sleep(RETRY_S)
 
 
 def _give_up_soon(writer: asyncio.StreamWriter) -> None:

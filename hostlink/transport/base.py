@@ -13,6 +13,7 @@ class Transport(Protocol):
     A link calls `start`, `read` and `write`, which never wait; `receive` and `send` are for whoever may wait.
     """
 
+    kind: str  # "tcp", "serial" or "udp"
     peer: str  # for people: "192.168.4.2:53122" or "/dev/ttyACM0"
     address: str  # what stays when the peer comes back: "192.168.4.2" or "/dev/ttyACM0"
 

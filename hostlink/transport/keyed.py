@@ -19,18 +19,18 @@ from hostlink.transport.base import Transport
 MAGIC = b"HLK1"
 RANDOM_BYTES = 16
 PROOF_BYTES = 32
+HELLO = MAGIC + bytes(RANDOM_BYTES)  # by which a device begins over UDP, where nothing connects
 ANSWER_BYTES = len(MAGIC) + RANDOM_BYTES + PROOF_BYTES
 PROOF_TIMEOUT_S = 3.0  # two ways over a bad radio; less than a link waits for its first write
 SHORTEST_KEY_BYTES = 16
 
 
-def read_key(file: Path) -> bytes:
-    """The key, without the white space around it.
+def read_key(file: Path, where: str) -> bytes:
+    """The key, without the white space around it; `where`: the setting that names the file.
 
     Raises:
         ConfigError: the file cannot be read, or the key is too short.
     """
-    where = "tcp.key_file"
     try:
         key = file.read_bytes().strip()
     except OSError as error:
@@ -50,12 +50,22 @@ def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> 
 class KeyedTransport:
     """A transport on which rosserial begins when both ends have proven the key."""
 
-    def __init__(self, transport: Transport, key: bytes, *, on_refused: Callable[[str], None]) -> None:
-        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `open` raises."""
-        self.peer, self.address = transport.peer, transport.address
+    def __init__(
+        self,
+        transport: Transport,
+        key: bytes,
+        *,
+        on_refused: Callable[[str], None],
+        on_proven: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `open` raises.
+
+        `on_proven`: called when the device has proven the key, and so that it is where it seems to be.
+        """
+        self.kind, self.peer, self.address = transport.kind, transport.peer, transport.address
         self._transport = transport
         self._key = key
-        self._on_refused = on_refused
+        self._on_refused, self._on_proven = on_refused, on_proven
 
     async def open(self) -> None:
         """Prove the key.
@@ -115,6 +125,8 @@ class KeyedTransport:
                 await self._transport.send(MAGIC + host_random)
                 while len(answer) < ANSWER_BYTES and (data := await self._transport.receive()):
                     answer += data
+                    while self.kind == "udp" and answer.startswith(HELLO):  # again, before this end's random came
+                        answer = answer[len(HELLO) :]
         except TimeoutError:
             return "no_key"
         if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):  # a device waits for the host's proof
@@ -122,5 +134,6 @@ class KeyedTransport:
         device_random, claimed = answer[len(MAGIC) : -PROOF_BYTES], answer[-PROOF_BYTES:]
         if not hmac.compare_digest(claimed, proof(self._key, b"device", host_random, device_random)):
             return "wrong_key"
+        self._on_proven()
         await self._transport.send(proof(self._key, b"host", host_random, device_random))
         return None

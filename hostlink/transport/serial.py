@@ -101,6 +101,8 @@ async def pulse(port: DtrLine) -> None:
 class SerialTransport(StreamTransport):
     """A stream over a `_Port`, which knows what the stream does not: why a write failed, what has not left yet."""
 
+    kind = "serial"
+
     def __init__(self, port: "_Port", connection: Connection, *, peer: str, address: str) -> None:
         super().__init__(connection, peer=peer, address=address)
         self._port = port

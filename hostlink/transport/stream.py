@@ -11,6 +11,8 @@ from hostlink.transport.connection import Connection
 class StreamTransport:
     """Owns the connection. Nothing waits in the process behind `send`: the write buffer's high-water mark is 0."""
 
+    kind = "stream"
+
     def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
         self.peer, self.address = peer, address
         self._connection = connection

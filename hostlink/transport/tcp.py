@@ -39,6 +39,8 @@ class Listener:
 class TcpTransport(StreamTransport):
     """A connection whose system measures the way, and is sent nothing more while the network stands still."""
 
+    kind = "tcp"
+
     def __init__(self, connection: Connection, *, peer: str, address: str) -> None:
         super().__init__(connection, peer=peer, address=address)
         self._socket: socket.socket | None = connection.transport.get_extra_info("socket")
@@ -138,7 +140,7 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
             with socket.socket(fileno=os.dup(listening.fileno())) as same:
                 same.listen(BACKLOG)  # in the kernel, where asyncio means both by one number
     except (OSError, OverflowError) as error:
-        raise ConfigError(f"TCP {spelled(config.host, config.port)}", _explain(error)) from error
+        raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
     try:
         yield Listener(server.sockets[0].getsockname()[:2])
     finally:
@@ -162,11 +164,12 @@ def spelled(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def _explain(error: OSError | OverflowError) -> str:
+def explain(error: OSError | OverflowError, option: str) -> str:
+    """Why an address cannot be listened on; `option` chooses another."""
     if isinstance(error, OverflowError):
         return "no such port; they go from 0 (any free one) to 65535"
     if error.errno == errno.EADDRINUSE:
-        return "is in use: another host for rosserial runs; stop it, or choose another port with --listen HOST:PORT"
+        return f"is in use: another host for rosserial runs; stop it, or choose another port with {option} HOST:PORT"
     is_lookup = isinstance(error, socket.gaierror)  # its numbers are not the system's
     reason = error.strerror if is_lookup or error.errno is None else os.strerror(error.errno)
     return f"cannot be listened on: {reason or error}"  # Python 3.13 has a text alone for an address of no interface

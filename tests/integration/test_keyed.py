@@ -106,7 +106,7 @@ async def test_a_key_that_is_none_stops_the_start(tmp_path: Path, content: bytes
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=f"tcp.key_file: {path}: {problem}"):
-        read_key(path)
+        read_key(path, "tcp.key_file")
     with pytest.raises(ConfigError, match=problem):
         async with daemon(replace(Config(), tcp=TcpConfig(key_file=path))):
             raise AssertionError("it serves")

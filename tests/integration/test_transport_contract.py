@@ -1,4 +1,4 @@
-"""What every transport promises, checked on TCP, on a serial line (a pseudo terminal) and in memory."""
+"""What every transport promises, checked on TCP, on UDP, on a serial line (a pseudo terminal) and in memory."""
 
 import asyncio
 import contextlib
@@ -7,15 +7,18 @@ import resource
 import socket
 import struct
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import AsyncIterator, Callable
 
 import pytest
 
-from hostlink.config import SerialConfig, TcpConfig
+from hostlink.config import SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Transport
 from hostlink.transport.serial import open_serial
 from hostlink.transport.tcp import KEEPALIVE, SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
+from hostlink.transport.udp import UdpTransport
+from hostlink.transport.udp_port import Datagram, UdpPort, serve_udp
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.pty_pair import pty_pair
 
@@ -61,6 +64,25 @@ class TcpPeer(Peer):
         connection = self.writer.get_extra_info("socket")
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # a reset, not an end
         self.writer.transport.abort()
+
+
+class UdpPeer(Peer):
+    def __init__(self, device: socket.socket) -> None:
+        self.socket = device
+        self.data = b""
+
+    async def send(self, data: bytes) -> None:
+        self.socket.send(data)
+        await asyncio.sleep(0)
+
+    async def receive(self, size: int) -> bytes:
+        while len(self.data) < size:
+            self.data += await asyncio.get_running_loop().sock_recv(self.socket, 65536)
+        data, self.data = self.data[:size], self.data[size:]
+        return data
+
+    async def close(self) -> None:
+        self.socket.close()
 
 
 class PtyPeer(Peer):
@@ -129,6 +151,30 @@ async def tcp() -> AsyncIterator[tuple[Transport, Peer]]:
 
 
 @contextlib.asynccontextmanager
+async def udp() -> AsyncIterator[tuple[Transport, Peer]]:
+    came: asyncio.Queue[UdpTransport] = asyncio.Queue()
+    dropped: Counter[str] = Counter()
+
+    def connect(port: UdpPort, first: Datagram) -> None:
+        connection = port.connect(first)
+        transport = UdpTransport(connection, first, is_verified=True, dropped=dropped, on_other=lambda _: None)
+        came.put_nowait(transport)
+
+    async with serve_udp(UdpConfig(host="127.0.0.1", port=0), dropped, connect) as ports:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
+            device.setblocking(False)
+            device.connect(ports[0].address)
+            device.send(b"!")
+            transport = await came.get()
+            assert await transport.receive() == b"!"
+            try:
+                yield transport, UdpPeer(device)
+            finally:
+                await transport.aclose()
+    assert not dropped
+
+
+@contextlib.asynccontextmanager
 async def serial() -> AsyncIterator[tuple[Transport, Peer]]:
     with pty_pair() as (descriptor, path):
         transport = await open_serial(SerialConfig(path=path, baud=57600))
@@ -144,8 +190,15 @@ async def memory() -> AsyncIterator[tuple[Transport, Peer]]:
     yield host, MemoryPeer(device)
 
 
-@pytest.fixture(params=[tcp, serial, memory], ids=lambda opened: opened.__name__)
+@pytest.fixture(params=[tcp, udp, serial, memory], ids=lambda opened: opened.__name__)
 async def ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport, Peer]]:
+    async with request.param() as pair:
+        yield pair
+
+
+@pytest.fixture(params=[tcp, serial, memory], ids=lambda opened: opened.__name__)
+async def connected_ends(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Transport, Peer]]:
+    """Of those that know when the peer is gone or behind: a sender of datagrams learns neither."""
     async with request.param() as pair:
         yield pair
 
@@ -173,7 +226,7 @@ async def has_ended(transport: Transport) -> bool:
 
 
 class TestContract:
-    """The same for all three."""
+    """The same for all."""
 
     @pytest.mark.parametrize("piece_bytes", [1, 7, 100, 1024, len(DATA)])
     async def test_bytes_arrive_in_order_however_split(self, ends: tuple[Transport, Peer], piece_bytes: int) -> None:
@@ -206,15 +259,15 @@ class TestContract:
         got += await receive_exactly(transport, len(wanted) - len(got))
         assert got == wanted
 
-    async def test_a_peer_that_closes_ends_the_reading(self, ends: tuple[Transport, Peer]) -> None:
-        transport, peer = ends
+    async def test_a_peer_that_closes_ends_the_reading(self, connected_ends: tuple[Transport, Peer]) -> None:
+        transport, peer = connected_ends
         await peer.send(b"last words")
         assert await receive_exactly(transport, 10) == b"last words"
         await peer.close()
         assert await has_ended(transport)
 
-    async def test_a_broken_connection_ends_a_receive_that_waits(self, ends: tuple[Transport, Peer]) -> None:
-        transport, peer = ends
+    async def test_a_broken_connection_ends_a_receive_that_waits(self, connected_ends: tuple[Transport, Peer]) -> None:
+        transport, peer = connected_ends
         async with asyncio.TaskGroup() as tasks:
             reading = tasks.create_task(has_ended(transport))
             await asyncio.sleep(0)
@@ -228,9 +281,9 @@ class TestContract:
             await send_without_end(transport)
 
     async def test_send_waits_for_a_peer_that_does_not_read_and_goes_on_when_it_does(
-        self, ends: tuple[Transport, Peer]
+        self, connected_ends: tuple[Transport, Peer]
     ) -> None:
-        transport, peer = ends
+        transport, peer = connected_ends
         data = DATA * 256
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(transport.send(data))

@@ -21,6 +21,7 @@ class Daemon:
     tcp: tuple[str, int]
     url: str
     session: aiohttp.ClientSession
+    udp: tuple[str, int] | None = None
 
     async def rest(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any]:
         """(status, JSON)."""
@@ -42,4 +43,4 @@ async def daemon(config: Config | None = None, *, has_black_box: bool = False) -
         config = replace(config, black_box=BlackBoxConfig(enabled=False))
     config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0), api=replace(config.api, port=0))
     async with running(config) as (hub, addresses), aiohttp.ClientSession() as session:
-        yield Daemon(hub, addresses.tcp, addresses.api, session)
+        yield Daemon(hub, addresses.tcp, addresses.api, session, addresses.udp)

@@ -84,6 +84,8 @@ class _Line:
 class MemoryTransport:
     """One end of a `memory_pair`."""
 
+    kind = "memory"
+
     def __init__(self, from_peer: _Line, to_peer: _Line, *, address: str) -> None:
         self.peer = self.address = address
         self._from_peer, self._to_peer = from_peer, to_peer

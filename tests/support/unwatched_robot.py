@@ -132,6 +132,22 @@ async def robot_on_tcp(
 
 
 @contextlib.asynccontextmanager
+async def robot_on_udp(address: tuple[str, int], name: str) -> AsyncIterator[UnwatchedRobot]:
+    """It sends a request for the time, and is there for the length of the block."""
+    robot = UnwatchedRobot(name, Reading())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+        connection.connect(address)
+        connection.setblocking(False)
+        connection.send(encode(Id.TIME, bytes(8)))
+        async with asyncio.TaskGroup() as tasks:
+            task = tasks.create_task(robot.read(connection.fileno()))
+            try:
+                yield robot
+            finally:
+                task.cancel()
+
+
+@contextlib.asynccontextmanager
 async def robot_on_pty(name: str, reading: Reading | None = None) -> AsyncIterator[tuple[UnwatchedRobot, str]]:
     """(robot, path of its port) for the length of the block; the port vanishes at its end."""
     robot = UnwatchedRobot(name, reading or Reading())

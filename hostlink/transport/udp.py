@@ -1,0 +1,253 @@
+"""One device over UDP: a connected socket of its own.
+
+The kernel gives such a socket the datagrams and the ICMP errors of its peer alone, in a buffer of its own: a flood from
+elsewhere takes nothing from a device, an error ends no other's link, and another process can be given a duplicate.
+"""
+
+import asyncio
+import contextlib
+import errno
+import socket
+from collections import Counter
+from collections.abc import Callable
+
+from hostlink.transport.allowance import Allowance
+from hostlink.transport.base import READ_BYTES
+from hostlink.transport.tcp import spelled
+from hostlink.transport.udp_port import Datagram, receive_into
+
+MAX_DATAGRAM_BYTES = 1452  # to a device: what passes an Ethernet or a WiFi whole, also by IPv6 (1500 - 40 - 8)
+DATAGRAMS_A_TURN = 16  # that one device's socket is read before others have their turn
+PATIENCE_S = 1.0  # for an address that is sent more than it sends: a command that waited longer means nothing
+
+
+class UdpTransport:
+    """Owns the socket of one session. There is no end but silence, and the peer's system that refuses its port.
+
+    What cannot leave is kept, one frame at most; the next one replaces it.
+    """
+
+    kind = "udp"
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        first: Datagram,
+        *,
+        is_verified: bool,
+        dropped: Counter[str],
+        on_other: Callable[[Datagram], None],
+        on_limited: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`first`: what began the session; `on_other`: for what came to this socket before it was connected.
+
+        `on_limited`: called when something is given up because the device is not verified.
+        """
+        self.peer = spelled(*first.source[:2])
+        self.address: str = first.source[0]
+        self._socket, self._first = connection, first
+        self._allowance = Allowance(is_limited=not is_verified)
+        self._dropped, self._on_other, self._on_limited = dropped, on_other, on_limited
+        self._on_readable: Callable[[], None] = _ignore
+        self._received = bytearray()
+        self._unsent: list[bytes] = []
+        self._is_reading = self._is_closed = False
+        self._error: OSError | None = None
+        self._progress = asyncio.Event()
+        self.feed(first.data)
+
+    async def open(self) -> None:
+        """It is open."""
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether the device is known to be where its datagrams come from."""
+        return not self._allowance.is_limited
+
+    def verify(self) -> None:
+        """The device has proven that it receives what is sent to its address."""
+        self._allowance.is_limited = False
+        self._progress.set()
+
+    # -- from the device ----------------------------------------------------------------------------------------------
+
+    def start(self, on_readable: Callable[[], None]) -> None:
+        """From now on `on_readable` is called whenever bytes have come, and at the end."""
+        self._on_readable = on_readable
+        self._read_on()
+        if self.unread_bytes or self.is_ended:
+            on_readable()
+
+    @property
+    def unread_bytes(self) -> int:
+        """What has come and was not read."""
+        return len(self._received)
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether nothing more will come."""
+        return self._is_closed or self._error is not None
+
+    def read(self, limit_bytes: int) -> bytes:
+        """What has come; b"" while there is nothing, and after `aclose`.
+
+        Raises:
+            OSError: the peer's system has nobody at that port, and everything before was read.
+        """
+        if not self._received and self._error is not None:
+            raise self._error
+        data = bytes(self._received[:limit_bytes])
+        del self._received[:limit_bytes]
+        self._read_on()
+        return data
+
+    def feed(self, data: bytes) -> None:
+        """A datagram of this device that came by the port's own socket."""
+        if self.is_ended or self._is_full:
+            self._dropped["unread"] += 1
+            return
+        self._add(data)
+        self._on_readable()
+
+    async def receive(self) -> bytes:
+        """What has come; b"" at the end."""
+        came = asyncio.Event()
+        self.start(came.set)
+        await came.wait()
+        return self.read(2 * READ_BYTES)
+
+    @property
+    def _is_full(self) -> bool:
+        return len(self._received) >= READ_BYTES
+
+    def _read_on(self) -> None:
+        """Read the socket while there is room; else the kernel keeps what comes, up to its bound."""
+        if not self._is_reading and not self._is_full and not self.is_ended:
+            self._is_reading = True
+            asyncio.get_running_loop().add_reader(self._socket, self._receive)
+
+    def _stop_reading(self) -> None:
+        if self._is_reading:
+            self._is_reading = False
+            asyncio.get_running_loop().remove_reader(self._socket)
+
+    def _receive(self) -> None:
+        for _ in range(DATAGRAMS_A_TURN):
+            try:
+                found = receive_into(self._socket, self._dropped)
+            except BlockingIOError:
+                break
+            except ConnectionRefusedError:
+                self._break()
+                return
+            except OSError:  # no way there at this moment; silence decides
+                self._dropped["unreachable"] += 1
+                continue
+            if found is None:
+                continue
+            data, source, _ = found
+            if source[:2] != self._first.source[:2]:
+                self._on_other(Datagram(data, source, self._first.local))
+                continue
+            self._add(data)
+            if self._is_full:
+                self._stop_reading()
+                break
+        if self._received:
+            self._on_readable()
+
+    def _add(self, data: bytes) -> None:
+        self._received += data
+        self._allowance.earn(len(data))
+        self._progress.set()
+
+    def _break(self) -> None:
+        """ICMP: nobody has the device's port. As of TCP it is a reset; a refusal would be hostlink's own."""
+        if not self.is_ended:
+            self._error = ConnectionResetError(errno.ECONNRESET, "nobody has the device's port any more")
+            self._stop_reading()
+            self._progress.set()
+            asyncio.get_running_loop().call_soon(self._on_readable)
+
+    # -- to the device ------------------------------------------------------------------------------------------------
+
+    def write(self, data: bytes) -> bool:
+        """A frame is a datagram; one that no network passes whole is several."""
+        if self.is_ended:
+            return False
+        self._unsent = [data[at : at + MAX_DATAGRAM_BYTES] for at in range(0, len(data), MAX_DATAGRAM_BYTES)]
+        return self._flush()
+
+    async def drain(self) -> None:
+        """Returns when what was written has left, or was given up: an address that sends too little is sent no more.
+
+        Raises:
+            OSError: the connection broke, or was closed.
+        """
+        loop = asyncio.get_running_loop()
+        while not self._flush():
+            self._progress.clear()
+            if self._allowance.allows(self._unsent):  # it is the kernel that has no room
+                loop.add_writer(self._socket, self._progress.set)
+            try:
+                async with asyncio.timeout(PATIENCE_S):
+                    await self._progress.wait()
+            except TimeoutError:
+                self._unsent.clear()
+                self._dropped["unsent"] += 1
+                self._on_limited()
+            finally:
+                if not self._is_closed:
+                    loop.remove_writer(self._socket)
+
+    async def send(self, data: bytes) -> None:
+        """Write and drain."""
+        self.write(data)
+        await self.drain()
+        await asyncio.sleep(0)  # nothing slows a sender of datagrams; others have their turn
+
+    def _flush(self) -> bool:
+        """Send what may leave; whether all has."""
+        if self.is_ended:
+            raise self._error or ConnectionResetError("connection lost")
+        while self._unsent and self._allowance.allows(self._unsent):
+            try:
+                self._socket.send(self._unsent[0])
+            except BlockingIOError:
+                break
+            except ConnectionRefusedError:
+                self._break()
+                return False
+            except OSError:  # no way there at this moment; silence decides
+                self._dropped["unreachable"] += 1
+            self._allowance.spend(len(self._unsent.pop(0)))
+        return not self._unsent
+
+    # -- its end ------------------------------------------------------------------------------------------------------
+
+    def round_trip_s(self) -> float | None:
+        """Nobody measures it."""
+        return None
+
+    def descriptor(self) -> int | None:
+        """The socket's, until it is closed."""
+        return None if self._is_closed else self._socket.fileno()
+
+    async def aclose(self) -> None:
+        """Close at once: what was sent has left."""
+        if self._is_closed:
+            return
+        self._stop_reading()
+        asyncio.get_running_loop().remove_writer(self._socket)
+        self._is_closed = True
+        self._progress.set()
+        with contextlib.suppress(
+            OSError
+        ):  # a duplicate in another process gets none of the device's datagrams any more
+            self._socket.connect(self._socket.getsockname())
+        self._socket.close()
+        self._on_readable()
+
+
+def _ignore() -> None:
+    """Nobody reads yet: what comes waits."""

@@ -1,0 +1,161 @@
+"""The port for devices over UDP: it receives what no session has, and connects a socket for each session."""
+
+import asyncio
+import contextlib
+import socket
+import sys
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from typing import Any, NamedTuple
+
+from hostlink.config import UdpConfig
+from hostlink.errors import ConfigError
+from hostlink.transport.base import READ_BYTES
+from hostlink.transport.tcp import explain, spelled
+
+RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel: what comes when it is full is lost
+DATAGRAMS_A_TURN = 16  # of those without a session: they cost a tenth of a millisecond in all
+_IP_PKTINFO = 8  # Linux; Python has no name for it
+_ANCILLARY_BYTES = socket.CMSG_SPACE(20)  # of in6_pktinfo, the longer one
+_INTO = bytearray(READ_BYTES)  # of all sockets: what came is copied out of it before the next one reads
+_VIEW = memoryview(_INTO)
+
+Address = tuple[Any, ...]  # as the socket module has it: host and port, by IPv6 two numbers more
+
+
+class Datagram(NamedTuple):
+    """What came, from where, and to which address of this computer: from there answers leave."""
+
+    data: bytes
+    source: Address
+    local: Address
+
+
+def receive_into(
+    from_socket: socket.socket, dropped: Counter[str]
+) -> tuple[bytes, Address, list[tuple[int, int, bytes]]] | None:
+    """The next datagram, its source and its ancillary data; None: it is empty, or larger than READ_BYTES.
+
+    Raises:
+        BlockingIOError: there is none.
+        OSError: an ICMP error came.
+    """
+    size, ancillary, flags, source = from_socket.recvmsg_into((_VIEW,), _ANCILLARY_BYTES)
+    if flags & socket.MSG_TRUNC:
+        dropped["too_large"] += 1
+        return None
+    return (bytes(_VIEW[:size]), source, ancillary) if size else None
+
+
+class UdpPort:
+    """Owns one socket that is bound and not connected."""
+
+    def __init__(
+        self, bound: socket.socket, dropped: Counter[str], on_datagram: Callable[["UdpPort", Datagram], None]
+    ) -> None:
+        self.family = bound.family
+        self.address: Address = bound.getsockname()
+        self._socket, self._dropped, self._on_datagram = bound, dropped, on_datagram
+        asyncio.get_running_loop().add_reader(bound, self._receive)
+
+    def connect(self, datagram: Datagram) -> socket.socket:
+        """A socket that receives what comes from that source from now on.
+
+        Raises:
+            OSError: no descriptor is left, or there is no way to the source.
+        """
+        connection = socket.socket(self.family, socket.SOCK_DGRAM)
+        try:
+            _set_options(connection)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            connection.bind(datagram.local)
+            connection.connect(datagram.source)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    def send(self, data: bytes, to: Address) -> None:
+        """To an address without a session; whoever is not there is no error."""
+        try:
+            self._socket.sendto(data, to)
+        except OSError:
+            self._dropped["unreachable"] += 1
+
+    def close(self) -> None:
+        """Receive nothing more."""
+        asyncio.get_running_loop().remove_reader(self._socket)
+        self._socket.close()
+
+    def _receive(self) -> None:
+        for _ in range(DATAGRAMS_A_TURN):
+            try:
+                found = receive_into(self._socket, self._dropped)
+            except BlockingIOError:
+                return
+            except OSError:
+                self._dropped["unreachable"] += 1
+                continue
+            if found is not None:
+                data, source, ancillary = found
+                self._on_datagram(self, Datagram(data, source, self._local(ancillary)))
+
+    def _local(self, ancillary: list[tuple[int, int, bytes]]) -> Address:
+        """The address of this computer that it was sent to."""
+        for level, kind, data in ancillary:
+            if (level, kind) == (socket.IPPROTO_IP, _IP_PKTINFO):
+                return socket.inet_ntop(socket.AF_INET, data[4:8]), self.address[1]
+            if (level, kind) == (socket.IPPROTO_IPV6, socket.IPV6_PKTINFO):
+                host = socket.inet_ntop(socket.AF_INET6, data[:16])
+                scope = int.from_bytes(data[16:20], sys.byteorder) if host.startswith("fe80:") else 0
+                return host, self.address[1], 0, scope
+        return self.address
+
+
+@contextlib.asynccontextmanager
+async def serve_udp(
+    config: UdpConfig, dropped: Counter[str], on_datagram: Callable[[UdpPort, Datagram], None]
+) -> AsyncIterator[list[UdpPort]]:
+    """Receive until the block is left; a port for each address that the host's name has.
+
+    Raises:
+        ConfigError: the address cannot be used.
+    """
+    ports: list[UdpPort] = []
+    try:
+        try:
+            found = await asyncio.get_running_loop().getaddrinfo(
+                config.host, config.port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
+            )
+            for family, _, _, _, address in dict.fromkeys(found):
+                ports.append(UdpPort(_bind(family, address), dropped, on_datagram))
+        except (OSError, OverflowError) as error:
+            raise ConfigError(f"UDP {spelled(config.host, config.port)}", explain(error, "--udp")) from error
+        yield ports
+    finally:
+        for port in ports:
+            port.close()
+
+
+def _bind(family: int, address: Address) -> socket.socket:
+    """Bound before it may be shared: so nobody else's port is, and afterwards only this user's sockets can."""
+    bound = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        _set_options(bound)
+        bound.bind(address)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        if sys.platform == "linux" and family == socket.AF_INET6:
+            bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_RECVPKTINFO, 1)
+        elif sys.platform == "linux":
+            bound.setsockopt(socket.IPPROTO_IP, _IP_PKTINFO, 1)
+    except BaseException:
+        bound.close()
+        raise
+    return bound
+
+
+def _set_options(made: socket.socket) -> None:
+    made.setblocking(False)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    if made.family == socket.AF_INET6:
+        made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)

@@ -1,0 +1,97 @@
+"""A daemon that is killed or stuck while it drives a robot over UDP, where nothing shows that a sender is gone."""
+
+import asyncio
+import contextlib
+import os
+import random
+import signal
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from tests.support.fork_server import Daemons, Forked
+from tests.support.killing import COMMAND_INTERVAL_S, LIMIT_S
+from tests.support.udp_device import GREETING
+from tests.support.unwatched_robot import ZERO, UnwatchedRobot, robot_on_udp
+
+pytestmark = pytest.mark.quiet
+KILLS = 12
+SETTINGS = '[udp]\nhost = "127.0.0.1"\nport = 0\ntrusted = ["127.0.0.0/8"]\n'
+
+
+@contextlib.asynccontextmanager
+async def driving(folder: Path, settings: str = SETTINGS) -> AsyncIterator[tuple[Forked, UnwatchedRobot]]:
+    """The robot moves when the block begins, and commands come until the daemon is gone."""
+    file = folder / "hostlink.toml"
+    file.write_text(settings)
+    async with Daemons(folder).serve("--config", str(file)) as daemon, aiohttp.ClientSession() as session:
+        host, _, port = daemon.log("daemon.started")[0]["udp"].rpartition(":")
+        async with (
+            robot_on_udp((host, int(port)), "on_udp") as robot,
+            session.ws_connect(daemon.url) as client,
+            asyncio.TaskGroup() as tasks,
+        ):
+            await daemon.logged("robot.appeared")
+            source = tasks.create_task(_command(client))
+            try:
+                await robot.driven()
+                yield daemon, robot
+            finally:
+                source.cancel()
+
+
+async def _command(client: aiohttp.ClientWebSocketResponse) -> None:
+    twist = {"linear": {"x": 0.1, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0.5}}
+    with contextlib.suppress(ConnectionError):  # the daemon has ended
+        while True:
+            await client.send_json({"op": "publish", "topic": "/on_udp/velocity_commands", "msg": twist})
+            await asyncio.sleep(COMMAND_INTERVAL_S)
+
+
+async def test_without_a_guardian_the_robot_moves_on(tmp_path: Path) -> None:
+    """So it does not stop by itself."""
+    async with driving(tmp_path, "guardian = false\n" + SETTINGS) as (daemon, robot):
+        began_s = time.monotonic()
+        os.kill(daemon.pid, signal.SIGKILL)
+        await asyncio.sleep(1.0)
+        assert robot.stood_after_s(began_s) == float("inf")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
+async def test_a_killed_daemon_leaves_no_robot_moving(tmp_path: Path, number: signal.Signals) -> None:
+    dice = random.Random(number)
+    for kill in range(KILLS // 2):
+        folder = tmp_path / f"{kill}"
+        folder.mkdir()
+        async with driving(folder) as (daemon, robot):
+            await asyncio.sleep(dice.uniform(0.0, 0.2))
+            began_s = time.monotonic()
+            os.kill(daemon.pid, number)
+            await robot.stood(1.0)
+            assert robot.stood_after_s(began_s) <= LIMIT_S
+
+
+async def test_a_daemon_that_ends_in_order_stops_it_and_then_says_so(tmp_path: Path) -> None:
+    async with driving(tmp_path) as (daemon, robot):
+        began_s = time.monotonic()
+        os.kill(daemon.pid, signal.SIGTERM)
+        await robot.stood(2.0)
+        assert robot.stood_after_s(began_s) <= 1.0
+        assert robot.velocities[-1][1] == ZERO
+
+
+async def test_a_guardian_that_is_stuck_keeps_no_device_from_the_daemon(tmp_path: Path) -> None:
+    """It has a duplicate of the session's socket, to which the kernel would go on giving the device's datagrams."""
+    settings = SETTINGS + "[link]\nidle_timeout_s = 0.5\nsilence_timeout_s = 0.5\n"
+    async with driving(tmp_path, settings) as (daemon, robot):
+        guardian = int(daemon.log("guardian.started")[-1]["pid"])
+        os.kill(guardian, signal.SIGSTOP)
+        try:
+            await daemon.logged("link.closed")  # the robot sends nothing by itself
+            os.write(robot._descriptor, GREETING)
+            await daemon.logged("robot.appeared", 2)
+        finally:
+            os.kill(guardian, signal.SIGCONT)
