@@ -121,6 +121,7 @@ class TestSession:
         async with host_of() as host, udp_device(host.udp, [*robot_topics(), blob]) as device:
             program = host.hub.join("a program")
             program.advertise("/blob", "std_msgs/UInt8MultiArray")
+            await expect(lambda: host.hub.topics.find("/blob").devices)
             long = struct.pack("<III", 0, 0, 2 * MAX_DATAGRAM_BYTES) + bytes(2 * MAX_DATAGRAM_BYTES)
             short = struct.pack("<III", 0, 0, 3) + bytes(3)
             for payload, sizes in ((long, [MAX_DATAGRAM_BYTES, MAX_DATAGRAM_BYTES, 20]), (short, [23])):
