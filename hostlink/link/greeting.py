@@ -27,4 +27,4 @@ def _is_frame(data: bytes, at: int) -> bool:
     if sync != SYNC_WORD or length_check != ~(size + (size >> 8)) & 0xFF or len(data) <= end:
         return False
     payload = memoryview(data)[at + HEADER.size : end]
-    return data[end] == ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF
+    return bool(data[end] == ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF)

@@ -30,6 +30,7 @@ ROBOT, OTHER, VICTIM = "127.0.0.2", "127.0.0.3", "127.0.0.4"
 KEY = b"a key of 16 bytes, or of more"
 UDP = UdpConfig(trusted=("127.0.0.0/8",))
 A_WHILE_S = 0.2
+OTHER_BYTES = (16, 56)  # frames with the time, and with a velocity
 
 
 @contextlib.asynccontextmanager
