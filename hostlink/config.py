@@ -277,7 +277,8 @@ def _decode(wanted: type, value: object) -> object:
 
 def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
     """Walk the tables that the dataclasses describe; a key that none has is an error."""
-    wanted = next((each for each in typing.get_args(wanted) if dataclasses.is_dataclass(each)), wanted)
+    if type(None) in typing.get_args(wanted):
+        wanted = typing.get_args(wanted)[0]
     if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):
         hints = typing.get_type_hints(wanted)
         for key, value in raw.items():

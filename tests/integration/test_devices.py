@@ -67,7 +67,7 @@ async def test_a_frame_over_the_device_buffer_is_refused_before_it_is_sent() -> 
 async def test_a_topic_that_nobody_has_is_named_with_those_that_are() -> None:
     topics = [topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
     async with daemon() as host, fake_device(host.tcp, topics):
-        with pytest.raises(UnknownTopic, match="no topic named /lid; known: /led"):
+        with pytest.raises(UnknownTopic, match="no topic named /lid; known: /diagnostics, /led"):
             publish(host.hub, "/lid", {}, source="test")
 
 

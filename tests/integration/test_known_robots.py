@@ -85,7 +85,7 @@ def test_a_crowd_that_came_and_left_is_forgotten() -> None:
         await asyncio.sleep(FORGET_S)
         assert known(hub) == []
         assert hub.services.all() == []
-        assert [each.name for each in hub.topics.all()] == ["/rosout"]
+        assert [each.name for each in hub.topics.all()] == ["/diagnostics", "/rosout"]
 
     with_hub(check)
 

@@ -61,7 +61,7 @@ async def test_a_thousand_reconnects_leave_nothing_behind() -> None:
                 samples.append((in_use(), resident_bytes()))
         await expect(lambda: not host.hub.links())
         assert not host.hub.isolation.crashes
-        assert [topic.name for topic in host.hub.topics.all()] == ["/rosout"]
+        assert [topic.name for topic in host.hub.topics.all()] == ["/diagnostics", "/rosout"]
         assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("link")]
     steady = samples[WARM_UP // SAMPLE_EVERY :]
     for counts in zip(*(counts for counts, _ in steady), strict=True):

@@ -98,14 +98,14 @@ async def test_links_and_topics_and_health() -> None:
         assert [each["name"] for each in link["topics"]] == ["/led"]
         assert link["frames_from_device"] == 3
         listed = (await host.get("/api/topics"))["topics"]
-        assert listed[0] == {
+        assert listed[1] == {
             "name": "/led",
             "type": "std_msgs/Bool",
             "publishers": 0,
             "subscribers": 1,
             "messages": 0,
         }
-        assert [each["name"] for each in listed] == ["/led", "/rosout"]
+        assert [each["name"] for each in listed] == ["/diagnostics", "/led", "/rosout"]
         assert (await host.get("/healthz"))["status"] == "alive"
         status, error = await host.rest("GET", "/readyz")
         assert (status, error["error"]["reason"]) == (503, "not connected: no robot yet")

@@ -150,7 +150,7 @@ async def test_a_page_with_a_wrong_type_blocks_no_topic() -> None:
     async with daemon() as host, client(host) as program:
         for name in ("cmd_vel", "odom", "odometry"):
             await program.send(op="advertise", topic=f"/robot_0/{name}", type="std_msgs/String")
-        await expect(lambda: len(host.hub.topics.all()) == 4)
+        await expect(lambda: len(host.hub.topics.all()) == 5)
         async with fake_device(host.tcp, robot_topics()) as device:
             assert types(host)["/robot_0/odometry"] == "geometry_msgs/Pose2D"
             assert types(host)["/robot_0/cmd_vel"] == "geometry_msgs/Twist"
@@ -233,4 +233,4 @@ async def test_a_robot_that_leaves_removes_its_topics() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()):
             assert "/robot_0/odom" in types(host)
-        await expect(lambda: types(host).keys() == {"/rosout"})
+        await expect(lambda: types(host).keys() == {"/diagnostics", "/rosout"})

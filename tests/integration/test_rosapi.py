@@ -29,6 +29,7 @@ async def test_topics_types_and_definitions() -> None:
             "/robot_0/cmd_vel_stamped": "geometry_msgs/TwistStamped",
             "/robot_0/odom": "nav_msgs/Odometry",
             "/robot_0/odometry": "geometry_msgs/Pose2D",
+            "/diagnostics": "diagnostic_msgs/DiagnosticArray",
             "/robot_0/reset_odometry": "std_msgs/Empty",
             "/robot_0/velocity_commands": "geometry_msgs/Twist",
             "/rosout": "rosgraph_msgs/Log",

@@ -23,7 +23,7 @@ TRIGGER = [
 async def test_topics_echo_pub_and_call() -> None:
     async with serve() as daemon, fake_device(daemon.tcp, LED + TRIGGER) as device, asyncio.TaskGroup() as tasks:
         status, out, _ = await run("topics", "--json", "--url", daemon.url)
-        assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/led", "/rosout"])
+        assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/diagnostics", "/led", "/rosout"])
 
         listening = tasks.create_task(run("echo", "/led", "--count", "1", "--json", "--url", daemon.url))
         while json.loads((await run("topics", "--json", "--url", daemon.url))[1])[0]["subscribers"] < 2:
@@ -42,7 +42,7 @@ async def test_topics_echo_pub_and_call() -> None:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["pub", "/nope", "{}"], "no topic named /nope; known: /led"),
+        (["pub", "/nope", "{}"], "no topic named /nope; known: /diagnostics, /led"),
         (["pub", "/led", '{"dta": true}'], "dta"),
         (["pub", "/led", "{}", "--type", "std_msgs/Int32"], "/led: wanted std_msgs/Bool, got std_msgs/Int32"),
         (["call", "/nope"], "no service named /nope"),
