@@ -26,7 +26,7 @@ async def test_topics_echo_pub_and_call() -> None:
         assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/diagnostics", "/led", "/rosout"])
 
         listening = tasks.create_task(run("echo", "/led", "--count", "1", "--json", "--url", daemon.url))
-        while json.loads((await run("topics", "--json", "--url", daemon.url))[1])[0]["subscribers"] < 2:
+        while json.loads((await run("topics", "--json", "--url", daemon.url))[1])[1]["subscribers"] < 2:
             continue
         assert await run("pub", "/led", '{"data": true}', "--url", daemon.url) == (0, "", "1 sent\n")
         assert await device.frame(100) == b"\x01"
