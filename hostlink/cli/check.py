@@ -137,7 +137,7 @@ async def _try_port(part: str, host: str, port: int) -> list[str]:
 
 async def _try_datagrams(config: UdpConfig) -> list[str]:
     try:
-        async with serve_udp(config, Counter(), lambda _port, _datagram: None):
+        async with serve_udp(config, Counter(), lambda _port, _datagram: False):
             return []
     except ConfigError as error:
         if isinstance(error.__cause__, OSError) and error.__cause__.errno == errno.EADDRINUSE:

@@ -63,15 +63,16 @@ class UdpAcceptor:
         self._refusals = Refusals(hub)
         self._rates = {is_verified: _Rate() for is_verified in (False, True)}
 
-    def receive(self, port: UdpPort, datagram: Datagram) -> None:
-        """A datagram came that no session's own socket received."""
+    def receive(self, port: UdpPort, datagram: Datagram) -> bool:
+        """A datagram came that no session's own socket received; returns whether it has opened one."""
         session = self._sessions.get(datagram.source[:2])
         if session is not None:
             session.transport.feed(datagram.data)
-        elif self._is_greeting(datagram):
-            self._open(port, datagram)
-        else:
-            self._hub.datagrams_dropped["not_rosserial"] += 1
+            return False
+        if self._is_greeting(datagram):
+            return self._open(port, datagram)
+        self._hub.datagrams_dropped["not_rosserial"] += 1
+        return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
         """Send something to each device that waits for it and has no session, again and again, until cancelled."""
@@ -89,18 +90,18 @@ class UdpAcceptor:
     def _needs_key(self, address: str) -> bool:
         return self._key is not None and self._admission.needs_key(address)
 
-    def _open(self, port: UdpPort, datagram: Datagram) -> None:
+    def _open(self, port: UdpPort, datagram: Datagram) -> bool:
         address, peer = datagram.source[0], spelled(*datagram.source[:2])
         is_verified = not self._needs_key(address) and self._is_trusted(datagram.source[:2])
         refusal = self._refusal(address, peer, is_verified=is_verified)
         if refusal is not None:
             self._refusals.count(refusal, peer)
-            return
+            return False
         try:
             connection = port.connect(datagram)
         except OSError as error:
             self._refusals.count("no_descriptor" if error.errno in _NO_DESCRIPTOR else "unreachable", peer)
-            return
+            return False
         transport = UdpTransport(
             connection,
             datagram,
@@ -112,6 +113,7 @@ class UdpAcceptor:
         session = _Session(self._hub.open(self._guarded(transport)), transport)
         self._sessions[datagram.source[:2]] = session
         self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")
+        return True
 
     def _is_trusted(self, source: tuple[str, int]) -> bool:
         return source in self._devices or is_within(source[0], self._trusted)

@@ -14,10 +14,10 @@ from collections.abc import Callable
 from hostlink.transport.allowance import Allowance
 from hostlink.transport.base import READ_BYTES
 from hostlink.transport.tcp import spelled
-from hostlink.transport.udp_port import Datagram, receive_into
+from hostlink.transport.udp_port import Datagram, receive_from
 
 MAX_DATAGRAM_BYTES = 1452  # to a device: what passes an Ethernet or a WiFi whole, also by IPv6 (1500 - 40 - 8)
-DATAGRAMS_A_TURN = 16  # that one device's socket is read before others have their turn
+DATAGRAMS_A_TURN = 4  # of one device, before others have their turn: a robot sends tens in a second
 PATIENCE_S = 1.0  # for an address that is sent more than it sends: a command that waited longer means nothing
 
 
@@ -36,7 +36,7 @@ class UdpTransport:
         *,
         is_verified: bool,
         dropped: Counter[str],
-        on_other: Callable[[Datagram], None],
+        on_other: Callable[[Datagram], object],
         on_limited: Callable[[], None] = lambda: None,
     ) -> None:
         """`first`: what began the session; `on_other`: for what came to this socket before it was connected.
@@ -134,7 +134,7 @@ class UdpTransport:
     def _receive(self) -> None:
         for _ in range(DATAGRAMS_A_TURN):
             try:
-                found = receive_into(self._socket, self._dropped)
+                found = receive_from(self._socket, self._dropped)
             except BlockingIOError:
                 break
             except ConnectionRefusedError:
@@ -145,7 +145,7 @@ class UdpTransport:
                 continue
             if found is None:
                 continue
-            data, source, _ = found
+            data, source = found
             if source[:2] != self._first.source[:2]:
                 self._on_other(Datagram(data, source, self._first.local))
                 continue

@@ -17,7 +17,7 @@ RECEIVE_BUFFER_BYTES = 65536  # of one socket, in the kernel: what comes when it
 DATAGRAMS_A_TURN = 16  # of those without a session: they cost a tenth of a millisecond in all
 _IP_PKTINFO = 8  # Linux; Python has no name for it
 _ANCILLARY_BYTES = socket.CMSG_SPACE(20)  # of in6_pktinfo, the longer one
-_INTO = bytearray(READ_BYTES)  # of all sockets: what came is copied out of it before the next one reads
+_INTO = bytearray(READ_BYTES + 1)  # of all sockets: what came is copied out of it before the next one reads
 _VIEW = memoryview(_INTO)
 
 Address = tuple[Any, ...]  # as the socket module has it: host and port, by IPv6 two numbers more
@@ -31,27 +31,28 @@ class Datagram(NamedTuple):
     local: Address
 
 
-def receive_into(
-    from_socket: socket.socket, dropped: Counter[str]
-) -> tuple[bytes, Address, list[tuple[int, int, bytes]]] | None:
-    """The next datagram, its source and its ancillary data; None: it is empty, or larger than READ_BYTES.
+def receive_from(from_socket: socket.socket, dropped: Counter[str]) -> tuple[bytes, Address] | None:
+    """The next datagram and its source; None: it is empty, or larger than READ_BYTES.
 
     Raises:
         BlockingIOError: there is none.
         OSError: an ICMP error came.
     """
-    size, ancillary, flags, source = from_socket.recvmsg_into((_VIEW,), _ANCILLARY_BYTES)
-    if flags & socket.MSG_TRUNC:
+    size, source = from_socket.recvfrom_into(_INTO)
+    if size > READ_BYTES:
         dropped["too_large"] += 1
         return None
-    return (bytes(_VIEW[:size]), source, ancillary) if size else None
+    return (bytes(_VIEW[:size]), source) if size else None
 
 
 class UdpPort:
-    """Owns one socket that is bound and not connected."""
+    """Owns one socket that is bound and not connected.
+
+    `on_datagram` returns whether it has opened a session: that costs as much as a whole turn should.
+    """
 
     def __init__(
-        self, bound: socket.socket, dropped: Counter[str], on_datagram: Callable[["UdpPort", Datagram], None]
+        self, bound: socket.socket, dropped: Counter[str], on_datagram: Callable[["UdpPort", Datagram], bool]
     ) -> None:
         self.family = bound.family
         self.address: Address = bound.getsockname()
@@ -90,15 +91,16 @@ class UdpPort:
     def _receive(self) -> None:
         for _ in range(DATAGRAMS_A_TURN):
             try:
-                found = receive_into(self._socket, self._dropped)
+                size, ancillary, _, source = self._socket.recvmsg_into((_VIEW,), _ANCILLARY_BYTES)
             except BlockingIOError:
                 return
             except OSError:
                 self._dropped["unreachable"] += 1
                 continue
-            if found is not None:
-                data, source, ancillary = found
-                self._on_datagram(self, Datagram(data, source, self._local(ancillary)))
+            if size > READ_BYTES:
+                self._dropped["too_large"] += 1
+            elif size and self._on_datagram(self, Datagram(bytes(_VIEW[:size]), source, self._local(ancillary))):
+                return
 
     def _local(self, ancillary: list[tuple[int, int, bytes]]) -> Address:
         """The address of this computer that it was sent to."""
@@ -114,7 +116,7 @@ class UdpPort:
 
 @contextlib.asynccontextmanager
 async def serve_udp(
-    config: UdpConfig, dropped: Counter[str], on_datagram: Callable[[UdpPort, Datagram], None]
+    config: UdpConfig, dropped: Counter[str], on_datagram: Callable[[UdpPort, Datagram], bool]
 ) -> AsyncIterator[list[UdpPort]]:
     """Receive until the block is left; a port for each address that the host's name has.
 

@@ -155,10 +155,11 @@ async def udp() -> AsyncIterator[tuple[Transport, Peer]]:
     came: asyncio.Queue[UdpTransport] = asyncio.Queue()
     dropped: Counter[str] = Counter()
 
-    def connect(port: UdpPort, first: Datagram) -> None:
+    def connect(port: UdpPort, first: Datagram) -> bool:
         connection = port.connect(first)
         transport = UdpTransport(connection, first, is_verified=True, dropped=dropped, on_other=lambda _: None)
         came.put_nowait(transport)
+        return True
 
     async with serve_udp(UdpConfig(host="127.0.0.1", port=0), dropped, connect) as ports:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
