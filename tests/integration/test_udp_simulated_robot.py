@@ -1,0 +1,69 @@
+"""The simulated robot over UDP: its UART's bytes cut into datagrams anywhere, as a passthrough would send them."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator
+
+import pytest
+
+from hostlink.config import Config, UdpConfig
+from hostlink.hub.hub import Hub
+from hostlink.robot.velocity import Velocity
+from hostlink.sim.run import run_fleet
+from tests.support.daemon import daemon
+from tests.support.waiting import expect
+
+pytestmark = [pytest.mark.timeout(60), pytest.mark.quiet]
+HOST = "127.0.0.1"
+FORWARD = Velocity(linear_x_m_s=0.2)
+
+
+@contextlib.asynccontextmanager
+async def fleet(port: int, robots: int = 1) -> AsyncIterator[None]:
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(run_fleet(HOST, port, robots=robots, is_udp=True))
+        try:
+            yield
+        finally:
+            running.cancel()
+
+
+def x_m(hub: Hub) -> float:
+    known = hub.robots.find("robot_0").odometry.snapshot(asyncio.get_running_loop().time())
+    return 0.0 if known is None else known.pose.x_m
+
+
+async def drive_until(hub: Hub, wanted_m: float) -> None:
+    robot, program = hub.robots.find("robot_0"), hub.join("a program")
+    while x_m(hub) < wanted_m:
+        program.drive(robot, FORWARD)
+        await asyncio.sleep(0.1)
+    program.leave()
+
+
+@pytest.mark.parametrize("trusted", [(), ("127.0.0.0/8",)], ids=["not verified", "trusted"])
+async def test_it_is_driven_and_stops_when_its_driver_leaves(trusted: tuple[str, ...]) -> None:
+    config = Config(udp=UdpConfig(host=HOST, port=0, trusted=trusted))
+    async with daemon(config) as host, fleet(host.udp[1]):
+        await expect(lambda: host.hub.robots.all() and x_m(host.hub) == 0.0)
+        await drive_until(host.hub, 0.1)
+        await asyncio.sleep(1.5)  # it brakes
+        stood_m = x_m(host.hub)
+        await asyncio.sleep(0.5)
+        assert x_m(host.hub) == pytest.approx(stood_m, abs=0.002)
+        link = host.hub.links()[0]
+        assert link.session.counts.skipped_bytes == 0
+        assert link.session.counts.negotiations == 1
+
+
+async def test_a_daemon_that_starts_again_finds_the_robots_again() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind((HOST, 0))
+        port = free.getsockname()[1]
+    config = Config(udp=UdpConfig(host=HOST, port=port, trusted=("127.0.0.0/8",)))
+    async with fleet(port, robots=3):
+        for _ in range(2):
+            async with daemon(config) as host:
+                await expect(lambda: len(host.hub.robots.all()) == 3, timeout_s=15)
+                await drive_until(host.hub, x_m(host.hub) + 0.05)

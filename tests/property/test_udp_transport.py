@@ -1,0 +1,103 @@
+"""UdpTransport over any sequence of datagrams, readings and writings: nothing is lost or sent that should not be."""
+
+import asyncio
+import contextlib
+import socket
+from collections import Counter
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hostlink.transport.base import READ_BYTES
+from hostlink.transport.udp import MAX_DATAGRAM_BYTES, UdpTransport
+from hostlink.transport.udp_port import Datagram
+
+FIRST = b"greeting"
+STEPS = st.one_of(
+    st.tuples(st.just("receive"), st.integers(1, 1400)),
+    st.tuples(st.just("feed"), st.integers(1, 5000)),
+    st.tuples(st.just("read"), st.integers(1, 600)),
+    st.tuples(st.just("write"), st.integers(1, 4000)),
+    st.tuples(st.just("drain"), st.just(0)),
+)
+
+
+class World:
+    """The host's connected socket, the device's, and what each has sent."""
+
+    def __init__(self, ours: socket.socket, theirs: socket.socket, *, is_verified: bool) -> None:
+        self.theirs = theirs
+        self.dropped: Counter[str] = Counter()
+        first = Datagram(FIRST, theirs.getsockname(), ours.getsockname())
+        self.transport = UdpTransport(
+            ours, first, is_verified=is_verified, dropped=self.dropped, on_other=lambda _: None
+        )
+        self.expected = bytearray(FIRST)  # to be read, in this order
+        self.read = b""
+        self.came: list[bytes] = []  # to the device
+        self.number = 0
+
+    async def step(self, what: str, size: int) -> None:
+        self.number = (self.number + 1) % 256
+        data = bytes([self.number]) * size
+        if what == "receive":
+            if self.transport.unread_bytes < READ_BYTES:
+                self.theirs.send(data)
+                self.expected += data
+                await asyncio.sleep(0)
+                await asyncio.sleep(0)
+        elif what == "feed":
+            if self.transport.unread_bytes < READ_BYTES:
+                self.expected += data
+            self.transport.feed(data)
+        elif what == "read":
+            self.read += self.transport.read(size)
+        elif what == "write":
+            self.transport.write(data)
+        else:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(0.001):
+                    await self.transport.drain()
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self.came.append(self.theirs.recv(65536))
+
+
+async def play(steps: list[tuple[str, int]], *, is_verified: bool) -> World:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as theirs,
+    ):
+        for each in (ours, theirs):
+            each.setblocking(False)
+            each.bind(("127.0.0.1", 0))
+        ours.connect(theirs.getsockname())
+        theirs.connect(ours.getsockname())
+        world = World(ours, theirs, is_verified=is_verified)
+        world.transport.start(lambda: None)
+        for what, size in steps:
+            await world.step(what, size)
+            assert world.transport.unread_bytes < 2 * READ_BYTES
+        while len(world.read) < len(world.expected):
+            world.read += world.transport.read(1000)
+            await asyncio.sleep(0)
+        await world.transport.aclose()
+        return world
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.lists(STEPS, max_size=40), st.booleans())
+def test_what_came_is_read_in_order_and_no_more_is_sent_than_may_be(
+    steps: list[tuple[str, int]], is_verified: bool
+) -> None:
+    world = asyncio.run(play(steps, is_verified=is_verified))
+    assert sorted(world.read) == sorted(world.expected)  # the two ways of coming may overtake each other
+    if all(what != "feed" for what, _ in steps):
+        assert world.read == bytes(world.expected)
+    assert all(len(each) <= MAX_DATAGRAM_BYTES for each in world.came)
+    if not is_verified:
+        assert sum(map(len, world.came)) <= len(world.expected)
+    else:
+        written = sum(size for what, size in steps if what == "write")
+        assert sum(map(len, world.came)) == written
+    assert not world.dropped["too_large"]
