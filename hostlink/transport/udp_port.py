@@ -131,6 +131,8 @@ async def serve_udp(
             )
             for family, _, _, _, address in dict.fromkeys(found):
                 ports.append(UdpPort(_bind(family, address), dropped, on_datagram))
+        except UnicodeError as error:
+            raise ConfigError(f"UDP {spelled(config.host, config.port)}", "is no name of a computer") from error
         except (OSError, OverflowError) as error:
             raise ConfigError(f"UDP {spelled(config.host, config.port)}", explain(error, "--udp")) from error
         yield ports

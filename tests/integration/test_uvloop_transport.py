@@ -1,4 +1,4 @@
-"""What the TCP transport uses of a loop, on uvloop: one buffer a read, back-pressure, options and descriptors."""
+"""What the transports of TCP and UDP use of a loop, on uvloop: small reads, back-pressure, options, descriptors."""
 
 import asyncio
 import os
@@ -7,9 +7,13 @@ import socket
 import pytest
 import uvloop
 
-from hostlink.config import TcpConfig
+from hostlink.config import Config, TcpConfig, UdpConfig
 from hostlink.transport.base import READ_BYTES, Transport
 from hostlink.transport.tcp import RECEIVE_BUFFER_BYTES, serve_tcp
+from tests.support.daemon import daemon
+from tests.support.fake_device import pose, robot_topics
+from tests.support.udp_device import udp_device
+from tests.support.waiting import expect
 
 FLOOD = bytes(range(256)) * 4096  # a megabyte
 
@@ -61,3 +65,17 @@ async def options() -> None:
 def test_its_sockets_have_the_options_and_a_descriptor_to_duplicate() -> None:
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         runner.run(options())
+
+
+async def robot_over_udp() -> None:
+    config = Config(udp=UdpConfig(host="127.0.0.1", port=0, trusted=("127.0.0.0/8",)))
+    async with daemon(config) as host, udp_device(host.udp, robot_topics()) as device:
+        await device.send(pose(1.0))
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+def test_a_robot_over_udp_is_read_and_driven() -> None:
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(robot_over_udp())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hostlink.cli.check import check
 from hostlink.cli.serve import running
-from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig, UdpConfig
 from hostlink.errors import ConfigError
 
 NUMBERS = st.sampled_from([1.0, 0.5, 3.0, 0.0, -1.0, math.inf, -math.inf, math.nan, 1e-300])
@@ -47,6 +47,10 @@ configs = st.builds(
     Config,
     tcp=table(
         TcpConfig, host=HOSTS, port=PORTS, max_connections=WHOLE, max_connections_per_address=WHOLE, key_file=PATHS
+    ),
+    udp=st.none()
+    | table(
+        UdpConfig, host=HOSTS, port=PORTS, max_connections=WHOLE, max_connections_per_address=WHOLE, key_file=PATHS
     ),
     api=table(
         ApiConfig,

@@ -1,0 +1,106 @@
+"""The guardian's duplicate of a connected UDP socket: no error and no empty datagram is its end."""
+
+import select
+import socket
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from hostlink.guardian.connection import DATAGRAM_BYTES, Connection
+from hostlink.guardian.frames import INTERVAL_S, STOP_REQUEST, ZEROS, zero_frame
+
+END_S = ZEROS * INTERVAL_S
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """The daemon's socket and the device's."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device,
+    ):
+        ours.bind(("127.0.0.1", 0))
+        device.bind(("127.0.0.1", 0))
+        ours.connect(device.getsockname())
+        device.connect(ours.getsockname())
+        device.setblocking(False)
+        yield ours, device
+
+
+def received(device: socket.socket) -> list[bytes]:
+    came = []
+    try:
+        while True:
+            came.append(device.recv(65536))
+    except (BlockingIOError, ConnectionRefusedError):
+        return came
+
+
+def play(connection: Connection, events: int = select.POLLOUT) -> None:
+    for tenth in range(int(END_S * 100) + 2):
+        if connection.is_open:
+            connection.step(events, tenth / 100)
+
+
+def guarded(ours: socket.socket, claim_bytes: int = 100) -> Connection:
+    return Connection(ours.dup().detach(), (100,), claim_bytes)
+
+
+def test_every_zero_and_the_request_for_silence_are_datagrams_of_whole_frames(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, device = pair
+    connection = guarded(ours)
+    play(connection)
+    assert received(device) == [zero_frame(100)] * ZEROS + [STOP_REQUEST]
+    assert not connection.is_open
+
+
+def test_a_device_that_was_sent_frames_of_several_datagrams_is_sent_zeros_over_their_length(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    ours, device = pair
+    claim_bytes = 3 * DATAGRAM_BYTES
+    play(guarded(ours, claim_bytes))
+    came = received(device)
+    assert max(map(len, came)) <= DATAGRAM_BYTES
+    assert len(b"".join(came)) > claim_bytes
+    assert b"".join(came).endswith(zero_frame(100) + STOP_REQUEST)
+
+
+def test_an_icmp_error_is_no_end(pair: tuple[socket.socket, socket.socket]) -> None:
+    """The device's system answers the first datagram that nobody has the port; then the device is back."""
+    ours, device = pair
+    address = device.getsockname()
+    device.close()
+    connection = guarded(ours)
+    connection.step(select.POLLOUT, 0.0)
+    connection.step(select.POLLERR, 0.01)
+    assert connection.is_open
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
+        back.bind(address)
+        back.setblocking(False)
+        for tenth in range(2, 20):
+            if connection.is_open:
+                connection.step(select.POLLOUT | select.POLLERR, tenth / 100)
+        assert received(back) == [zero_frame(100)] * (ZEROS - 1) + [STOP_REQUEST]
+
+
+def test_nobody_at_the_other_end_ends_it_in_time(pair: tuple[socket.socket, socket.socket]) -> None:
+    ours, device = pair
+    device.close()
+    connection = guarded(ours)
+    play(connection, select.POLLOUT | select.POLLERR)
+    assert not connection.is_open
+
+
+def test_what_the_device_sends_is_discarded_also_when_it_is_empty(pair: tuple[socket.socket, socket.socket]) -> None:
+    ours, device = pair
+    connection = guarded(ours)
+    for data in (b"", struct.pack("<3d", 1, 2, 3)):
+        device.send(data)
+        connection.step(select.POLLIN | select.POLLOUT, 0.0)
+        assert connection.is_open
+    play(connection)
+    assert received(device)[-1] == STOP_REQUEST
