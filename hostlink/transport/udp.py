@@ -18,13 +18,14 @@ from hostlink.transport.udp_port import Datagram, receive_from
 
 MAX_DATAGRAM_BYTES = 1452  # to a device: what passes an Ethernet or a WiFi whole, also by IPv6 (1500 - 40 - 8)
 DATAGRAMS_A_TURN = 4  # of one device, before others have their turn: a robot sends tens in a second
-PATIENCE_S = 1.0  # for an address that is sent more than it sends: a command that waited longer means nothing
+PATIENCE_S = 1.0  # for a kernel without room: a command that waited longer means nothing
+_RESERVE = bytes(56)  # a velocity: what leaves next is chosen when this much may be sent
 
 
 class UdpTransport:
     """Owns the socket of one session. There is no end but silence, and the peer's system that refuses its port.
 
-    What cannot leave is kept, one frame at most; the next one replaces it.
+    An address that is not verified is behind while it has not sent enough for the next velocity.
     """
 
     kind = "udp"
@@ -41,7 +42,7 @@ class UdpTransport:
     ) -> None:
         """`first`: what began the session; `on_other`: for what came to this socket before it was connected.
 
-        `on_limited`: called when something is given up because the device is not verified.
+        `on_limited`: called when something cannot be sent because the device is not verified.
         """
         self.peer = spelled(*first.source[:2])
         self.address: str = first.source[0]
@@ -172,56 +173,89 @@ class UdpTransport:
     # -- to the device ------------------------------------------------------------------------------------------------
 
     def write(self, data: bytes) -> bool:
-        """A frame is a datagram; one that no network passes whole is several."""
+        """A frame is a datagram; one that no network passes whole is several.
+
+        What may not be sent is dropped, as datagrams are: kept, it would move the robot after a stop that came later.
+        """
         if self.is_ended:
             return False
-        self._unsent = [data[at : at + MAX_DATAGRAM_BYTES] for at in range(0, len(data), MAX_DATAGRAM_BYTES)]
-        return self._flush()
+        datagrams = [data[at : at + MAX_DATAGRAM_BYTES] for at in range(0, len(data), MAX_DATAGRAM_BYTES)]
+        if self._allowance.allows(datagrams):
+            self._unsent = datagrams
+        else:
+            self._give_up()
+        return self._flush() and self._has_reserve
 
     async def drain(self) -> None:
-        """Returns when what was written has left, or was given up: an address that sends too little is sent no more.
+        """Returns when what was written has left, and a velocity may be sent.
 
         Raises:
             OSError: the connection broke, or was closed.
         """
+        await self._leave()
+        while not self._has_reserve:
+            if not await self._is_progress():
+                self._on_limited()
+            self._check()
+
+    async def send(self, data: bytes) -> None:
+        """Write, and wait until it has left."""
+        self.write(data)
+        await self._leave()
+        await asyncio.sleep(0)  # nothing slows a sender of datagrams; others have their turn
+
+    @property
+    def _has_reserve(self) -> bool:
+        return self._allowance.allows((_RESERVE,))
+
+    def _give_up(self) -> None:
+        self._unsent.clear()
+        self._dropped["unsent"] += 1
+        self._on_limited()
+
+    async def _leave(self) -> None:
+        """Returns when what was written has left, or the kernel had no room for it for PATIENCE_S."""
+        self._check()
         loop = asyncio.get_running_loop()
         while not self._flush():
-            self._progress.clear()
-            if self._allowance.allows(self._unsent):  # it is the kernel that has no room
-                loop.add_writer(self._socket, self._progress.set)
+            loop.add_writer(self._socket, self._progress.set)
             try:
-                async with asyncio.timeout(PATIENCE_S):
-                    await self._progress.wait()
-            except TimeoutError:
-                self._unsent.clear()
-                self._dropped["unsent"] += 1
-                self._on_limited()
+                if not await self._is_progress():
+                    self._unsent.clear()
+                    self._dropped["unsent"] += 1
             finally:
                 if not self._is_closed:
                     loop.remove_writer(self._socket)
+            self._check()
 
-    async def send(self, data: bytes) -> None:
-        """Write and drain."""
-        self.write(data)
-        await self.drain()
-        await asyncio.sleep(0)  # nothing slows a sender of datagrams; others have their turn
+    async def _is_progress(self) -> bool:
+        """Wait until something came or may leave, PATIENCE_S at most."""
+        self._progress.clear()
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await self._progress.wait()
+        except TimeoutError:
+            return False
+        return True
 
-    def _flush(self) -> bool:
-        """Send what may leave; whether all has."""
+    def _check(self) -> None:
         if self.is_ended:
             raise self._error or ConnectionResetError("connection lost")
-        while self._unsent and self._allowance.allows(self._unsent):
+
+    def _flush(self) -> bool:
+        """Send what has room; whether all has left."""
+        while self._unsent:
             try:
                 self._socket.send(self._unsent[0])
             except BlockingIOError:
-                break
+                return False
             except ConnectionRefusedError:
                 self._break()
                 return False
             except OSError:  # no way there at this moment; silence decides
                 self._dropped["unreachable"] += 1
             self._allowance.spend(len(self._unsent.pop(0)))
-        return not self._unsent
+        return True
 
     # -- its end ------------------------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from hostlink.errors import ConfigError
 from hostlink.listeners.udp_acceptor import OPENED_A_SECOND
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
+from hostlink.robot.velocity import Velocity
 from hostlink.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
 from hostlink.transport.udp import MAX_DATAGRAM_BYTES
 from hostlink.transport.udp_port import serve_udp
@@ -261,6 +262,28 @@ class TestStrangers:
             await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
             assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+            assert device.received_bytes <= device.sent_bytes
+
+    async def test_what_could_not_be_sent_to_it_does_not_come_after_a_stop(self) -> None:
+        async with host_of(UdpConfig()) as host, udp_device(host.udp, robot_topics()) as device:
+            await expect(host.hub.robots.all)
+            robot, program = host.hub.robots.find("robot_0"), host.hub.join("a program")
+            for number in range(20):  # more than it has sent
+                program.drive(robot, Velocity(linear_x_m_s=0.1 + number / 100))
+                await asyncio.sleep(0.01)
+            device.read_waiting()
+            program.drive(robot, Velocity(linear_x_m_s=0.5))
+            await asyncio.sleep(0.05)
+            assert device.read_waiting() == []
+            host.hub.gates.stop(robot)
+            for _ in range(10):
+                await device.send(pose(0.0))
+                await asyncio.sleep(0.01)
+            came = [
+                struct.unpack_from("<d", each, 7)[0] for each in device.read_waiting() if len(each) == OTHER_BYTES[1]
+            ]
+            assert came
+            assert set(came) == {0.0}
             assert device.received_bytes <= device.sent_bytes
 
     async def test_forged_sources_neither_end_a_working_robot_nor_keep_a_trusted_one_out(self) -> None:
