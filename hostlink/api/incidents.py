@@ -70,7 +70,6 @@ class IncidentRoutes:
                     not_found,
                     HTTPStatus.CONFLICT,
                     HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                    HTTPStatus.INSUFFICIENT_STORAGE,
                 ),
             ),
             Route(

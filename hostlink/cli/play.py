@@ -106,6 +106,7 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
     Raises:
         HostlinkError: there is no host, or it requests no topics.
     """
+    problem: BaseException | None = None
     try:
         async with asyncio.TaskGroup() as tasks:
             running = [tasks.create_task(device.run(*address), name=name) for name, device in devices.items()]
@@ -119,13 +120,15 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
                 for task in running:
                     task.cancel()
     except* TimeoutError:
-        raise HostlinkError("what answers at {}:{} requests no topics: is it hostlink?".format(*address)) from None
+        problem = HostlinkError("what answers at {}:{} requests no topics: is it hostlink?".format(*address))
     except* OSError as error:
         reason = error.exceptions[0]
-        raise HostlinkError("no host at {}:{}: is `hostlink serve` running? ({})".format(*address, reason)) from None
+        problem = HostlinkError("no host at {}:{}: is `hostlink serve` running? ({})".format(*address, reason))
     except* HostlinkError as error:
-        raise error.exceptions[0] from None
+        problem = error.exceptions[0]
     raise_if_cancelled()
+    if problem is not None:
+        raise problem
 
 
 def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import structlog
 
-from hostlink.errors import RecordingBusy, RecordingFailed
+from hostlink.errors import RecordingBusy
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.channel import Channel
@@ -70,11 +70,11 @@ class BlackBox:
 
         Raises:
             UnknownTopic: there is no robot of that name.
-            RecordingFailed: the black box is turned off.
-            RecordingBusy: too many incidents are pending.
+            RecordingBusy: the black box is turned off, or too many incidents are pending.
         """
+        self._hub.robots.find(robot)
         if not self._config.enabled:
-            raise RecordingFailed("the black box is off: set enabled = true in [black_box]")
+            raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
         incident = Incident(self._hub.robots.find(robot).name, "wish", reason[:MAX_DETAIL], time.time_ns())
         if not self._begin(incident):
             raise RecordingBusy(f"{MAX_PENDING} incidents are being saved; try again in {self._config.after_s:g} s")

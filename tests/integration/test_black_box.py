@@ -132,7 +132,7 @@ async def test_one_that_is_turned_off_keeps_nothing(tmp_path: Path) -> None:
         assert len(names) == 1  # its robot, which reads its poses
         await host.rest("POST", "/api/robots/robot_0/lock")
         status, refusal = await host.rest("POST", "/api/incidents", b'{"robot": "robot_0"}')
-        assert (status, "enabled = true" in refusal["error"]["reason"]) == (507, True)
+        assert (status, "enabled = true" in refusal["error"]["reason"]) == (409, True)
         assert (await host.get("/api/incidents"))["incidents"] == []
 
 

@@ -52,7 +52,7 @@ async def test_the_document_is_the_promised_one() -> None:
 
 
 async def test_the_document_is_true() -> None:
-    async with daemon(GENEROUS) as host, fake_device(host.tcp, robot_topics()) as device:
+    async with daemon(GENEROUS, has_black_box=True) as host, fake_device(host.tcp, robot_topics()) as device:
         await device.send(pose(1.0, 2.0, 0.5))
         document = await host.get("/api/openapi.json")
         called = await asyncio.to_thread(try_everything, host.url, document)
