@@ -2,6 +2,7 @@
 
 A recording is JSON lines: {"t": seconds, "dir": "device" | "host", "hex": bytes, "conn": n, "event": "open" | "close"}.
 `dir` is who sent; `conn` counts connections; only a line without bytes has an `event`. Reads stand in order of time.
+One more event, `topics`, stands where the recording has lost its beginning: its bytes announce the topics of then.
 """
 
 from collections import Counter
@@ -37,7 +38,7 @@ class Read(msgspec.Struct):
     hex: str = ""
     t: float = 0.0
     conn: int = 0
-    event: Literal["open", "close"] | None = None
+    event: Literal["open", "topics", "close"] | None = None
 
 
 @dataclass(frozen=True, slots=True)

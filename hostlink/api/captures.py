@@ -1,6 +1,7 @@
 """Captures: the raw bytes that passed on a link, as `hostlink inspect` reads them; live links and the last that ended.
 
-The whole is JSON lines. Who follows a link gets pieces: what passed after a position, and the next position.
+The whole is JSON lines. Who follows a link gets pieces: what passed after a position, and the next position. Where the
+beginning is lost, it begins with the topics that the device had announced before: a line with the event `topics`.
 """
 
 from http import HTTPStatus
@@ -88,18 +89,24 @@ def capture_view(diagnosis: Diagnosis, since: tuple[int, int] = _START) -> Captu
     number, found = diagnosis.link.number, diagnosis.captured(since)
     reads: list[ReadView] = []
     if since == _START:
-        reads.append({"t": 0.0, "dir": "device", "hex": "", "conn": number, "event": "open"})
+        reads.append(_read_view(0.0, "device", b"", number) | {"event": "open"})
+        if found.lost[0]:
+            time_s, announced = found.pieces[0].time_s, diagnosis.announced_before(found.lost[0])
+            reads.append(_read_view(time_s, "device", announced, number) | {"event": "topics"})
     for time_s, is_from_device, data in found.pieces:
-        sender = "device" if is_from_device else "host"
-        reads.append({"t": round(time_s, 6), "dir": sender, "hex": data.hex(), "conn": number})
+        reads.append(_read_view(time_s, "device" if is_from_device else "host", data, number))
     if diagnosis.end is not None:
-        reads.append({"t": round(diagnosis.seconds, 6), "dir": "device", "hex": "", "conn": number, "event": "close"})
+        reads.append(_read_view(diagnosis.seconds, "device", b"", number) | {"event": "close"})
     return {
         "reads": reads,
         "position": "{}-{}".format(*found.position),
         "lost_bytes": found.lost_bytes,
         "is_open": diagnosis.end is None,
     }
+
+
+def _read_view(time_s: float, sender: str, data: bytes, number: int) -> ReadView:
+    return {"t": round(time_s, 6), "dir": sender, "hex": data.hex(), "conn": number}
 
 
 def _is_number(text: str) -> bool:

@@ -3,6 +3,8 @@
 import dataclasses
 from collections.abc import Callable, Iterable
 
+import msgspec
+
 from hostlink.diagnosis.finding import Finding, words
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.rules import diagnose
@@ -18,17 +20,32 @@ class Replay:
     """One connection of a recording; times are the recording's own."""
 
     def __init__(self, check: Callable[[TopicInfo], int | None], *, now_s: float) -> None:
-        self.session = Session(check=check)
         self.opened_at_s = self.ended_at_s = now_s
-        self._monitor = LinkMonitor(self.session, now_s=now_s)
+        self._check = check
         self._to_device = FrameStream(limit_bytes=MAX_PAYLOAD_BYTES)
+        self._found: dict[str, Finding] = {}
+        self._announced: bytes | None = None  # before the first byte of the device that the recording has
+        self._begin(now_s)
+
+    def _begin(self, now_s: float) -> None:
+        self.session = Session(check=self._check)
+        self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._received_at_s = self._sampled_at_s = now_s
         self._requests = 0
-        self._found: dict[str, Finding] = {}
         self.session.open(now_s=now_s)
 
     def add(self, read: Read) -> None:
         """One line of the recording."""
+        if read.event == "topics":
+            self._announced = bytes.fromhex(read.hex)
+        elif self._announced is None:
+            self._add(read)
+        elif read.dir == "device" and read.hex:  # before it nobody knows whether the device was silent
+            announced, self._announced = self._announced, None
+            self._begin(read.t)
+            self._add(msgspec.structs.replace(read, hex=announced.hex() + read.hex))
+
+    def _add(self, read: Read) -> None:
         while read.t >= self._sampled_at_s + SAMPLE_INTERVAL_S:
             self._sample(self._sampled_at_s + SAMPLE_INTERVAL_S)
         self.ended_at_s = read.t

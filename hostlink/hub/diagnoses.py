@@ -21,6 +21,8 @@ from hostlink.link.capture_buffer import Captured
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.protocol import events
+from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.frame import encode
 
 log = structlog.get_logger()
 
@@ -28,6 +30,9 @@ ENDED_LINKS = 16  # with their buffers 2 MiB at most
 EARLIER_S = 60.0  # what ended before that explains nothing now
 LOG_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
 MAX_LOGGED = 256
+MAX_ANNOUNCED = 4  # negotiations with other topics than before, the last of a link: a capture is read by them
+
+Announced = tuple[TopicInfo, ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -42,6 +47,7 @@ class Diagnosis:
     last_evidence: Evidence | None = None  # of a link that has ended, until it is evaluated
     robot: str = ""  # what its robot is called here
     own_name: str = ""  # what that calls itself, if it had to be given a number
+    _announced: deque[tuple[int, Announced]] = field(default_factory=lambda: deque(maxlen=MAX_ANNOUNCED))
 
     @property
     def baud(self) -> int | None:
@@ -58,6 +64,19 @@ class Diagnosis:
         found = self.link.captured(since)
         pieces = tuple(each._replace(time_s=each.time_s - self.link.opened_at_s) for each in found.pieces)
         return dataclasses.replace(found, pieces=pieces)
+
+    def note_topics(self) -> None:
+        """The device has announced its topics; those that were refused are among them."""
+        session = self.link.session
+        topics = (*session.topics, *(info for info, _ in session.refusals))
+        if not self._announced or self._announced[-1][1] != topics:
+            self._announced.append((session.counts.bytes_from_device, topics))
+
+    def announced_before(self, position: int) -> bytes:
+        """The device's announcement of its topics with its first `position` bytes; its first one, if that was later."""
+        before = [topics for at, topics in self._announced if at <= position]
+        topics = before[-1] if before else next((topics for _, topics in self._announced), ())
+        return b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
 
     def renaming(self) -> str:
         """The text about a device whose name was another's; empty: it has its own."""
@@ -106,6 +125,8 @@ class Diagnoses:
         """The session of a live link has an event other than a message."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
+            if isinstance(event, events.TopicsNegotiated):
+                diagnosis.note_topics()
             diagnosis.monitor.observe(event, _now_s())
 
     def finish(self, link: Link, end: LinkEnd) -> None:

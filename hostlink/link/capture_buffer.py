@@ -1,11 +1,17 @@
-"""CaptureBuffer: the last bytes of one direction of a link with the times at which they passed. Pure: time comes in."""
+"""CaptureBuffer: the last bytes of one direction of a link with the times at which they passed. Pure: time comes in.
+
+A capture from the beginning whose beginning is lost begins with a whole frame.
+"""
 
 import heapq
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
+
+from hostlink.protocol.frame import Frame
+from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream
 
 CAPTURE_BYTES = 65536  # 17 s of a full 38400 baud line, minutes of a robot's usual traffic
 _SLACK_BYTES = CAPTURE_BYTES // 4  # more than that is trimmed at once, so that it costs next to nothing a byte
@@ -90,15 +96,43 @@ class Captured:
 
     pieces: tuple[CapturedPiece, ...]
     position: tuple[int, int]  # bytes from the device and to it, up to here
-    lost_bytes: int  # after the position, and not kept
+    lost: tuple[int, int]  # bytes after the position that are not kept, from the device and to it
+
+    @property
+    def lost_bytes(self) -> int:
+        """Of both directions."""
+        return sum(self.lost)
 
 
 def captured(from_device: CaptureBuffer, to_device: CaptureBuffer, since: tuple[int, int]) -> Captured:
     """Both directions after the first `since` bytes of each."""
     pieces = heapq.merge(
-        (CapturedPiece(piece.time_s, True, piece.data) for piece in from_device.pieces(since[0])),
-        (CapturedPiece(piece.time_s, False, piece.data) for piece in to_device.pieces(since[1])),
+        (CapturedPiece(piece.time_s, True, piece.data) for piece in _whole_frames(from_device, since[0])),
+        (CapturedPiece(piece.time_s, False, piece.data) for piece in _whole_frames(to_device, since[1])),
         key=lambda piece: piece.time_s,
     )
     position = (from_device.total_bytes, to_device.total_bytes)
-    return Captured(tuple(pieces), position, from_device.lost_bytes(since[0]) + to_device.lost_bytes(since[1]))
+    return Captured(tuple(pieces), position, (from_device.lost_bytes(since[0]), to_device.lost_bytes(since[1])))
+
+
+def _whole_frames(buffer: CaptureBuffer, since: int) -> Iterable[Piece]:
+    """The pieces, without the rest of a frame whose beginning is lost: to a reader it would be damage on the wire."""
+    pieces = list(buffer.pieces(since))
+    cut_bytes = _rest_of_frame_bytes(pieces) if buffer.lost_bytes(since) else 0
+    for piece in pieces:
+        if cut_bytes < len(piece.data):
+            yield piece._replace(data=piece.data[cut_bytes:])
+        cut_bytes = max(0, cut_bytes - len(piece.data))
+
+
+def _rest_of_frame_bytes(pieces: Iterable[Piece]) -> int:
+    """How many bytes come before the first frame; none where they are more than a frame has."""
+    stream, before = FrameStream(), 0
+    for piece in pieces:
+        for item in stream.feed(piece.data):
+            if isinstance(item, Frame):
+                return before
+            before += len(item.data)
+        if before > DEFAULT_LIMIT_BYTES:
+            break
+    return 0

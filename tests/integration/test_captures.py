@@ -8,11 +8,14 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.cli.inspect import report_view
+from hostlink.cli.probe import probe_capture
 from hostlink.inspection import Inspection, Read, load_reads
+from hostlink.link.capture_buffer import CAPTURE_BYTES
 from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
 
 
@@ -52,6 +55,70 @@ async def test_a_link_that_ended_can_still_be_saved(tmp_path: Path) -> None:
     assert (ended[0]["number"], ended[0]["end"]) == (1, "peer_closed")
     assert [read.event for read in reads if read.event] == ["open", "close"]
     assert [read.t for read in reads] == sorted(read.t for read in reads)
+
+
+async def capture_without_beginning(host: Daemon, device: FakeDevice) -> bytes:
+    """Of a link that was open for 702 s, and whose buffer has lost the topics long ago."""
+    count = 2 * CAPTURE_BYTES // len(pose(0.0))
+    await device.send(pose(1.0, 2.0, 0.5) * count)
+    await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == count)
+    (link,) = host.hub.links()
+    link.opened_at_s -= 702.0
+    return await capture(host)
+
+
+async def test_a_capture_that_begins_late_begins_with_the_topics(tmp_path: Path) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        lines = await capture_without_beginning(host, device)
+    path = tmp_path / "capture.jsonl"
+    path.write_bytes(lines)
+    reads = list(load_reads(path))
+    report = inspected(lines, tmp_path)
+    assert [read.event for read in reads[:2]] == ["open", "topics"]
+    assert [read.t for read in reads] == sorted(read.t for read in reads)
+    assert {each["name"] for each in report["topics"]} == {info.name for info in robot_topics()}
+    assert report["messages"]["/robot_0/odometry"]["last"] == {"x": 1.0, "y": 2.0, "theta": 0.5}
+    assert report["skipped_bytes"] == 0  # of the frame that was cut where the capture begins
+    (link,) = probe_capture(path, ())["links"]
+    assert (link["diagnosis"], link["topics"]) == ([], 3)
+
+
+async def test_a_capture_that_begins_late_shows_what_was_refused_too(tmp_path: Path) -> None:
+    wrong = topic(Id.PUBLISHER, 126, "/odd", "std_msgs/Bool")._replace(md5="0" * 32)
+    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), wrong]) as device:
+        lines = await capture_without_beginning(host, device)
+    path = tmp_path / "capture.jsonl"
+    path.write_bytes(lines)
+    (link,) = probe_capture(path, ())["links"]
+    assert [each["code"] for each in link["diagnosis"]] == ["wrong_md5"]
+
+
+async def test_a_device_that_is_silent_after_a_late_beginning_is_still_found(tmp_path: Path) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        lines = await capture_without_beginning(host, device)
+    path = tmp_path / "capture.jsonl"
+    path.write_bytes(lines)
+    last_s = max(read.t for read in load_reads(path))
+    line = {"t": last_s + 60.0, "dir": "device", "hex": "", "conn": 1, "event": "close"}
+    path.write_bytes(lines + msgspec.json.encode(line) + b"\n")
+    (link,) = probe_capture(path, ())["links"]
+    assert [each["code"] for each in link["diagnosis"]] == ["went_silent"]
+
+
+async def test_what_passed_before_new_topics_is_read_by_the_old_ones(tmp_path: Path) -> None:
+    """A device that begins anew gives the id of its odometry to another topic."""
+    again = [topic(Id.PUBLISHER, 125, "/bumper", "std_msgs/Bool"), topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")]
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await capture_without_beginning(host, device)
+        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in again)
+        await device.send(infos + encode(Id.TIME, bytes(8)))
+        await device.frame(Id.TIME)
+        await device.send(encode(125, b"\x01") + encode(Id.TIME, bytes(8)))
+        await device.frame(Id.TIME)
+        report = inspected(await capture(host), tmp_path)
+    assert report["messages"]["/robot_0/odometry"]["count"] > 1000
+    assert report["messages"]["/bumper"]["last"] == {"data": True}
+    assert report["skipped_bytes"] == 0
 
 
 async def test_a_link_can_be_followed() -> None:

@@ -10,7 +10,8 @@ from hostlink.hub.device import check_type
 from hostlink.inspection import Read, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.stream import FrameStream
 
 CAPTURES = Path(__file__).parent.parent.parent / "captures"
 CATALOG = Catalog()
@@ -32,6 +33,29 @@ def test_real_devices_that_are_healthy(name: str) -> None:
 
 def test_a_recording_that_lost_its_beginning_is_not_blamed_for_it() -> None:
     assert findings(robot()[400:]) == []
+
+
+def late(reads: list[Read], begin_s: float) -> list[Read]:
+    """As `hostlink capture` saves a link that has lost what its device sent before; what was sent to it is older."""
+    stream = FrameStream()
+    before = (bytes.fromhex(read.hex) for read in reads if read.dir == "device" and read.t < begin_s)
+    frames = (item for data in before for item in stream.feed(data) if isinstance(item, Frame))
+    infos = (frame for frame in frames if frame.topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER)
+    announced = b"".join(encode(*info) for info in infos).hex()
+    kept = [read for read in reads if read.dir == "host" or read.t >= begin_s]
+    return [Read("device", t=0.0, event="open"), Read("device", announced, kept[0].t, event="topics"), *kept]
+
+
+@pytest.mark.parametrize("begin_s", [8.0, 20.0, 40.0])
+def test_a_recording_that_begins_late_and_says_so_is_no_silence(begin_s: float) -> None:
+    assert findings(late(robot(), begin_s)) == []
+
+
+def test_silence_after_a_late_beginning_is_found() -> None:
+    reads = late(robot(), 20.0)
+    assert [each.code for each in findings([*reads, Read("device", t=reads[-1].t + 60.0, event="close")])] == [
+        "went_silent"
+    ]
 
 
 def test_text_between_the_frames() -> None:

@@ -3,7 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.link.capture_buffer import CAPTURE_BYTES, CaptureBuffer
+from hostlink.link.capture_buffer import CAPTURE_BYTES, CaptureBuffer, captured
+from hostlink.protocol.frame import encode
 
 
 def contents(buffer: CaptureBuffer, since: int = 0) -> bytes:
@@ -49,3 +50,31 @@ def test_single_bytes_are_all_kept_and_their_times_stay_in_order_and_few() -> No
     for piece in pieces:
         first = piece.end - len(piece.data)
         assert 0 <= first / 1000 - piece.time_s <= 0.1  # the earlier time of neighbours, never a later one
+
+
+def both(data: bytes, size: int) -> tuple[CaptureBuffer, CaptureBuffer]:
+    from_device, to_device = CaptureBuffer(), CaptureBuffer()
+    for number, at in enumerate(range(0, len(data), size)):
+        from_device.add(data[at : at + size], float(number))
+    return from_device, to_device
+
+
+@given(st.integers(1, 2000), st.integers(0, 900))
+def test_a_capture_that_lost_its_beginning_begins_with_a_whole_frame(size: int, payload_bytes: int) -> None:
+    frame = encode(125, bytes(payload_bytes))
+    found = captured(*both(frame * (3 * CAPTURE_BYTES // len(frame)), size), since=(0, 0))
+    kept = b"".join(piece.data for piece in found.pieces)
+    assert found.lost[0] > 0
+    assert kept == frame * (len(kept) // len(frame))
+    assert len(kept) >= CAPTURE_BYTES - len(frame)
+
+
+def test_what_is_no_frame_is_kept_all_the_same() -> None:
+    found = captured(*both(b"speed 1\r\n" * CAPTURE_BYTES, 512), since=(0, 0))
+    assert sum(len(piece.data) for piece in found.pieces) >= CAPTURE_BYTES
+
+
+def test_a_capture_with_its_beginning_has_every_byte() -> None:
+    found = captured(*both(b"boot\n" + encode(125, b"1"), 3), since=(0, 0))
+    assert b"".join(piece.data for piece in found.pieces) == b"boot\n" + encode(125, b"1")
+    assert found.lost_bytes == 0
