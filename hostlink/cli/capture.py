@@ -1,8 +1,9 @@
 """`hostlink capture`: the raw bytes of a link into a file, also of one that has ended."""
 
 import asyncio
+import contextlib
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,9 +11,9 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Token, Url
-from hostlink.cli.output import write_error
+from hostlink.cli.output import show_progress, write_error
 from hostlink.client import DEFAULT_URL, Host, connect
-from hostlink.errors import BadRequest, ConfigError
+from hostlink.errors import BadRequest, ConfigError, HostlinkError
 
 POLL_S = 0.5  # 64 KiB last longer at any speed of a serial line
 _START = "0-0"
@@ -39,17 +40,36 @@ def command(
 async def _capture(url: str, token: str | None, number: int | None, output: Path | None, seconds: float) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         wanted = await _last(host) if number is None else number
-        out = sys.stdout.buffer if output is None else output.open("wb")
         count = 0
-        try:
+        with _opened(output) as write:
             async for read in _reads(host, wanted, seconds):
-                out.write(msgspec.json.encode(read) + b"\n")
+                write(msgspec.json.encode(read) + b"\n")
                 count += len(read["hex"]) // 2
-            out.flush()
-        finally:
-            if output is not None:
-                out.close()
+    show_progress("")
     write_error(f"link {wanted}: {count} bytes{f' in {output}' if output else ''}")
+
+
+@contextlib.contextmanager
+def _opened(output: Path | None) -> Iterator[Callable[[bytes], object]]:
+    """How to write for the length of the block.
+
+    Raises:
+        ConfigError: the file cannot be opened.
+        HostlinkError: it cannot be written to its end.
+    """
+    if output is None:
+        yield sys.stdout.buffer.write
+        sys.stdout.buffer.flush()
+        return
+    try:
+        file = output.open("wb")
+    except OSError as error:
+        raise ConfigError("-o", f"{output} cannot be written: {error.strerror}; name another file") from error
+    try:
+        with file:
+            yield file.write
+    except OSError as error:
+        raise HostlinkError(f"{output} is not complete: {error.strerror}") from error
 
 
 async def _last(host: Host) -> int:
@@ -76,4 +96,5 @@ async def _reads(host: Host, number: int, seconds: float) -> AsyncIterator[dict[
             write_error(f"{piece['lost_bytes']} bytes before that are lost")
         if loop.time() >= until_s or not piece["is_open"]:
             return
+        show_progress(f"link {number}: {until_s - loop.time():.0f} s left ...")
         await asyncio.sleep(min(POLL_S, until_s - loop.time()))

@@ -157,3 +157,21 @@ async def test_devices_that_are_not_admitted_are_a_finding(tmp_path: Path) -> No
         status, out, _ = await run("doctor", "--url", daemon.url)
     assert status == 1
     assert out.startswith("not_let_in: devices reach this computer, and are not let in (")
+
+
+@pytest.mark.parametrize(
+    ("file", "status", "complaint"),
+    [
+        ("none/link.jsonl", 2, "none/link.jsonl cannot be written: No such file or directory; name another file"),
+        ("", 2, "cannot be written: Is a directory"),
+        ("/dev/full", 1, "/dev/full is not complete: No space left on device"),
+    ],
+)
+async def test_a_capture_into_a_file_that_cannot_be_written(
+    tmp_path: Path, file: str, status: int, complaint: str
+) -> None:
+    async with serve() as daemon, simulated(daemon.tcp):
+        await daemon.read_log("robot.appeared")
+        got, out, err = await run("capture", "1", "-o", str(tmp_path / file), "--url", daemon.url)
+    assert (got, out, len(err.splitlines())) == (status, "", 1)
+    assert complaint in err
