@@ -12,7 +12,17 @@ Whatever cannot be done is a HostlinkError whose text says what to do. docs/clie
 from hostlink.client.host import DEFAULT_URL, Host, connect
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
-from hostlink.client.views import ConnectionChange, Event, Odometry, Pose, Refusal, RobotState, TopicState, Twist
+from hostlink.client.views import (
+    ConnectionChange,
+    Event,
+    Odometry,
+    Pose,
+    RawMessage,
+    Refusal,
+    RobotState,
+    TopicState,
+    Twist,
+)
 from hostlink.errors import HostlinkError
 
 __all__ = [
@@ -25,6 +35,7 @@ __all__ = [
     "Mailbox",
     "Odometry",
     "Pose",
+    "RawMessage",
     "Refusal",
     "Robot",
     "RobotState",

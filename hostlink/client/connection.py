@@ -11,6 +11,7 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator, Mappi
 from typing import Any
 
 import aiohttp
+import cbor2
 import msgspec
 from aiohttp import WSMsgType
 
@@ -181,10 +182,12 @@ class Connection:
                 return str(error)
             if message.type is WSMsgType.TEXT:
                 self._dispatch(msgspec.json.decode(message.data))
+            elif message.type is WSMsgType.BINARY:
+                self._dispatch(cbor2.loads(message.data))
             elif message.type is WSMsgType.PING:
                 with contextlib.suppress(aiohttp.ClientError, OSError):
                     await socket_.pong(message.data)
-            elif message.type not in (WSMsgType.PONG, WSMsgType.BINARY):
+            elif message.type is not WSMsgType.PONG:
                 return _closing_text(socket_, message)
 
     def _dispatch(self, message: Message) -> None:

@@ -12,7 +12,7 @@ from hostlink.client.driver import Driver
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, HttpClient
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
-from hostlink.client.topics import Subscription, Topics
+from hostlink.client.topics import RawSubscription, Subscription, Topics
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
 
@@ -150,6 +150,16 @@ class Host:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
         return self._topics.subscribe(topic, type_name, throttle_rate_ms, queue_length)
+
+    def subscribe_raw(self, topic: str) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
+        """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
+
+        Not beside a `subscribe` of the same topic on one connection: the daemon sends each message once, in one form.
+
+        Raises:
+            HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
+        """
+        return self._topics.subscribe_raw(topic)
 
     async def call(self, service: str, arguments: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Any:
         """Call a service; returns its response.

@@ -2,22 +2,27 @@
 
 import contextlib
 import itertools
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from hostlink.client.connection import Connection
 from hostlink.client.mailbox import Mailbox
+from hostlink.client.views import RawMessage
 from hostlink.errors import HostlinkError
 
 Subscription = Mailbox[dict[str, Any]]
+RawSubscription = Mailbox[RawMessage]
+_RAW = {"compression": "cbor-raw"}
+_NS_PER_S = 1_000_000_000
 
 
 @dataclass(slots=True)
 class _Subscribed:
     topic: str
     request: Mapping[str, Any]
-    mailbox: Subscription = field(default_factory=Mailbox)
+    read: Callable[[dict[str, Any]], Any]
+    mailbox: Mailbox[Any] = field(default_factory=Mailbox)
 
 
 class Topics:
@@ -66,20 +71,33 @@ class Topics:
             with contextlib.suppress(HostlinkError):  # with the connection gone, so is the advertisement
                 await self._connection.send({"op": "unadvertise", "topic": topic})
 
-    @contextlib.asynccontextmanager
-    async def subscribe(
+    def subscribe(
         self, topic: str, type_name: str, throttle_rate_ms: int, queue_length: int
-    ) -> AsyncIterator[Subscription]:
+    ) -> contextlib.AbstractAsyncContextManager[Subscription]:
         """The messages of a topic, from now on, for the length of the block.
 
         Raises:
             HostlinkError: there is no connection.
         """
-        key = f"subscribe:{next(self._numbers)}"
         limits = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
-        request = {"op": "subscribe", "id": key, "topic": topic, **limits, **_typed(type_name)}
+        return self._subscribe(topic, {**limits, **_typed(type_name)}, lambda message: message)
+
+    def subscribe_raw(self, topic: str) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
+        """The messages of a topic as bytes, from now on, for the length of the block.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
+        return self._subscribe(topic, _RAW, _read_raw)
+
+    @contextlib.asynccontextmanager
+    async def _subscribe(
+        self, topic: str, options: Mapping[str, Any], read: Callable[[dict[str, Any]], Any]
+    ) -> AsyncIterator[Mailbox[Any]]:
+        key = f"subscribe:{next(self._numbers)}"
+        request = {"op": "subscribe", "id": key, "topic": topic, **options}
         await self._connection.send(request)
-        subscribed = self._subscribed[key] = _Subscribed(topic, request)
+        subscribed = self._subscribed[key] = _Subscribed(topic, request, read)
         try:
             yield subscribed.mailbox
         finally:
@@ -101,7 +119,7 @@ class Topics:
     def _deliver(self, message: dict[str, Any]) -> None:
         for subscribed in self._subscribed.values():
             if subscribed.topic == message["topic"]:
-                subscribed.mailbox.put(message["msg"])
+                subscribed.mailbox.put(subscribed.read(message["msg"]))
 
     def _receive_refusal(self, message: dict[str, Any]) -> None:
         key, reason = str(message.get("id", "")), str(message["msg"])
@@ -109,6 +127,10 @@ class Topics:
             self._subscribed[key].mailbox.put(HostlinkError(reason))
         elif key.startswith("publish:"):
             self._refusals[key.removeprefix("publish:")] = reason
+
+
+def _read_raw(message: dict[str, Any]) -> RawMessage:
+    return RawMessage(message["bytes"], message["secs"] * _NS_PER_S + message["nsecs"])
 
 
 def _typed(type_name: str) -> dict[str, str]:

@@ -58,6 +58,13 @@ class TopicState(TypedDict):
     messages: int  # that have passed
 
 
+class RawMessage(NamedTuple):
+    """A message as it is on the wire: serialised as ROS 1 does it, which is rosserial's way too."""
+
+    payload: bytes
+    stamp_ns: int  # wall time at which it reached the daemon
+
+
 class Refusal(NamedTuple):
     """Why a command was refused: a kind for programs (`RobotHeld`, `BadRequest`, ...), a reason for people."""
 

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import math
 import struct
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
@@ -320,6 +321,21 @@ async def test_publish_subscribe_and_advertise() -> None:
             assert await anext(messages) == {"data": "hello"}
         await other.settle()
         assert next(each for each in await me.topics() if each["name"] == "/chat")["publishers"] == 0
+
+
+async def test_messages_come_as_bytes_with_their_time() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()) as device,
+        connect(host.url) as me,
+        me.subscribe_raw("/robot_0/odometry") as messages,
+    ):
+        await me.settle()
+        before_ns = time.time_ns()
+        await device.send(pose(1.0, 2.0, 0.5))
+        message = await anext(aiter(messages))
+    assert message.payload == struct.pack("<3d", 1.0, 2.0, 0.5)
+    assert before_ns <= message.stamp_ns <= time.time_ns()
 
 
 async def test_two_subscriptions_of_one_topic_live_apart() -> None:
