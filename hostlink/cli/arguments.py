@@ -1,10 +1,11 @@
-"""Arguments that several commands have."""
+"""Arguments that several commands have, and the names that a shell completes for them."""
 
 import json
 from typing import Annotated
 
 import typer
 
+from hostlink.cli.completion import parameter_names, robot_names, service_names, topic_names, type_names
 from hostlink.errors import ConfigError
 
 Url = Annotated[str, typer.Option(help="Where hostlink's API is.", envvar="HOSTLINK_URL")]
@@ -16,6 +17,14 @@ Token = Annotated[
         show_default=False,
     ),
 ]
+Json = Annotated[bool, typer.Option("--json", help="For programs.")]
+JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
+Seconds = Annotated[float, typer.Option(min=0.0, help="End after this time; 0: with Ctrl-C.")]
+TopicName = Annotated[str, typer.Argument(show_default=False, autocompletion=topic_names)]
+ServiceName = Annotated[str, typer.Argument(show_default=False, autocompletion=service_names)]
+RobotName = Annotated[str | None, typer.Argument(show_default=False, autocompletion=robot_names)]
+ParameterName = Annotated[str, typer.Argument(show_default=False, autocompletion=parameter_names)]
+TypeName = Annotated[str, typer.Argument(help="As geometry_msgs/Twist.", show_default=False, autocompletion=type_names)]
 
 
 def json_object(name: str, text: str) -> dict[str, object]:

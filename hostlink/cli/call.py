@@ -6,13 +6,13 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import Token, Url, json_object
+from hostlink.cli.arguments import ServiceName, Token, Url, json_object
 from hostlink.cli.output import write
 from hostlink.client import DEFAULT_URL, connect
 
 
 def command(
-    service: Annotated[str, typer.Argument(show_default=False)],
+    service: ServiceName,
     request: Annotated[str, typer.Argument(help='JSON, as {"data": true}.')] = "{}",
     *,
     timeout: Annotated[float, typer.Option(min=0.01, max=3600.0, help="Seconds to wait for the answer.")] = 5.0,

@@ -1,17 +1,39 @@
-"""`hostlink info`: what is in a recording."""
+"""`hostlink info`: what is in a recording; or who publishes and subscribes, of a topic, a node or a service."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.completion import graph_names
+from hostlink.cli.graph_info import show_name
 from hostlink.cli.recording_info import show_recording
+from hostlink.client import DEFAULT_URL
+
+_RECORDING = ".mcap"
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE",
+            help="A topic, a node or a service; or a recording, as `hostlink record` made it.",
+            show_default=False,
+            autocompletion=graph_names,
+        ),
+    ],
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="JSON, for programs.")] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
 ) -> None:
-    """Show what is in a recording: topics, types, rates, what of the file is damaged."""
-    show_recording(file, as_json=as_json)
+    """Show who publishes and subscribes, of a topic, a node or a service; or what is in a recording.
+
+    Of a recording: topics, types, rates, what of the file is damaged.
+    """
+    if name.endswith(_RECORDING) or Path(name).is_file():
+        show_recording(Path(name), as_json=json)
+    else:
+        show_name(name, url, token, as_json=json)

@@ -1,38 +1,67 @@
-"""The hostlink command. Each subcommand is a module with a `command`; only the one that runs is imported."""
+"""The hostlink command. Each subcommand is a module with a `command`, or with an `app` of more of them; only the one
+that runs is imported.
+"""
 
 import importlib
 import os
+import shlex
 import sys
-from typing import Annotated
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.output import write_error
+from hostlink.cli.output import write, write_error
 from hostlink.errors import ConfigError, HostlinkError
 
-COMMANDS = {
-    "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
-    "demo": "Run the daemon with a simulated robot.",
-    "sim": "Run simulated robots that connect to a host.",
-    "teleop": "Drive a robot with the keyboard.",
-    "calibrate": "Find a robot's wheels with a tape measure.",
-    "step": "Drive a step of speed and show how the robot follows; tune its PID.",
-    "topics": "List the topics.",
-    "echo": "Print the messages of a topic.",
-    "pub": "Publish messages on a topic.",
-    "call": "Call a service.",
-    "doctor": "Find what is wrong with the devices, and what to do next.",
-    "top": "Watch links and robots, live.",
-    "record": "Record robots into an MCAP file; repair one that was never finished.",
-    "play": "Play a recording as the robots that are in it.",
-    "info": "Show what is in a recording.",
-    "plot": "Draw fields or paths of a recording.",
-    "export": "Write a recording as CSV, or as a bag of ROS.",
-    "incidents": "List what happened to robots, and fetch their last minutes.",
-    "capture": "Save the raw bytes of a link.",
-    "inspect": "Decode a recording of a link.",
-    "lab": "Drive the paper's measurements again, in a world that is known.",
+PANELS = {
+    "The daemon": {
+        "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
+        "demo": "Run the daemon with a simulated robot.",
+        "sim": "Run simulated robots that connect to a host.",
+    },
+    "Robots": {
+        "robots": "List the robots.",
+        "teleop": "Drive a robot with the keyboard.",
+        "stop": "Stop a robot, or all of them.",
+        "lock": "Emergency stop: no robot moves until it is unlocked.",
+        "unlock": "Let a robot be driven again.",
+        "calibrate": "Find a robot's wheels with a tape measure.",
+        "step": "Drive a step of speed and show how the robot follows; tune its PID.",
+        "lab": "Drive the paper's measurements again, in a world that is known.",
+    },
+    "Topics, services, parameters": {
+        "topics": "List the topics.",
+        "info": "Show who publishes and subscribes, of a topic or a node; what is in a recording.",
+        "type": "Show the type of a topic or a service.",
+        "find": "List the topics and services of a type.",
+        "echo": "Print the messages of a topic.",
+        "hz": "Measure the rate of a topic.",
+        "bw": "Measure the bandwidth of a topic.",
+        "delay": "Measure how old the messages of a topic are when they come.",
+        "pub": "Publish messages on a topic.",
+        "services": "List the services.",
+        "call": "Call a service.",
+        "params": "List, get, set, dump and load the parameters of the devices.",
+    },
+    "Recordings": {
+        "record": "Record robots into an MCAP file; repair one that was never finished.",
+        "play": "Play a recording as the robots that are in it.",
+        "plot": "Draw fields or paths of a recording.",
+        "export": "Write a recording as CSV, or as a bag of ROS.",
+        "incidents": "List what happened to robots, and fetch their last minutes.",
+    },
+    "What is wrong": {
+        "doctor": "Find what is wrong with the devices, and what to do next.",
+        "top": "Watch links and robots, live.",
+        "links": "List the connections of devices.",
+        "clients": "List the programs that are connected.",
+        "capture": "Save the raw bytes of a link.",
+        "inspect": "Decode a recording of a link.",
+    },
 }
+COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
 FAILED, MISUSED = 1, 2
 
 
@@ -41,15 +70,23 @@ def build_app(wanted: str | None) -> typer.Typer:
     app = typer.Typer(
         help="The host for rosserial robots: no ROS needed, every ROS habit kept.",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_options)
-    for name, text in COMMANDS.items():
-        function = importlib.import_module(f"hostlink.cli.{name}").command if name == wanted else _name_only
-        app.command(name=name, short_help=text, help=function.__doc__ or text)(function)
+    for panel, commands in PANELS.items():
+        for name, text in commands.items():
+            _add(app, name, text, panel, is_wanted=name == wanted)
     return app
+
+
+def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
+    module: Any = importlib.import_module(f"hostlink.cli.{name}") if is_wanted else None
+    if hasattr(module, "app"):
+        app.add_typer(module.app, name=name, short_help=text, rich_help_panel=panel)
+    else:
+        function = module.command if is_wanted else _name_only
+        app.command(name=name, short_help=text, help=function.__doc__ or text, rich_help_panel=panel)(function)
 
 
 def main() -> None:
@@ -57,7 +94,7 @@ def main() -> None:
     _open_standard_descriptors()
     arguments = sys.argv[1:]
     try:
-        build_app(next((word for word in arguments if word in COMMANDS), None))()
+        build_app(wanted_command([*arguments, *completed_words(os.environ)]))(prog_name="hostlink")
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
@@ -70,6 +107,22 @@ def main() -> None:
         sys.exit(128 + 2)
 
 
+def wanted_command(words: Iterable[str]) -> str | None:
+    """The first word that is a command's name."""
+    return next((word for word in words if word in COMMANDS), None)
+
+
+def completed_words(environment: Mapping[str, str]) -> list[str]:
+    """The words of a line that a shell wants to be completed, as typer's scripts for bash, zsh and fish pass them."""
+    if "_HOSTLINK_COMPLETE" not in environment:
+        return []
+    line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS", "")
+    try:
+        return shlex.split(line)[1:]
+    except ValueError:  # a quotation that is not closed yet
+        return line.split()[1:]
+
+
 def _open_standard_descriptors() -> None:
     """Of a process that was started without some (`2>&-`): else a robot's connection gets the number of stderr."""
     for name, descriptor in (("stdin", 0), ("stdout", 1), ("stderr", 2)):
@@ -80,10 +133,20 @@ def _open_standard_descriptors() -> None:
             setattr(sys, name, open(descriptor, "r" if name == "stdin" else "w", closefd=False))  # noqa: SIM115
 
 
+def _show_version(is_wanted: bool) -> None:
+    if is_wanted:
+        write(f"hostlink {version('hostlink')}")
+        raise typer.Exit
+
+
 def _options(
-    *, debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
+    *,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
 ) -> None:
-    del debug  # `main` reads it: it must work for errors of the arguments too
+    del debug, show_version  # `main` reads the first: it must work for errors of the arguments too
 
 
 def _name_only() -> None:

@@ -6,17 +6,17 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.arguments import Token, Url, json_object
+from hostlink.cli.arguments import Token, TopicName, Url, json_object
 from hostlink.cli.output import write_error
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import HostlinkError
 
 
 def command(
-    topic: Annotated[str, typer.Argument(show_default=False)],
+    topic: TopicName,
     message: Annotated[
-        str, typer.Argument(help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero.', show_default=False)
-    ],
+        str, typer.Argument(help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero, all of them without it.')
+    ] = "{}",
     *,
     type_name: Annotated[
         str, typer.Option("--type", help="As geometry_msgs/Twist; that of the topic if it is known.")

@@ -19,7 +19,7 @@ REQUEST_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
 _SCHEMES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
 _ADVICE = {
-    HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...)",
+    HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...), or --token of a command",
     HTTPStatus.FORBIDDEN: "this token, or this place, may not do that: ask whoever runs it",
     HTTPStatus.NOT_FOUND: "what answers there is no hostlink, or an older one: look at the address and the port",
     HTTPStatus.TOO_MANY_REQUESTS: "ask less often, or raise max_requests_s in its configuration",
@@ -148,6 +148,12 @@ class HttpClient:
                 cause = "it closed the connection: what answers there may be no hostlink, or want https://"
             case TimeoutError():
                 cause = f"no answer within {REQUEST_TIMEOUT_S:g} s: look at the address, the network and its firewalls"
+            case aiohttp.ClientResponseError():
+                cause = "what answers there speaks no HTTP: devices have port 11411, programs 9090"
+            case aiohttp.ClientConnectorError() if isinstance(error.os_error, ConnectionRefusedError):
+                cause = "is `hostlink serve` running there? Nothing listens; `hostlink demo` runs one with a robot"
+            case aiohttp.ClientConnectorError() if error.os_error.strerror:
+                cause = f"there is no way to it ({error.os_error.strerror}): look at the address and the network"
             case _:
                 cause = f"is `hostlink serve` running there? ({error})"
         return f"no hostlink at {self.url}: {cause}"

@@ -453,7 +453,10 @@ async def test_a_refused_connection_raises_with_advice(status: int, advice: str)
 @pytest.mark.parametrize(
     ("url", "advice"),
     [
-        ("http://127.0.0.1:1", "no hostlink at http://127.0.0.1:1: is `hostlink serve` running there?"),
+        (
+            "http://127.0.0.1:1",
+            "no hostlink at http://127.0.0.1:1: is `hostlink serve` running there? Nothing listens;",
+        ),
         ("ftp://127.0.0.1", "'ftp://127.0.0.1' is no address of a hostlink: write it as http://HOST:9090"),
         ("http://", "'http://' is no address of a hostlink"),
     ],
@@ -463,6 +466,13 @@ async def test_an_address_without_hostlink_raises_with_advice(url: str, advice: 
         async with connect(url):
             pass
     assert str(caught.value).startswith(advice)
+
+
+async def test_the_port_of_the_devices_is_no_api() -> None:
+    async with daemon() as host:
+        with pytest.raises(HostlinkError, match="what answers there speaks no HTTP: devices have port 11411"):
+            async with connect("http://{}:{}".format(*host.tcp)):
+                pass
 
 
 async def test_tls_where_there_is_none_raises_with_advice() -> None:

@@ -98,9 +98,11 @@ def _started(log: Path) -> Any:
     return next(json.loads(line) for line in log.read_bytes().splitlines() if b"daemon.started" in line)
 
 
-async def run(*arguments: str, input_text: str = "") -> tuple[int, str, str]:
+async def run(
+    *arguments: str, input_text: str = "", environment: Mapping[str, str] | None = None
+) -> tuple[int, str, str]:
     """Run a hostlink command to its end: (status, standard output, standard error)."""
-    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1"}
+    environment = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", **(environment or {})}
     child = await start(*arguments, given=input_text.encode(), stdout=PIPE, stderr=PIPE, environment=environment)
     async with asyncio.timeout(TIMEOUT_S):
         out, err = await child.communicate()

@@ -1,0 +1,75 @@
+"""`hostlink delay`: how old messages are when they come, by the stamp of their header and this computer's clock."""
+
+import asyncio
+import struct
+import time
+from typing import Annotated, Any
+
+import typer
+
+from hostlink.cli.arguments import JsonLines, Seconds, Token, TopicName, Url
+from hostlink.cli.following import Followed, measure
+from hostlink.cli.measuring import WINDOW, Measured, duration
+from hostlink.client import DEFAULT_URL, RawMessage, connect
+from hostlink.errors import HostlinkError
+
+_HEADER = struct.Struct("<III")  # seq, secs, nsecs: what a std_msgs/Header begins with
+
+
+def command(
+    topic: TopicName,
+    *,
+    window: Annotated[int, typer.Option(min=2, help="Of the last so many messages.")] = WINDOW,
+    seconds: Seconds = 0.0,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: JsonLines = False,
+) -> None:
+    """Measure how old the messages of a topic are; a line each second until Ctrl-C. They need a header with a stamp."""
+    followed = Followed(topic=topic, url=url, token=token, seconds=seconds, as_json=json)
+    asyncio.run(_check_header(followed))
+    measured = Measured(window)
+    measure(
+        followed,
+        measured,
+        lambda message: measured.add(message.stamp_ns / 1e9, _age_s(message)),
+        lambda: _view(measured),
+        lambda: _line(measured),
+    )
+
+
+async def _check_header(followed: Followed) -> None:
+    """Raises HostlinkError for a topic whose type has no header."""
+    async with connect(followed.url, token=followed.token, reconnect=False) as host:
+        type_name = (await host.call("/rosapi/topic_type", {"topic": followed.topic}))["type"]
+        if not type_name:
+            raise HostlinkError(f"{followed.topic} has no type yet: nobody publishes it; `hostlink topics` lists them")
+        fields = (await host.call("/rosapi/message_details", {"type": type_name}))["typedefs"][0]["fieldtypes"]
+    if fields[:1] != ["std_msgs/Header"]:
+        raise HostlinkError(
+            f"{followed.topic}: a {type_name} has no header, and so no stamp to measure by; "
+            f"`hostlink hz {followed.topic}` shows when its messages come"
+        )
+
+
+def _age_s(message: RawMessage) -> float:
+    _, secs, nsecs = _HEADER.unpack_from(message.payload)
+    return float(time.time() - secs - nsecs / 1e9)
+
+
+def _view(measured: Measured) -> dict[str, Any]:
+    age_s = measured.figures
+    if age_s is None:
+        return {"delay_s": None}
+    seconds = {"delay_s": age_s.mean, "min_s": age_s.least, "max_s": age_s.most, "std_dev_s": age_s.deviation}
+    return {key: round(value, 6) for key, value in seconds.items()} | {"window": age_s.count}
+
+
+def _line(measured: Measured) -> str:
+    age_s = measured.figures
+    if age_s is None:
+        return "no messages yet"
+    return (
+        f"delay {duration(age_s.mean)} (min {duration(age_s.least)}, max {duration(age_s.most)}, "
+        f"std dev {duration(age_s.deviation)}) of {age_s.count} messages"
+    )

@@ -1,0 +1,44 @@
+"""`hostlink services`: the services of devices and programs; those of the daemon itself by wish."""
+
+import asyncio
+import json as json_text
+from typing import Annotated, Any
+
+import typer
+
+from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.output import table, write, write_error
+from hostlink.client import DEFAULT_URL, connect
+
+_OWN = "/rosapi/"
+
+
+def command(
+    *,
+    everything: Annotated[bool, typer.Option("--all", "-a", help="The daemon's own too: /rosapi/...")] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """List the services: name, type, who provides it."""
+    services = asyncio.run(_services(url, token, with_own=everything))
+    if json:
+        write(json_text.dumps(services))
+    elif services:
+        write(*table(["service", "type", "node"], [list(each.values()) for each in services])[1:])
+    else:
+        write_error("no device or program offers a service; --all lists the daemon's own")
+
+
+async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict[str, Any]]:
+    async with connect(url, token=token, reconnect=False) as host:
+        names: list[str] = (await host.call("/rosapi/services", {}))["services"]
+        return [
+            {
+                "name": name,
+                "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
+                "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
+            }
+            for name in names
+            if with_own or not name.startswith(_OWN)
+        ]

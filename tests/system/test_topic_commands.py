@@ -1,0 +1,246 @@
+"""Topics, services, parameters and robots from the command line, as `ros2 topic` and its kin have them."""
+
+import asyncio
+import json
+import struct
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from hostlink.protocol.frame import Id, encode
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.process import HOSTLINK, run
+from tests.support.screen import screen
+
+POINT = topic(Id.PUBLISHER, 126, "/robot_0/point", "geometry_msgs/PointStamped")
+TRIGGER = [
+    topic(Id.SERVICE_SERVER_PUBLISHER, 127, "/trigger", "std_srvs/Trigger"),
+    topic(Id.SERVICE_SERVER_SUBSCRIBER, 102, "/trigger", "std_srvs/Trigger"),
+]
+
+
+@asynccontextmanager
+async def publishing(data: bytes = b"", *, interval_s: float = 0.02) -> AsyncIterator[tuple[Daemon, FakeDevice]]:
+    """A robot that publishes its pose, and more, fifty times a second."""
+
+    async def publish(device: FakeDevice) -> None:
+        while True:
+            await device.send(pose(1 / 3, 2.0, 0.5) + data)
+            await asyncio.sleep(interval_s)
+
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, [*robot_topics(), POINT, *TRIGGER]) as device,
+        asyncio.TaskGroup() as tasks,
+    ):
+        publisher = tasks.create_task(publish(device))
+        yield host, device
+        publisher.cancel()
+
+
+async def test_echo_prints_fields_rows_and_single_messages() -> None:
+    async with publishing() as (host, _):
+        words = ("echo", "/robot_0/odometry", "--url", host.url)
+        assert (await run(*words, "--once"))[1] == '/robot_0/odometry  {"x": 0.333333, "y": 2.0, "theta": 0.5}\n'
+        assert json.loads((await run(*words, "--once", "--json"))[1])["x"] == 1 / 3
+        assert await run(*words, "--count", "2", "--field", "theta") == (0, "0.5\n0.5\n", "")
+        _, table, _ = await run(*words, "--csv", "--count", "2")
+        assert (await run(*words, "--once", "--field", "q")) == (
+            1, "", "hostlink: no field q: there is x, y, theta\n"
+        )  # fmt: skip
+        assert (await run(*words, "--csv", "--json"))[0] == 2
+    head, *rows = (line.split(",") for line in table.splitlines())
+    assert head == ["time", "x", "y", "theta"]
+    assert [row[1:] for row in rows] == [[repr(1 / 3), "2.0", "0.5"]] * 2
+
+
+async def test_a_topic_that_nobody_publishes_gets_a_hint() -> None:
+    async with publishing() as (host, _):
+        status, out, err = await run("echo", "/robot_0/odometrie", "--timeout", "0.2", "--url", host.url)
+        assert (status, out) == (1, "")
+        hint, error = err.splitlines()
+        assert hint.startswith("nobody publishes /robot_0/odometrie; near it: /robot_0/odometry")
+        assert error == "hostlink: /robot_0/odometrie: no message came within 0.2 s"
+        _, _, err = await run("hz", "/nonsense", "--seconds", "0.1", "--url", host.url)
+        assert err.startswith("nobody publishes /nonsense; `hostlink topics` lists what there is; waiting")
+
+
+async def test_rate_bandwidth_and_delay_are_measured() -> None:
+    point = encode(126, struct.pack("<III", 1, 0, 0) + struct.pack("<I", 0) + struct.pack("<3d", 1, 2, 3))
+    async with publishing(point) as (host, _):
+        end = ("--seconds", "1", "--json", "--url", host.url)
+        _, out, err = await run("hz", "/robot_0/odometry", *end)
+        rate = json.loads(out)
+        assert 20 < rate["rate_hz"] < 51
+        assert err == f"{rate['messages']} messages in {err.split()[-2]} s\n"
+        bandwidth = json.loads((await run("bw", "/robot_0/odometry", *end))[1])
+        assert (bandwidth["min_bytes"], bandwidth["max_bytes"]) == (24, 24)
+        delay = json.loads((await run("delay", "/robot_0/point", *end))[1])
+        assert delay["delay_s"] > 1.7e9  # a device that does not know the time
+        assert "a geometry_msgs/Pose2D has no header" in (await run("delay", "/robot_0/odometry", *end))[2]
+        assert "/x has no type yet" in (await run("delay", "/x", *end))[2]
+        assert " Hz   every " in (await run("hz", "/robot_0/odometry", "--seconds", "1", "--url", host.url))[1]
+
+
+async def test_info_type_and_find() -> None:
+    async with publishing() as (host, _):
+        at = ("--json", "--url", host.url)
+        info = json.loads((await run("info", "/robot_0/odometry", *at))[1])
+        assert (info["type"], info["publishers"]) == ("geometry_msgs/Pose2D", ["/robot_0"])
+        node = json.loads((await run("info", "robot_0", *at))[1])
+        assert (node["services"], "/robot_0/velocity_commands" in node["subscribing"]) == (["/trigger"], True)
+        assert json.loads((await run("info", "/trigger", *at))[1]) == {
+            "service": "/trigger", "type": "std_srvs/Trigger", "node": "/robot_0",
+        }  # fmt: skip
+        assert "near it: /trigger" in (await run("info", "/triger", *at))[2]
+        assert (await run("type", "/trigger", "--url", host.url))[1] == "std_srvs/Trigger\n"
+        _, out, _ = await run("type", "/robot_0/velocity_commands", "--fields", "--url", host.url)
+        assert out.splitlines()[:3] == ["geometry_msgs/Twist", "  geometry_msgs/Vector3 linear", "  float64 linear.x"]
+        assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
+        assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
+            "hostlink: no topic or service of type named geometry_msgs/Pose3D; near it: geometry_msgs/Pose2D"
+        )
+
+
+async def test_topics_with_rates_and_lists_of_services_robots_links_and_clients() -> None:
+    async with publishing() as (host, _):
+        at = ("--url", host.url)
+        _, out, _ = await run("topics", "-v", *at)
+        head, *rows = (line.split() for line in out.splitlines())
+        assert head == ["topic", "type", "publishers", "subscribers", "messages", "rate"]
+        (rate,) = (float(row[5]) for row in rows if row[0] == "/robot_0/odometry")
+        assert 20 < rate < 60
+        assert (await run("services", *at))[1].splitlines()[-1].split() == ["/trigger", "std_srvs/Trigger", "/robot_0"]
+        assert "/rosapi/topics" in (await run("services", "--all", "--json", *at))[1]
+        assert (await run("robots", *at))[1].splitlines()[1].startswith("robot_0  1     nobody")
+        assert (await run("links", "--ended", *at))[1].splitlines()[1].split()[:3] == [
+            "1",
+            "127.0.0.1:" + peer(host),
+            "robot_0",
+        ]
+        assert (await run("clients", *at))[1].splitlines()[1].split()[2] == "rosbridge"
+        for words in (["topics", "-v"], ["services"], ["robots"], ["links"], ["clients"]):
+            assert json.loads((await run(*words, "--json", *at))[1])
+
+
+def peer(host: Daemon) -> str:
+    return host.hub.links()[0].peer.rpartition(":")[2]
+
+
+async def test_an_empty_daemon_says_what_to_do() -> None:
+    async with daemon() as host:
+        for words in (["topics"], ["robots"], ["links"], ["lock"]):
+            _, out, err = await run(*words, "--url", host.url)
+            assert out == "" or words == ["topics"]
+            assert words == ["topics"] or "`hostlink doctor` finds out why" in err
+
+
+async def test_stop_lock_and_unlock() -> None:
+    topics = [*robot_topics("mule")]
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, topics):
+        at = ("--url", host.url)
+        assert await run("stop", *at) == (0, "mule is stopped\nrobot_0 is stopped\n", "")
+        assert await run("stop", "/mule", *at) == (0, "mule is stopped\n", "")
+        assert await run("lock", "mule", "--reason", "my foot", *at) == (0, "mule is locked: my foot\n", "")
+        assert [robot.gate.lock_reason for robot in host.hub.robots.all()] == ["my foot", None]
+        assert await run("unlock", *at) == (0, "mule may be driven\n", "")
+        assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked\n")
+        await run("lock", *at)
+        status, _, err = await run("unlock", *at)
+        assert (status, "locked are: mule, robot_0" in err) == (1, True)
+        assert (await run("unlock", "--all", *at))[1] == "mule may be driven\nrobot_0 may be driven\n"
+        assert (await run("lock", "mull", *at))[2] == (
+            "hostlink: no robot named mull; near it: mule; `hostlink robots` lists them\n"
+        )
+        assert all(robot.gate.lock_reason is None for robot in host.hub.robots.all())
+
+
+async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
+    file = tmp_path / "parameters.json"
+    async with daemon() as host:
+        at = ("--url", host.url)
+        for name, value in (("/gain", "1.5"), ("/pid/kp", "[1, 2]"), ("/name", "left")):
+            assert (await run("params", "set", name, value, *at))[0] == 0
+        assert await run("params", "list", *at) == (0, '/gain    1.5\n/name    "left"\n/pid/kp  [1, 2]\n', "")
+        assert (await run("params", "get", "/pid", *at))[1] == '{"kp": [1, 2]}\n'
+        assert (await run("params", "dump", str(file), *at))[2] == f"3 parameters in {file}\n"
+        assert (await run("params", "delete", "/pid", *at))[0] == 0
+        assert "near it: /pid/kp" not in (await run("params", "get", "/pid/kp", *at))[2]
+        assert (await run("params", "load", str(file), *at))[2] == "3 parameters set\n"
+        assert json.loads((await run("params", "list", "--json", *at))[1])["/pid/kp"] == [1, 2]
+        (tmp_path / "hostlink.toml").write_text("[parameters]\ngain = 2.5\n")
+        await run("params", "load", str(tmp_path / "hostlink.toml"), *at)
+        assert (await run("params", "get", "gain", *at))[1] == "2.5\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["dump", "none/file"], "none/file cannot be written"),
+        (["load", "none"], "none: No such file"),
+        (["load", "list.json"], "has no parameters"),
+        (["load", "broken.json"], "broken.json: Expecting"),
+    ],
+)
+async def test_a_file_of_parameters_that_is_none(tmp_path: Path, words: list[str], complaint: str) -> None:
+    (tmp_path / "list.json").write_text("[1]")
+    (tmp_path / "broken.json").write_text("{")
+    async with daemon() as host:
+        status, out, err = await run("params", words[0], str(tmp_path / words[1]), "--url", host.url)
+    assert (status, out, len(err.splitlines())) == (2, "", 1)
+    assert complaint in err
+
+
+async def test_an_empty_message_needs_no_text() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        assert await run("pub", "/robot_0/reset_odometry", "--url", host.url) == (0, "", "1 sent\n")
+        assert await device.frame(101) == b""
+
+
+async def test_ctrl_c_ends_a_measurement_with_its_summary() -> None:
+    async with publishing() as (host, _), screen() as terminal:
+        await terminal.keys(f"{HOSTLINK} hz /robot_0/odometry --url {host.url}; echo status $?", "Enter")
+        await terminal.shows(" Hz   every ")
+        await terminal.keys("C-c")
+        shown = await terminal.shows("status 0")
+        assert " messages in " in shown
+        assert "Traceback" not in shown
+
+
+@pytest.mark.parametrize("words", [["--version"], ["-m"]])
+async def test_the_version(words: list[str]) -> None:
+    if words == ["-m"]:
+        child = await asyncio.create_subprocess_exec(
+            str(Path(HOSTLINK).parent / "python"), "-m", "hostlink", "--version", stdout=asyncio.subprocess.PIPE
+        )
+        out = (await child.communicate())[0].decode()
+    else:
+        out = (await run(*words))[1]
+    assert out.startswith("hostlink 0.")
+
+
+async def test_bash_completes_commands_options_and_topics(tmp_path: Path) -> None:
+    async with publishing() as (host, _), screen() as terminal:
+        folder = Path(HOSTLINK).parent
+        await terminal.keys(f"export HOME={tmp_path} PATH={folder}:$PATH HOSTLINK_URL={host.url}", "Enter")
+        await terminal.keys("hostlink --install-completion bash && source ~/.bashrc && clear && echo ready", "Enter")
+        await terminal.shows("ready")
+        await terminal.keys("hostlink tele", "Tab")
+        await terminal.shows("hostlink teleop")
+        await terminal.keys("C-u", "hostlink echo --thr", "Tab")
+        await terminal.shows("--throttle-ms")
+        await terminal.keys("C-u", "hostlink echo /robot_0/vel", "Tab")
+        await terminal.shows("/robot_0/velocity_commands")
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+async def test_other_shells_get_the_same_names(shell: str) -> None:
+    """By the protocol of their scripts."""
+    async with publishing() as (host, _):
+        action = {"_TYPER_COMPLETE_FISH_ACTION": "get-args"} if shell == "fish" else {}
+        words = {"_HOSTLINK_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_ARGS": "hostlink echo /robot_0/od"}
+        _, out, _ = await run(environment={**words, **action, "HOSTLINK_URL": host.url})
+    assert "/robot_0/odometry" in out

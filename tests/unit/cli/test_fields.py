@@ -1,0 +1,67 @@
+"""Fields of a message as a person writes and reads them."""
+
+import csv
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.cli.fields import csv_line, field_of, flat, readable
+from hostlink.errors import HostlinkError
+
+MESSAGE = {"header": {"stamp": {"secs": 5}}, "ranges": [0.5, 1.5], "legs": [{"x": 1}, {"x": 2}], "name": "a"}
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("name", "a"),
+        ("header.stamp.secs", 5),
+        ("ranges", [0.5, 1.5]),
+        ("ranges[1]", 1.5),
+        ("ranges.1", 1.5),
+        ("legs[1].x", 2),
+        (".name", "a"),
+    ],
+)
+def test_a_field_by_its_path(path: str, value: Any) -> None:
+    assert field_of(MESSAGE, path) == value
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("nam", "no field nam: there is header, ranges, legs, name"),
+        ("header.stmp", "no field header.stmp: there is stamp"),
+        ("ranges[2]", r"no field ranges\[2\]: there is a list of 2"),
+        ("ranges.x", r"no field ranges.x: there is a list of 2"),
+        ("name.x", "no field name.x: there is a single value"),
+    ],
+)
+def test_a_field_that_is_not_there(path: str, text: str) -> None:
+    with pytest.raises(HostlinkError, match=text):
+        field_of(MESSAGE, path)
+
+
+def test_a_row_has_a_cell_for_each_field_and_lists_are_one() -> None:
+    names, values = zip(*flat(MESSAGE), strict=True)
+    assert names == ("header.stamp.secs", "ranges", "legs", "name")
+    assert csv_line(values) == '5,"[0.5, 1.5]","[{""x"": 1}, {""x"": 2}]",a'
+
+
+@given(st.lists(st.one_of(st.text(st.characters(exclude_characters="\r\n\x00")), st.integers()), min_size=1))
+def test_a_table_is_read_again(cells: list[str | int]) -> None:
+    (row,) = csv.reader([csv_line(cells)]) if any(map(str, cells)) else [list(map(str, cells))]
+    assert row == list(map(str, cells))
+
+
+def test_numbers_have_the_digits_of_a_person() -> None:
+    shown = readable({"a": 0.1 + 0.2, "b": [1.23456789, 1e-9 / 3], "c": 1763774000.123456, "d": 7, "e": True})
+    assert shown == {"a": 0.3, "b": [1.234568, 3.33333e-10], "c": 1763774000.123456, "d": 7, "e": True}
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_no_number_is_changed_by_more_than_its_last_digit(value: float) -> None:
+    assert math.isclose(readable(value), value, rel_tol=1e-5, abs_tol=0)

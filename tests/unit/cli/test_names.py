@@ -1,0 +1,34 @@
+"""What a person may have meant."""
+
+import pytest
+
+from hostlink.cli.names import near, unknown
+
+TOPICS = ["/robot_0/odometry", "/robot_0/odom", "/robot_0/velocity_commands", "/robot_1/odometry", "/rosout", "/tf"]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("/robot_0/odometrie", ["/robot_0/odometry", "/robot_1/odometry"]),
+        ("/robot_0/velocity_comands", ["/robot_0/velocity_commands"]),
+        ("/odom", ["/robot_0/odom", "/robot_0/odometry", "/robot_1/odometry"]),
+        ("/nonsense", []),
+        ("/", []),
+        ("", []),
+    ],
+)
+def test_what_comes_near(name: str, found: list[str]) -> None:
+    assert near(name, TOPICS)[: len(found) or None] == found
+
+
+def test_the_error_names_what_comes_near_else_what_there_is() -> None:
+    assert str(unknown("robot", "robt_0", ["robot_0", "mule"], command="robots")) == (
+        "no robot named robt_0; near it: robot_0; `hostlink robots` lists them"
+    )
+    assert str(unknown("robot", "xyz", ["robot_0", "mule"], command="robots")) == (
+        "no robot named xyz; there is: mule, robot_0; `hostlink robots` lists them"
+    )
+    assert str(unknown("robot", "xyz", [], command="robots")) == (
+        "no robot named xyz; there is: none yet; `hostlink robots` lists them"
+    )
