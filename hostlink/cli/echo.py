@@ -67,7 +67,8 @@ async def _echo(url: str, token: str | None, echo: Echo) -> None:
         connect(url, token=token, reconnect=False) as host,
         host.subscribe(echo.topic, throttle_rate_ms=echo.throttle_ms) as messages,
     ):
-        await write_hint(host, echo.topic)
+        if not echo.as_json:
+            await write_hint(host, echo.topic)
         printed = 0
         async for message in _within(messages, echo):
             write(*_lines(message, echo, is_first=not printed))

@@ -66,7 +66,8 @@ async def _measure(
     lines: Callable[[], str],
 ) -> None:
     async with connect(followed.url, token=followed.token, reconnect=False) as host:
-        await write_hint(host, followed.topic)
+        if not followed.as_json:
+            await write_hint(host, followed.topic)
         async with host.subscribe_raw(followed.topic) as messages:
             next_s = asyncio.get_running_loop().time()
             end_s = next_s + (followed.seconds or float("inf"))
