@@ -25,7 +25,7 @@ class TopScreen(App[None]):
     DataTable { height: auto; max-height: 40%; margin-bottom: 1; }
     #title { text-style: bold; }
     """
-    BINDINGS: ClassVar[list[BindingType]] = [("q", "quit", "quit")]
+    BINDINGS: ClassVar[list[BindingType]] = [("q,ctrl+c", "quit", "quit")]
     ENABLE_COMMAND_PALETTE = False
 
     def __init__(self, url: str, token: str | None, interval_s: float) -> None:

@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from textual.widgets import DataTable, Static
 
 from hostlink.cli.top_screen import TopScreen
@@ -51,10 +52,11 @@ async def test_without_a_terminal_it_prints_what_to_do() -> None:
     assert err == "hostlink: top: needs a terminal; elsewhere use --once or --json\n"
 
 
-async def test_in_a_real_terminal() -> None:
+@pytest.mark.parametrize("key", ["q", "C-c"])
+async def test_in_a_real_terminal(key: str) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), screen() as terminal:
         await terminal.keys(f"{HOSTLINK} top --url {host.url}", "Enter")
         shown = await terminal.shows("nothing is wrong")
         assert "robot_0" in shown
-        await terminal.keys("q")
+        await terminal.keys(key)
         await terminal.shows("bash-")  # the prompt is back
