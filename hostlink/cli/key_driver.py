@@ -89,6 +89,17 @@ class KeyDriver:
         except HostlinkError as error:
             self.refusal = str(error)
 
+    async def unlock(self) -> None:
+        """Unlock the robot, if it is locked; what is held must be released and pressed again."""
+        if not self._watched.state.get("locked"):
+            return
+        self._driving.bar(_now_s())
+        try:
+            await self._robot.unlock()
+            self.refusal = ""
+        except HostlinkError as error:
+            self.refusal = str(error)
+
     async def finish(self) -> None:
         """Send the zeros at the end."""
         while (velocity := self._driving.due(_now_s())) is not None or self._driving.is_ending:

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import math
 import os
 import signal
 from typing import Annotated
@@ -13,8 +12,10 @@ from hostlink.cli.arguments import Token, Url
 from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
 from hostlink.cli.keys import Key, KeyReader
-from hostlink.cli.terminal import Terminal, draw, key_terminal
-from hostlink.client import DEFAULT_URL, Host, RobotState, connect
+from hostlink.cli.standstill import Standstill
+from hostlink.cli.teleop_screen import UNLOCK_KEY, lost_screen, screen
+from hostlink.cli.terminal import Terminal, draw, key_terminal, size
+from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
 
 PRIORITY = 60  # a person at the keys comes before a program
@@ -23,19 +24,6 @@ RETRY_S = 1.0
 STOP_KEYS = ("space", "k", "s")
 QUIT_KEYS = ("ctrl-c", "ctrl-d")
 QUIT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-MAPS = {
-    "original": [
-        "   q  w  e        u* i  o        t/b  both speeds up/down",
-        "   a  s  d        j  k  l        y/n  forward speed up/down",
-        "   z  x  c        m* ,  .        u/m  turning speed up/down   (* not for driving)",
-    ],
-    "twist": [
-        "   u  i  o                       q/z  both speeds up/down",
-        "   j  k  l                       w/x  forward speed up/down",
-        "   m  ,  .                       e/c  turning speed up/down",
-    ],
-}
 
 
 def command(
@@ -55,20 +43,20 @@ def command(
     if layout not in LAYOUTS:
         raise ConfigError("--layout", f"{layout} is none of {', '.join(LAYOUTS)}")
     driving = Driving(layout=layout, linear_m_s=linear, angular_rad_s=angular)
-    asyncio.run(_teleop(url, token, robot, driving, MAPS[layout]))
+    asyncio.run(_teleop(url, token, robot, driving, layout))
 
 
-async def _teleop(url: str, token: str | None, name: str | None, driving: Driving, keys: list[str]) -> None:
+async def _teleop(url: str, token: str | None, name: str | None, driving: Driving, layout: str) -> None:
     async with connect(url, token=token, reconnect=False) as host:
         found = await _choose(host, name)
     with key_terminal() as terminal, _Keyboard(terminal, driving) as keyboard:
         while not keyboard.is_done:
             try:
                 async with connect(url, token=token, reconnect=False) as host:
-                    await _drive(host, found, keyboard, keys)
+                    await _drive(host, found, keyboard, layout)
             except HostlinkError as lost:
                 keyboard.driving.bar(_now_s())  # what is held must not move the robot when the connection is back
-                draw([f"{found}: {lost}", "", "the robot stops by itself; trying again, Ctrl-C ends"])
+                draw(lost_screen(found, str(lost), width=size()[0] - 1))
                 await keyboard.wait(RETRY_S)
 
 
@@ -86,9 +74,9 @@ async def _choose(host: Host, name: str | None) -> str:
     return name.strip("/")
 
 
-async def _drive(host: Host, name: str, keyboard: "_Keyboard", keys: list[str]) -> None:
+async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> None:
     robot, driving = host.robot(name, priority=PRIORITY), keyboard.driving
-    draw_at_s = 0.0
+    draw_at_s, standstill = 0.0, Standstill()
     async with watched_robot(host, await robot.state()) as watched:
         driver = KeyDriver(robot, driving, watched)
         try:
@@ -96,7 +84,18 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", keys: list[str]) 
                 await _obey(keyboard, driver)
                 if _now_s() >= draw_at_s:
                     draw_at_s = _now_s() + DRAW_INTERVAL_S
-                    draw(_screen(watched.state, driving, _now_s(), keys, driver.refusal))
+                    standstill.observe(watched.state, _now_s())
+                    draw(
+                        screen(
+                            watched.state,
+                            driving,
+                            _now_s(),
+                            layout=layout,
+                            refusal=driver.refusal,
+                            warning=standstill.warning,
+                            width=size()[0] - 1,
+                        )
+                    )
                 await keyboard.wait(TICK_S)
         finally:
             driving.stop()
@@ -107,35 +106,12 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", keys: list[str]) 
 async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:
     if keyboard.pop_stop():
         await driver.stop()
+    if keyboard.pop_unlock():
+        await driver.unlock()
     if keyboard.wants_suspend:
         await driver.send((0.0, 0.0))
         keyboard.suspend()
     await driver.send_what_is_due()
-
-
-def _screen(state: RobotState, driving: Driving, now_s: float, keys: list[str], refusal: str) -> list[str]:
-    linear_m_s, angular_rad_s = driving.velocity(now_s)
-    odometry = state["odometry"]
-    lines = [
-        f"hostlink teleop   {state['name']}   {'connected' if state['connected'] else 'NOT CONNECTED'}",
-        "",
-        f"speeds    {driving.linear_m_s:5.2f} m/s  {driving.angular_rad_s:5.2f} rad/s",
-        f"asked     {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s",
-        "odometry  none yet",
-        "",
-        f"driven by {state['holder'] or 'nobody'}   {refusal}",
-        "",
-        *keys,
-        "   arrows drive too; space, k or s stops; any other key stops; Ctrl-C ends",
-    ]
-    if odometry is not None:
-        pose, twist = odometry["pose"], odometry["twist"]
-        lines[4] = (
-            f"odometry  {twist['linear_m_s']:+5.2f} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
-            f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m  heading {math.degrees(pose['theta_rad']):+6.1f}°"
-        )
-        lines[5] = f"age       {odometry['age_s']:5.2f} s  at {odometry['rate_hz']:4.1f} Hz"
-    return lines
 
 
 class _Keyboard:
@@ -147,7 +123,7 @@ class _Keyboard:
         self._terminal = terminal
         self._reader = KeyReader()
         self._news = asyncio.Event()
-        self._wants_stop = False
+        self._wants_stop = self._wants_unlock = False
 
     def __enter__(self) -> "_Keyboard":
         loop = asyncio.get_running_loop()
@@ -166,6 +142,11 @@ class _Keyboard:
     def pop_stop(self) -> bool:
         """Whether a stop key was pressed since the last call."""
         wanted, self._wants_stop = self._wants_stop, False
+        return wanted
+
+    def pop_unlock(self) -> bool:
+        """Whether the key that unlocks was pressed since the last call."""
+        wanted, self._wants_unlock = self._wants_unlock, False
         return wanted
 
     def suspend(self) -> None:
@@ -201,6 +182,7 @@ class _Keyboard:
             self._want_suspend()
         else:
             self._wants_stop |= key.name in STOP_KEYS
+            self._wants_unlock |= key == Key(UNLOCK_KEY)
             self.driving.receive(key, _now_s())
 
     def _quit(self) -> None:

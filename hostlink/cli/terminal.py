@@ -6,7 +6,7 @@ import os
 import sys
 import termios
 import tty
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from hostlink.cli.keys import KeyReader
 from hostlink.cli.output import plain
@@ -54,10 +54,10 @@ def key_terminal() -> Iterator[Terminal]:
         atexit.unregister(terminal.leave)
 
 
-def draw(lines: list[str]) -> None:
-    """Write a screen over the one before, line by line, so that nothing flickers."""
-    width, height = _size()
-    visible = [plain(line)[: width - 1] + "\x1b[K" for line in lines[:height]]
+def draw(lines: Sequence[tuple[str, str]]) -> None:
+    """Write a screen over the one before, line by line, so that nothing flickers; a line is its text and its colour."""
+    width, height = size()
+    visible = [_coloured(plain(text)[: width - 1], colour) + "\x1b[K" for text, colour in lines[:height]]
     write("\x1b[H" + "\r\n".join(visible) + "\x1b[J")
 
 
@@ -67,7 +67,12 @@ def write(text: str) -> None:
     sys.stdout.flush()
 
 
-def _size() -> tuple[int, int]:
+def _coloured(text: str, colour: str) -> str:
+    return f"\x1b[{colour}m{text}\x1b[0m" if colour and not os.environ.get("NO_COLOR") else text
+
+
+def size() -> tuple[int, int]:
+    """Columns and lines of the terminal."""
     try:
         return os.get_terminal_size(sys.stdout.fileno())
     except OSError:

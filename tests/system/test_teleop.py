@@ -10,6 +10,7 @@ from typing import Any
 import aiohttp
 import pytest
 
+from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import HOSTLINK, Process, serve, simulated
 from tests.support.screen import PATIENCE_S, POLL_S, Screen, screen
 
@@ -119,6 +120,46 @@ async def test_a_daemon_that_goes_away_is_reported_and_an_earlier_key_does_not_m
         daemon.child.kill()
         assert "Ctrl-C ends" in await terminal.shows("the robot stops by itself; trying again")
         await terminal.keys("C-c")
+
+
+async def post(daemon: Process, path: str) -> None:
+    async with aiohttp.ClientSession() as session, session.post(daemon.url + path) as response:
+        assert response.status == 200
+
+
+async def test_a_locked_robot_is_unlocked_by_a_key_and_moves_only_by_the_next() -> None:
+    async with driving() as (daemon, terminal):
+        await press_until_it_moves(terminal, daemon, "w")
+        await post(daemon, "/api/robots/robot_0/lock")
+        assert "r unlocks it" in await terminal.shows("LOCKED: ")
+        await terminal.keys("w", "r")
+        await expect(daemon, lambda observed: not observed["locked"])
+        await expect(daemon, stands, within_s=STOP_S)
+        await press_until_it_moves(terminal, daemon, "w")
+
+
+async def test_forty_columns_show_all_of_it() -> None:
+    async with driving() as (daemon, terminal):
+        await terminal.tmux("resize-window", "-t", "main", "-x", "40", "-y", "24")
+        shown = await terminal.shows("forward speed up/down")
+        assert "heading" in shown
+        assert "Ctrl-C" in shown
+        await press_until_it_moves(terminal, daemon, "w")
+
+
+async def test_a_robot_whose_odometry_stands_still_is_warned_of_in_colour() -> None:
+    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, screen() as terminal:
+        await device.send(pose(0.0))
+        await terminal.keys(f"{HOSTLINK} teleop --url {daemon.url}", "Enter")
+        await terminal.shows("hostlink teleop   robot_0   connected")
+        async with asyncio.timeout(PATIENCE_S):
+            while "its odometry stands still" not in await terminal.text():
+                await terminal.keys("w")
+                await device.send(pose(0.0))
+                await asyncio.sleep(0.05)
+        coloured = await terminal.tmux("capture-pane", "-p", "-e", "-t", "main")
+        line = next(line for line in coloured.splitlines() if "stands still" in line)
+        assert "\x1b[1m\x1b[33m" in line or "\x1b[33;1m" in line or "\x1b[1;33m" in line
 
 
 async def test_without_a_terminal_it_is_refused() -> None:

@@ -1,0 +1,102 @@
+"""What teleop shows: the robot, the keys, and what is wrong. Pure: a state and a width come in, lines go out."""
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from hostlink.cli.driving import Driving
+from hostlink.client import RobotState
+
+GAP = 3  # spaces between two facts of a line, where it may be broken
+UNLOCK_KEY = "r"
+RED, YELLOW = "31;1", "33;1"
+
+MAPS = {
+    "original": [
+        ("q  w  e        u* i  o", "t/b  both speeds up/down"),
+        ("a  s  d        j  k  l", "y/n  forward speed up/down"),
+        ("z  x  c        m* ,  .", "u/m  turning speed up/down   (* not for driving)"),
+    ],
+    "twist": [
+        ("u  i  o", "q/z  both speeds up/down"),
+        ("j  k  l", "w/x  forward speed up/down"),
+        ("m  ,  .", "e/c  turning speed up/down"),
+    ],
+}
+_MAP_WIDTH = 33
+
+
+class Line(NamedTuple):
+    """One line, and its colour as a terminal has it: numbers of SGR."""
+
+    text: str
+    colour: str = ""
+
+
+def screen(
+    state: RobotState, driving: Driving, now_s: float, *, layout: str, refusal: str, warning: str, width: int
+) -> list[Line]:
+    """Every line, none wider than the terminal."""
+    lines = [*_facts(state, driving, now_s, refusal, warning), Line(""), *_keys(layout, width)]
+    lines.append(Line("arrows drive too; space, k or s stops; any other key stops; Ctrl-C ends"))
+    return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
+
+
+def lost_screen(name: str, reason: str, *, width: int) -> list[Line]:
+    """While there is no connection."""
+    lines = [Line(f"{name}: {reason}", RED), Line("the robot stops by itself; trying again, Ctrl-C ends")]
+    return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
+
+
+def _facts(state: RobotState, driving: Driving, now_s: float, refusal: str, warning: str) -> Iterator[Line]:
+    linear_m_s, angular_rad_s = driving.velocity(now_s)
+    is_connected = state["connected"]
+    connected = "connected" if is_connected else "NOT CONNECTED"
+    yield Line(f"hostlink teleop   {state['name']}   {connected}", "" if is_connected else RED)
+    if state.get("locked"):
+        yield Line(f"LOCKED: {state.get('lock_reason')}   {UNLOCK_KEY} unlocks it", RED)
+    else:
+        yield Line(warning, YELLOW)
+    yield Line(f"speeds    {driving.linear_m_s:5.2f} m/s  {driving.angular_rad_s:5.2f} rad/s")
+    yield Line(f"asked     {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s")
+    yield from _odometry(state)
+    why = "" if state.get("locked") else refusal
+    yield Line(f"driven by {state['holder'] or 'nobody'}   {why}".rstrip(), YELLOW if why else "")
+
+
+def _odometry(state: RobotState) -> Iterator[Line]:
+    odometry = state["odometry"]
+    if odometry is None:
+        yield Line("odometry  none yet")
+        return
+    pose, twist = odometry["pose"], odometry["twist"]
+    yield Line(
+        f"odometry  {twist['linear_m_s']:+5.2f} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
+        f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m   heading {math.degrees(pose['theta_rad']):+6.1f}°"
+    )
+    yield Line(f"age       {odometry['age_s']:5.2f} s  at {odometry['rate_hz']:4.1f} Hz")
+
+
+def _keys(layout: str, width: int) -> Iterator[Line]:
+    """The map of the keys; what they are for beside it, or below it where that is too wide."""
+    rows = MAPS[layout]
+    if width >= _MAP_WIDTH + max(len(text) for _, text in rows):
+        yield from (Line(f"   {keys:<{_MAP_WIDTH - 3}}{text}") for keys, text in rows)
+    else:
+        yield from (Line(f"   {keys}") for keys, _ in rows)
+        yield from (Line(text) for _, text in rows)
+
+
+def folded(text: str, width: int) -> Sequence[str]:
+    """The lines of a text, broken between facts, else between words."""
+    if len(text) <= width:
+        return [text]
+    lines: list[str] = []
+    for fact in text.split(" " * GAP):
+        joined = f"{lines[-1]}{' ' * GAP}{fact}" if lines else fact
+        if lines and len(joined) <= width:
+            lines[-1] = joined
+        else:
+            lines += textwrap.wrap(fact.strip(), width, subsequent_indent="  " if width > GAP else "") or [""]
+    return lines

@@ -1,0 +1,97 @@
+"""The screen of teleop: what it shows, in any width; and when it warns of a robot that stands."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.cli.driving import Driving
+from hostlink.cli.standstill import PATIENCE_S, Standstill
+from hostlink.cli.teleop_screen import MAPS, RED, YELLOW, Line, folded, lost_screen, screen
+from hostlink.client import RobotState
+
+ODOMETRY: Any = {
+    "pose": {"x_m": 1.25, "y_m": -12.5, "theta_rad": 1.0},
+    "twist": {"linear_m_s": 0.2, "angular_rad_s": -0.5},
+    "age_s": 0.04,
+    "rate_hz": 30.0,
+}
+
+
+def state(**changes: Any) -> RobotState:
+    made: Any = {
+        "name": "robot_0", "connected": True, "holder": "client 3", "locked": False, "lock_reason": None,
+        "velocity": {"linear_m_s": 0.2, "angular_rad_s": 0.0}, "odometry": ODOMETRY,
+    }  # fmt: skip
+    return made | changes
+
+
+def shown(
+    width: int = 99, *, layout: str = "original", refusal: str = "", warning: str = "", **changes: Any
+) -> list[Line]:
+    driving = Driving(layout=layout, linear_m_s=0.2, angular_rad_s=0.8)
+    return screen(state(**changes), driving, 0.0, layout=layout, refusal=refusal, warning=warning, width=width)
+
+
+@given(st.integers(8, 200), st.sampled_from(sorted(MAPS)), st.text(max_size=80), st.text(max_size=80))
+def test_no_line_is_wider_than_the_terminal(width: int, layout: str, refusal: str, warning: str) -> None:
+    lines = shown(width, layout=layout, refusal=refusal, warning=warning)
+    assert all(len(line.text) <= width for line in lines)
+    assert all(len(line.text) <= width for line in lost_screen("robot_0", refusal, width=width))
+
+
+@pytest.mark.parametrize("layout", sorted(MAPS))
+def test_forty_columns_keep_every_word_and_fit_24_lines(layout: str) -> None:
+    wide, narrow = (
+        [word for line in shown(width, layout=layout, refusal="too fast") for word in line.text.split()]
+        for width in (120, 39)
+    )
+    assert sorted(wide) == sorted(narrow)
+    assert len(shown(39, layout=layout, refusal="too fast")) <= 23
+
+
+def test_a_locked_robot_names_its_reason_and_the_key_that_unlocks() -> None:
+    lines = shown(locked=True, lock_reason="my foot", refusal="robot_0: locked: POST /api/robots/robot_0/unlock")
+    assert Line("LOCKED: my foot   r unlocks it", RED) in lines
+    assert not any("POST" in line.text for line in lines)
+
+
+def test_what_is_wrong_is_coloured() -> None:
+    assert Line("driven by client 3   too fast", YELLOW) in shown(refusal="too fast")
+    assert Line("stands", YELLOW) in shown(warning="stands")
+    assert Line("hostlink teleop   robot_0   NOT CONNECTED", RED) in shown(connected=False)
+    assert Line("odometry  none yet") in shown(odometry=None)
+
+
+def test_a_line_breaks_between_facts_before_it_breaks_between_words() -> None:
+    assert folded("one two   three four   five", 19) == ["one two", "three four   five"]
+    assert folded("a very long fact of many words", 12) == ["a very long", "  fact of", "  many words"]
+    assert folded("", 20) == [""]
+
+
+STILL = {**ODOMETRY, "twist": {"linear_m_s": 0.0, "angular_rad_s": 0.001}}
+
+
+def warning_after(seconds: float, *states: RobotState) -> str:
+    standstill = Standstill()
+    for number in range(round(seconds / 0.2) + 1):
+        standstill.observe(states[min(number, len(states) - 1)], number * 0.2)
+    return standstill.warning
+
+
+def test_a_driven_robot_whose_odometry_stands_still_is_warned_of_after_a_second() -> None:
+    assert warning_after(PATIENCE_S - 0.2, state(odometry=STILL)) == ""
+    assert "its odometry stands still" in warning_after(PATIENCE_S, state(odometry=STILL))
+
+
+def test_odometry_that_is_old_or_missing_is_another_warning() -> None:
+    assert "sends no odometry" in warning_after(2.0, state(odometry={**ODOMETRY, "age_s": 3.0}))
+    assert "sends no odometry" in warning_after(2.0, state(odometry=None))
+
+
+def test_a_robot_that_moves_or_is_not_driven_is_not_warned_of() -> None:
+    assert warning_after(5.0, state()) == ""
+    still = {"linear_m_s": 0.0, "angular_rad_s": 0.0}
+    assert warning_after(5.0, state(odometry=STILL, velocity=still)) == ""
+    assert warning_after(5.0, *[state(odometry=STILL)] * 10, state()) == ""
