@@ -73,7 +73,7 @@ def _odometry(state: RobotState) -> Iterator[Line]:
     pose, twist = odometry["pose"], odometry["twist"]
     yield Line(
         f"odometry  {twist['linear_m_s']:+5.2f} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
-        f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m   heading {math.degrees(pose['theta_rad']):+6.1f}°"
+        f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m   heading {math.degrees(pose['theta_rad']):+.1f}°"
     )
     yield Line(f"age       {odometry['age_s']:5.2f} s  at {odometry['rate_hz']:4.1f} Hz")
 
