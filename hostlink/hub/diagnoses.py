@@ -78,6 +78,15 @@ class Diagnosis:
         topics = before[-1] if before else next((topics for _, topics in self._announced), ())
         return b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
 
+    def is_same_device(self, other: "Diagnosis") -> bool:
+        """Whether both links are one device's: by address and robot; one that is no robot is known by its topics."""
+        mine, its = (self.link.address, self.robot), (other.link.address, other.robot)
+        return mine == its and (bool(self.robot) or self._topics == other._topics)
+
+    @property
+    def _topics(self) -> Announced:
+        return self._announced[-1][1] if self._announced else ()
+
     def renaming(self) -> str:
         """The text about a device whose name was another's; empty: it has its own."""
         return f"{self.own_name} is another device's name; this is {self.robot}" if self.own_name else ""
@@ -191,8 +200,7 @@ class Diagnoses:
                 was_negotiated=other.monitor.was_negotiated,
             )
             for other in self.ended
-            if (other.link.address, other.robot) == (diagnosis.link.address, diagnosis.robot)
-            and now_s - other.ended_at_s < EARLIER_S
+            if other.is_same_device(diagnosis) and now_s - other.ended_at_s < EARLIER_S
         )
         return diagnosis.monitor.evidence(
             now_s,

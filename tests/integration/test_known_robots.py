@@ -171,15 +171,29 @@ def test_the_first_robot_has_the_plain_frames_and_another_only_when_it_is_forgot
     with_hub(check, Config(link=LinkConfig(forget_robot_after_s=FORGET_S)))
 
 
-def test_a_board_that_reboots_proves_nothing_about_another_behind_its_address() -> None:
+@pytest.mark.parametrize(
+    ("steady_one", "rebooting_one"),
+    [
+        (robot_topics("robot_0"), robot_topics("robot_1")),
+        (robot_topics("robot_0"), [topic(Id.PUBLISHER, 125, "/lidar", "std_msgs/Bool")]),
+        (
+            [topic(Id.PUBLISHER, 125, "/imu", "std_msgs/Bool")],
+            [topic(Id.PUBLISHER, 125, "/lidar", "std_msgs/Bool")],
+        ),
+    ],
+    ids=["robots", "a robot and a sensor", "sensors"],
+)
+def test_a_board_that_reboots_proves_nothing_about_another_behind_its_address(
+    steady_one: list[TopicInfo], rebooting_one: list[TopicInfo]
+) -> None:
     def codes(hub: Hub, device: ScriptedDevice) -> set[str]:
         return {each.code for each in hub.diagnoses.of(device.link)}
 
     async def check(hub: Hub) -> None:
-        steady = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
+        steady = ScriptedDevice(hub, steady_one, address="10.0.0.2")
         for _ in range(4):
-            await visit(hub, robot_topics("robot_1"))
-        rebooting = ScriptedDevice(hub, robot_topics("robot_1"), address="10.0.0.2")
+            await visit(hub, rebooting_one)
+        rebooting = ScriptedDevice(hub, rebooting_one, address="10.0.0.2")
         await asyncio.sleep(1.5)
         assert "reboots" in codes(hub, rebooting)
         assert "reboots" not in codes(hub, steady)
