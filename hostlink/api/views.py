@@ -106,11 +106,15 @@ class ClockView(TypedDict):
 
 
 class LinkView(TypedDict):
-    """One live connection, its topics, its counters, and what is wrong with it, the likeliest cause first."""
+    """One live connection, its topics, its counters, and what is wrong with it, the likeliest cause first.
+
+    robot: the name of its robot; null where it is none.
+    """
 
     number: int
     transport: str
     peer: str
+    robot: str | None
     silent_s: float
     diagnosis: list[FindingView]
     topics: list[TopicInfoView]
@@ -139,6 +143,7 @@ class EndedLinkView(TypedDict):
 
     number: int
     peer: str
+    robot: str | None
     end: str
     seconds: float
     ended_ago_s: float
@@ -237,6 +242,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
         "number": link.number,
         "transport": link.kind,
         "peer": link.peer,
+        "robot": diagnosis.robot or None,
         "silent_s": round(link.silent_s, 3),
         "diagnosis": finding_views(diagnosis.findings),
         "topics": topic_info_views(hub, diagnosis),
@@ -317,6 +323,7 @@ def ended_views(hub: Hub) -> list[EndedLinkView]:
         {
             "number": diagnosis.link.number,
             "peer": diagnosis.link.peer,
+            "robot": diagnosis.robot or None,
             "end": "" if diagnosis.end is None else diagnosis.end.value,
             "seconds": round(diagnosis.seconds, 3),
             "ended_ago_s": round(now_s - diagnosis.ended_at_s, 3),

@@ -7,7 +7,7 @@ import asyncio
 import contextlib
 import json as json_text
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -16,7 +16,8 @@ from hostlink.api.views import finding_views
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.output import show_progress, write, write_error
-from hostlink.cli.probe import Report, probe_capture, probe_network, probe_port, report_of
+from hostlink.cli.probe import probe_capture, probe_network, probe_port
+from hostlink.cli.report import Report, report_lines, report_of
 from hostlink.client import DEFAULT_URL, connect
 from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError
@@ -58,7 +59,7 @@ def command(  # noqa: PLR0913 - the options of a command line
         report = asyncio.run(_query_or_listen(url, token, seconds, folders))
     with contextlib.suppress(OSError):
         show_progress("")
-    write(*([json_text.dumps(report)] if json else _lines(report)))
+    write(*([json_text.dumps(report)] if json else report_lines(report)))
     is_healthy = not report["findings"] and not any(link["diagnosis"] for link in report["links"])
     raise typer.Exit(0 if is_healthy else 1)
 
@@ -66,13 +67,13 @@ def command(  # noqa: PLR0913 - the options of a command line
 async def _query_or_listen(url: str, token: str | None, seconds: float, folders: tuple[Path, ...]) -> Report:
     try:
         async with connect(url, token=token, reconnect=False) as host:
-            view = await host.get("/api/links")
+            view, robots = await host.get("/api/links"), await host.robots()
     except HostlinkError as error:
         write_error(str(error))
         if url != DEFAULT_URL:  # named by the user: another daemon is no answer
             raise
         return await _listen(LISTEN, seconds, folders)
-    report = report_of(view, url)
+    report = report_of(view, url, robots)
     if not report["links"] and not report["findings"]:
         refused = ", ".join(f"{cause} {count}" for cause, count in view["refused"].items())
         report["findings"] += finding_views([finding("not_let_in", refused) if refused else finding("no_device")])
@@ -81,23 +82,6 @@ async def _query_or_listen(url: str, token: str | None, seconds: float, folders:
 
 async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Report:
     return await probe_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _show_progress)  # noqa: S104
-
-
-def _lines(report: Report) -> list[str]:
-    lines = [each for found in report["findings"] for each in _finding_lines(found)]
-    for link in report["links"]:
-        state = f"ended: {link['end']}" if link["end"] else f"{link['seconds']:.0f} s"
-        baud = f", {link['baud']} baud" if link.get("baud") else ""
-        state += f", {link['topics']} topics{baud}" + (", UDP" if link.get("transport") == "udp" else "")
-        well = "  nothing was wrong" if link["end"] else "  healthy"
-        lines += [f"link {link['number']}  {link['peer']}  ({state})" + ("" if link["diagnosis"] else well)]
-        lines += [f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found)]
-    return lines
-
-
-def _finding_lines(found: dict[str, Any]) -> list[str]:
-    detail = f" ({found['detail']})" if found["detail"] else ""
-    return [f"{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
 
 
 def _show_progress(line: str) -> None:

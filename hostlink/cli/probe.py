@@ -11,24 +11,22 @@ from typing import Any
 import msgspec
 
 from hostlink.api.slices import Slices
-from hostlink.api.views import finding_views, links_view
+from hostlink.api.views import finding_views, links_view, robot_view
 from hostlink.cli.port_users import user_of_file, user_of_port
+from hostlink.cli.report import Report, rates, report_of
 from hostlink.cli.serve import running
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.diagnosis.finding import Finding, finding
-from hostlink.diagnosis.replay import replay
+from hostlink.diagnosis.replay import Replay, replay
 from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
 from hostlink.inspection import load_reads
 from hostlink.messages.catalog import Catalog
 
-Report = dict[str, Any]  # {"source", "links", "findings"}: what `hostlink doctor --json` prints
 Show = Callable[[str], None]
 
 COMMON_BAUDS = (57600, 115200, 38400, 9600, 250000, 500000, 1000000, 230400, 19200)  # rosserial's default first
 BAUD_TRY_S = 4.5  # an answer comes in 2 s, a board that the opening resets boots in 2
-RECENT_END_S = 60.0
-YOUNG_S = 10.0  # a link younger than that may not have shown what is wrong with it: the one before it has
 SETTLE_S = 9.0  # after the topics: three requests for the time
 _POLL_S = 1.0
 _LOOPBACK = TcpConfig(host="127.0.0.1", port=0)
@@ -46,7 +44,7 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
         for left_s in range(round(seconds), 0, -1):
             show(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
             await asyncio.sleep(_POLL_S)
-        report = report_of(await _links(hub), source)
+        report = await _report_of(hub, source)
     if not report["links"]:
         report["findings"] += finding_views([finding("no_device", f"this computer is {_own_address()}, port {port}")])
     return report
@@ -69,7 +67,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
             show(f"{port.name} at {baud or bauds[0]} baud")
             if any(link.topics for link in hub.links()):
                 found_for_s += _POLL_S
-        report = report_of(await _links(hub), port.name)
+        report = await _report_of(hub, port.name)
         baud = _present_baud(hub)
     for link in report["links"]:
         if found_for_s:
@@ -87,57 +85,37 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
 def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
     """What was wrong with the connections of a recording."""
     catalog = Catalog(folders)
-    links = [
-        {
-            "number": number,
-            "peer": str(path),
-            "topics": len(connection.session.topics),
-            "seconds": round(connection.ended_at_s - connection.opened_at_s, 3),
-            "end": None,
-            "diagnosis": finding_views(connection.findings()),
-        }
-        for number, connection in replay(load_reads(path), lambda info: check_type(catalog, info)).items()
-    ]
+    connections = replay(load_reads(path), lambda info: check_type(catalog, info))
+    links = [_recorded(number, str(path), connection) for number, connection in connections.items()]
     return {"source": str(path), "links": links, "findings": []}
 
 
-def report_of(view: dict[str, Any], source: str) -> Report:
-    """The links of a daemon: the live ones, and those that ended recently and explain more."""
-    live = [_live(link) for link in view["links"]]
-    present = {_host(link): link for link in live}
-    gone: dict[str, Report] = {}
-    for link in view["ended"]:  # the latest first
-        if link["ended_ago_s"] < RECENT_END_S and _explains_more(link, present.get(_host(link))):
-            gone.setdefault(_host(link), {"topics": 0, **link})
-    findings = [each for port in view["ports"] for each in port["diagnosis"]]
-    return {"source": source, "links": live + list(gone.values()), "findings": findings}
-
-
-def _explains_more(ended: Report, live: Report | None) -> bool:
-    """Than the device's present link, if it has one."""
-    if live is None:
-        return True
-    return bool(ended["diagnosis"]) and not live["diagnosis"] and live["seconds"] < YOUNG_S
-
-
-def _host(link: Report) -> str:
-    peer: str = link["peer"]
-    return peer.rpartition(":")[0] or peer
-
-
-def _live(link: dict[str, Any]) -> Report:
-    known = {key: link[key] for key in ("number", "transport", "peer", "seconds", "diagnosis")}
-    return known | {"topics": len(link["topics"]), "end": None}
+def _recorded(number: int, peer: str, connection: Replay) -> Report:
+    seconds = connection.ended_at_s - connection.opened_at_s
+    counts = dataclasses.asdict(connection.session.counts)
+    return {
+        "number": number,
+        "peer": peer,
+        "robot": None,
+        "topics": len(connection.session.topics),
+        "names": sorted({info.name for info in connection.session.topics}),
+        "seconds": round(seconds, 3),
+        "end": None,
+        "diagnosis": finding_views(connection.findings()),
+        **rates(counts, connection.ended_at_s - connection.begun_at_s),
+        "frames_to_device_s": None,
+        "silent_s": None,
+    }
 
 
 def _report(source: str, only: Finding) -> Report:
     return {"source": source, "links": [], "findings": finding_views([only])}
 
 
-async def _links(hub: Hub) -> dict[str, Any]:
-    """As a daemon's API would answer."""
-    found: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub, Slices(hub))))
-    return found
+async def _report_of(hub: Hub, source: str) -> Report:
+    """From what a daemon's API would answer."""
+    view: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(await links_view(hub, Slices(hub))))
+    return report_of(view, source, [robot_view(robot) for robot in hub.robots.all()])
 
 
 def _present_baud(hub: Hub) -> int | None:

@@ -28,6 +28,7 @@ class Replay:
         self._begin(now_s)
 
     def _begin(self, now_s: float) -> None:
+        self.begun_at_s = now_s  # later than it was opened, where the recording has lost its beginning
         self.session = Session(check=self._check)
         self._monitor = LinkMonitor(self.session, now_s=now_s)
         self._received_at_s = self._sampled_at_s = now_s

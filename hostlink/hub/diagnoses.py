@@ -81,10 +81,11 @@ class Diagnosis:
     def is_same_device(self, other: "Diagnosis") -> bool:
         """Whether both links are one device's: by address and robot; one that is no robot is known by its topics."""
         mine, its = (self.link.address, self.robot), (other.link.address, other.robot)
-        return mine == its and (bool(self.robot) or self._topics == other._topics)
+        return mine == its and (bool(self.robot) or self.topics == other.topics)
 
     @property
-    def _topics(self) -> Announced:
+    def topics(self) -> Announced:
+        """What its device announced last, with what was refused of it."""
         return self._announced[-1][1] if self._announced else ()
 
     def renaming(self) -> str:

@@ -54,10 +54,30 @@ async def robot_on_a_port(fault: Fault) -> AsyncIterator[str]:
 async def test_a_healthy_daemon_is_status_0() -> None:
     async with serve() as daemon, simulated(daemon.tcp):
         await daemon.read_log("robot.appeared")
+        await asyncio.sleep(0.5)
         status, out, err = await run("doctor", "--url", daemon.url)
     assert (status, err) == (0, "")
     assert out.startswith("link 1  127.0.0.1:")
-    assert out.endswith("8 topics)  healthy\n")
+    head, rates, odometry, topics = out.splitlines()
+    assert head.endswith("8 topics)  healthy")
+    assert "  robot_0  (" in head
+    assert " frames/s from it, " in rates
+    assert " to it, nothing lost, last heard " in rates
+    assert odometry.startswith("  odometry ")
+    assert odometry.endswith(" ms old; driven by nobody")
+    assert topics.startswith("  topics /robot_0/battery, ")
+    assert topics.endswith(" and 2 more")
+
+
+async def test_two_robots_of_one_address_are_told_apart() -> None:
+    async with serve() as daemon, simulated(daemon.tcp), simulated(daemon.tcp, "--first", "1", "--fault", "text"):
+        for _ in range(2):
+            await daemon.read_log("robot.appeared")
+        await daemon.read_log("link.diagnosed")
+        report = json.loads((await run("doctor", "--json", "--url", daemon.url))[1])
+    diagnosed = {link["robot"]: [each["code"] for each in link["diagnosis"]] for link in report["links"]}
+    assert diagnosed == {"robot_0": [], "robot_1": ["text_on_line"]}
+    assert all(link["odometry"]["rate_hz"] > 5 for link in report["links"])
 
 
 async def test_a_daemon_without_a_device_has_advice() -> None:

@@ -1,0 +1,72 @@
+"""What doctor reports of a daemon's links: which that ended explain more, and what is well."""
+
+from typing import Any
+
+from hostlink.cli.report import report_lines, report_of
+
+FOUND = {"code": "text_on_line", "cause": "text", "next_step": "remove it", "detail": ""}
+
+
+def live(number: int, peer: str, robot: str | None, *, seconds: float = 100.0, **changes: Any) -> dict[str, Any]:
+    counts = {"frames_from_device": 3000, "frames_to_device": 1000, "bytes_from_device": 10_000, "skipped_bytes": 0}
+    topics = [{"name": f"/{robot}/odometry"}]
+    link = {"number": number, "peer": peer, "robot": robot, "seconds": seconds, "silent_s": 0.05, "diagnosis": []}
+    return {**link, **counts, "topics": topics, **changes}
+
+
+def ended(number: int, peer: str, robot: str | None, *, ago_s: float = 5.0, found: bool = False) -> dict[str, Any]:
+    diagnosis = [FOUND] if found else []
+    link = {"number": number, "peer": peer, "robot": robot, "end": "idle", "seconds": 9.0, "diagnosis": diagnosis}
+    return {**link, "ended_ago_s": ago_s}
+
+
+def numbers(links: list[dict[str, Any]], gone: list[dict[str, Any]]) -> list[int]:
+    report = report_of({"links": links, "ended": gone, "ports": []}, "here")
+    return [link["number"] for link in report["links"]]
+
+
+def test_a_robot_that_is_gone_shows_beside_another_of_its_address() -> None:
+    assert numbers([live(2, "10.0.0.2:1", "robot_0")], [ended(1, "10.0.0.2:2", "robot_1")]) == [2, 1]
+
+
+def test_a_robot_that_is_back_has_no_earlier_link_also_from_another_address() -> None:
+    assert numbers([live(2, "10.0.0.3:1", "robot_0")], [ended(1, "10.0.0.2:2", "robot_0")]) == [2]
+
+
+def test_a_young_link_shows_what_was_wrong_before() -> None:
+    young = live(2, "10.0.0.2:1", "robot_0", seconds=3.0)
+    assert numbers([young], [ended(1, "10.0.0.2:2", "robot_0", found=True)]) == [2, 1]
+    assert numbers([live(2, "10.0.0.2:1", "robot_0")], [ended(1, "10.0.0.2:2", "robot_0", found=True)]) == [2]
+
+
+def test_a_link_that_ended_before_its_device_was_known_belongs_to_its_address() -> None:
+    assert numbers([live(2, "10.0.0.2:1", "robot_0")], [ended(1, "10.0.0.2:2", None)]) == [2]
+    assert numbers([live(2, "10.0.0.3:1", "robot_0")], [ended(1, "10.0.0.2:2", None)]) == [2, 1]
+
+
+def test_only_the_latest_of_a_device_and_what_is_recent() -> None:
+    gone = [ended(3, "10.0.0.2:3", "robot_1"), ended(2, "10.0.0.2:2", "robot_1"), ended(1, "x:1", "mule", ago_s=99.0)]
+    assert numbers([], gone) == [3]
+
+
+def test_what_is_well_is_said() -> None:
+    robots = [{"link": 2, "odometry": {"rate_hz": 30.0, "age_s": 0.02}, "holder": "client 7"}]
+    view = {"links": [live(2, "10.0.0.2:1", "robot_0")], "ended": [], "ports": []}
+    assert report_lines(report_of(view, "here", robots)) == [
+        "link 2  10.0.0.2:1  robot_0  (100 s, 1 topics)  healthy",
+        "  30.0 frames/s from it, 10.0 to it, nothing lost, last heard 50.0 ms ago",
+        "  odometry 30.0 Hz, 20.0 ms old; driven by client 7",
+        "  topics /robot_0/odometry",
+    ]
+
+
+def test_what_is_wrong_comes_before_what_is_well() -> None:
+    wrong = live(2, "10.0.0.2:1", None, diagnosis=[FOUND], skipped_bytes=500)
+    lines = report_lines(report_of({"links": [wrong], "ended": [], "ports": [{"diagnosis": [FOUND]}]}, "here"))
+    assert lines[0] == "text_on_line: text"
+    assert lines[2:6] == [
+        "link 2  10.0.0.2:1  (100 s, 1 topics)",
+        "  text_on_line: text",
+        "    next: remove it",
+        "  30.0 frames/s from it, 10.0 to it, 5.0 % of its bytes lost, last heard 50.0 ms ago",
+    ]
