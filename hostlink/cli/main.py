@@ -20,6 +20,7 @@ PANELS = {
         "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
         "demo": "Run the daemon with a simulated robot.",
         "sim": "Run simulated robots that connect to a host.",
+        "setup": "Ask ten questions and write a configuration.",
     },
     "Robots": {
         "robots": "List the robots.",
