@@ -8,7 +8,8 @@ import typer
 
 from hostlink.cli.arguments import ServiceName, Token, Url, json_object
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected, waiting
+from hostlink.client import DEFAULT_URL
 
 
 def command(
@@ -25,5 +26,6 @@ def command(
 
 
 async def _call(url: str, token: str | None, service: str, request: dict[str, object], timeout_s: float) -> object:
-    async with connect(url, token=token, reconnect=False) as host:
-        return await host.call(service, request, timeout_s=timeout_s)
+    async with connected(url, token) as host:
+        with waiting(f"waiting for {service}"):
+            return await host.call(service, request, timeout_s=timeout_s)

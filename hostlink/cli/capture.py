@@ -12,7 +12,8 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.output import show_progress, write_error
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 
 POLL_S = 0.5  # 64 KiB last longer at any speed of a serial line
@@ -38,7 +39,7 @@ def command(
 
 
 async def _capture(url: str, token: str | None, number: int | None, output: Path | None, seconds: float) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         wanted = await _last(host) if number is None else number
         count = 0
         with _opened(output) as write:

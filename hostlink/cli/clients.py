@@ -7,7 +7,8 @@ from typing import Any
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.measuring import duration, size
 from hostlink.cli.output import table, write
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 
 COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", "waiting", "lag", "dropped", "program")
 
@@ -24,7 +25,7 @@ def command(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) 
 
 
 async def _clients(url: str, token: str | None) -> dict[str, Any]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         return await host.get("/api/clients")
 
 

@@ -10,7 +10,8 @@ import typer
 from hostlink.cli.arguments import JsonLines, Seconds, Token, TopicName, Url
 from hostlink.cli.following import Followed, measure
 from hostlink.cli.measuring import WINDOW, Measured, duration
-from hostlink.client import DEFAULT_URL, RawMessage, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, RawMessage
 from hostlink.errors import HostlinkError
 
 _HEADER = struct.Struct("<III")  # seq, secs, nsecs: what a std_msgs/Header begins with
@@ -40,7 +41,7 @@ def command(
 
 async def _check_header(followed: Followed) -> None:
     """Raises HostlinkError for a topic whose type has no header."""
-    async with connect(followed.url, token=followed.token, reconnect=False) as host:
+    async with connected(followed.url, followed.token) as host:
         type_name = (await host.call("/rosapi/topic_type", {"topic": followed.topic}))["type"]
         if not type_name:
             raise HostlinkError(f"{followed.topic} has no type yet: nobody publishes it; `hostlink topics` lists them")

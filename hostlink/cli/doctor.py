@@ -18,7 +18,8 @@ from hostlink.cli.arguments import Token, Url
 from hostlink.cli.output import show_progress, write, write_error
 from hostlink.cli.probe import probe_capture, probe_network, probe_port
 from hostlink.cli.report import Report, report_lines, report_of
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError
 
@@ -66,7 +67,7 @@ def command(  # noqa: PLR0913 - the options of a command line
 
 async def _query_or_listen(url: str, token: str | None, seconds: float, folders: tuple[Path, ...]) -> Report:
     try:
-        async with connect(url, token=token, reconnect=False) as host:
+        async with connected(url, token) as host:
             view, robots = await host.get("/api/links"), await host.robots()
     except HostlinkError as error:
         write_error(str(error))

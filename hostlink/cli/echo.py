@@ -13,7 +13,8 @@ from hostlink.cli.arguments import JsonLines, Token, TopicName, Url
 from hostlink.cli.fields import csv_line, field_of, flat, readable
 from hostlink.cli.following import run_until_interrupted, write_hint
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError, HostlinkError
 
 
@@ -64,7 +65,7 @@ def command(  # noqa: PLR0913 - the options of a command line
 
 async def _echo(url: str, token: str | None, echo: Echo) -> None:
     async with (
-        connect(url, token=token, reconnect=False) as host,
+        connected(url, token) as host,
         host.subscribe(echo.topic, throttle_rate_ms=echo.throttle_ms) as messages,
     ):
         if not echo.as_json:

@@ -6,7 +6,8 @@ import json as json_text
 from hostlink.cli.arguments import Json, Token, TypeName, Url
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 
 
 def command(type_name: TypeName, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
@@ -16,7 +17,7 @@ def command(type_name: TypeName, *, url: Url = DEFAULT_URL, token: Token = None,
 
 
 async def _find(url: str, token: str | None, type_name: str) -> tuple[list[str], list[str]]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
         services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
         if not topics and not services:

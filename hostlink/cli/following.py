@@ -11,7 +11,8 @@ from typing import Any
 from hostlink.cli.measuring import Measured
 from hostlink.cli.names import near
 from hostlink.cli.output import write, write_error
-from hostlink.client import Host, Mailbox, RawMessage, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import Host, Mailbox, RawMessage
 
 INTERVAL_S = 1.0
 
@@ -65,7 +66,7 @@ async def _measure(
     show: Callable[[], dict[str, Any]],
     lines: Callable[[], str],
 ) -> None:
-    async with connect(followed.url, token=followed.token, reconnect=False) as host:
+    async with connected(followed.url, followed.token) as host:
         if not followed.as_json:
             await write_hint(host, followed.topic)
         async with host.subscribe_raw(followed.topic) as messages:

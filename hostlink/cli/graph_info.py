@@ -6,7 +6,9 @@ from typing import Any
 
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write
-from hostlink.client import Host, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import Host
+
 
 def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
     """Write what is known of a topic, a node or a service.
@@ -19,7 +21,7 @@ def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
 
 
 async def _find(url: str, token: str | None, name: str) -> dict[str, Any]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         topics = {topic["name"]: topic for topic in await host.topics()}
         if name in topics:
             return await _topic(host, name, topics[name]["type"], topics[name]["messages"])

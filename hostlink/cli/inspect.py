@@ -9,6 +9,7 @@ import msgspec
 import typer
 
 from hostlink.cli.output import table, write
+from hostlink.cli.waiting import counted
 from hostlink.inspection import Inspection, Payload, Report, Series, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, TopicInfo
@@ -35,7 +36,7 @@ def command(
 ) -> None:
     """Decode a recording of a link, both directions, however its reads cut the frames."""
     inspection = Inspection(Catalog(messages or ()))
-    inspection.add_all(load_reads(file))
+    inspection.add_all(counted(load_reads(file), "lines"))
     view = report_view(inspection.report())
     if json:
         write(msgspec.json.encode(view).decode())

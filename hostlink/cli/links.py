@@ -9,7 +9,8 @@ import typer
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.figures import LINK_COLUMNS, Sample, advice, figures, link_rows
 from hostlink.cli.output import table, write, write_error
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 
 
 def command(
@@ -34,7 +35,7 @@ def command(
 
 
 async def _links(url: str, token: str | None) -> tuple[dict[str, Any], list[Any]]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         return await host.get("/api/links"), await host.robots()
 
 

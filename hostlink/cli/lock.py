@@ -9,7 +9,8 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.chosen_robots import chosen
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, RobotState, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, RobotState
 
 
 def command(
@@ -27,7 +28,7 @@ def command(
 
 
 async def _lock(url: str, token: str | None, name: str | None, reason: str) -> list[RobotState]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         for each in await chosen(host, name):
             await host.robot(each["name"]).lock(reason)
         return await chosen(host, name)

@@ -12,7 +12,8 @@ import typer
 from hostlink.cli.arguments import Json, ParameterName, Token, Url
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write, write_error
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 
 app = typer.Typer(
@@ -95,11 +96,11 @@ def load(
 
 
 def _run(url: str, token: str | None, work: Callable[[Host], Awaitable[Any]]) -> Any:
-    async def connected() -> Any:
-        async with connect(url, token=token, reconnect=False) as host:
+    async def run() -> Any:
+        async with connected(url, token) as host:
             return await work(host)
 
-    return asyncio.run(connected())
+    return asyncio.run(run())
 
 
 async def _names(host: Host) -> list[str]:

@@ -15,6 +15,7 @@ from hostlink.api.views import finding_views, links_view, robot_view
 from hostlink.cli.port_users import user_of_file, user_of_port
 from hostlink.cli.report import Report, rates, report_of
 from hostlink.cli.serve import running
+from hostlink.cli.waiting import counted
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.diagnosis.finding import Finding, finding
 from hostlink.diagnosis.replay import Replay, replay
@@ -85,7 +86,7 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
 def probe_capture(path: Path, folders: tuple[Path, ...]) -> Report:
     """What was wrong with the connections of a recording."""
     catalog = Catalog(folders)
-    connections = replay(load_reads(path), lambda info: check_type(catalog, info))
+    connections = replay(counted(load_reads(path), "lines"), lambda info: check_type(catalog, info))
     links = [_recorded(number, str(path), connection) for number, connection in connections.items()]
     return {"source": str(path), "links": links, "findings": []}
 

@@ -2,14 +2,32 @@
 
 import asyncio
 from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.arguments import Token, TopicName, Url, json_object
-from hostlink.cli.output import write_error
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.cli.following import run_until_interrupted
+from hostlink.cli.output import show_progress, write_error
+from hostlink.cli.waiting import PATIENCE_S, connected
+from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import HostlinkError
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How often, and how many; 0: until Ctrl-C."""
+
+    rate_hz: float
+    count: int
+
+
+@dataclass(slots=True)
+class Sent:
+    """How many were sent so far: it is said also after Ctrl-C."""
+
+    messages: int = 0
 
 
 def command(
@@ -27,28 +45,31 @@ def command(
     token: Token = None,
 ) -> None:
     """Publish a message once, or at a rate. A robot that is driven so stops when this command ends."""
-    asyncio.run(
-        _pub(connect(url, token=token, reconnect=False), topic, json_object("MESSAGE", message), type_name, rate, count)
+    sent = Sent()
+    run_until_interrupted(
+        _pub(connected(url, token), topic, json_object("MESSAGE", message), type_name, Pace(rate, count), sent)
     )
+    show_progress("")
+    write_error(f"{sent.messages} sent")
 
 
 async def _pub(
-    connected: AbstractAsyncContextManager[Host],
+    daemon: AbstractAsyncContextManager[Host],
     topic: str,
     message: dict[str, object],
     type_name: str,
-    rate_hz: float,
-    count: int,
+    pace: Pace,
+    sent: Sent,
 ) -> None:
-    async with connected as host:
-        sent = 0
-        while not count or sent < count:
-            if sent:
-                await asyncio.sleep(1 / rate_hz)
+    async with daemon as host:
+        while not pace.count or sent.messages < pace.count:
+            if sent.messages:
+                await asyncio.sleep(1 / pace.rate_hz)
             await host.publish(topic, message, type_name=type_name)
-            sent += 1
+            sent.messages += 1
+            if sent.messages > pace.rate_hz * PATIENCE_S and not sent.messages % max(1, round(pace.rate_hz)):
+                show_progress(f"{sent.messages} sent{f' of {pace.count}' if pace.count else ''}; Ctrl-C ends")
         await _await_refusal(host, topic)
-    write_error(f"{sent} sent")
 
 
 async def _await_refusal(host: Host, topic: str) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.figures import ROBOT_COLUMNS, robot_rows
 from hostlink.cli.output import table, write, write_error
-from hostlink.client import DEFAULT_URL, RobotState, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, RobotState
 
 
 def command(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
@@ -23,5 +24,5 @@ def command(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) 
 
 
 async def _robots(url: str, token: str | None) -> list[RobotState]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         return await host.robots()

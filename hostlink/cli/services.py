@@ -8,7 +8,8 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.output import table, write, write_error
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 
 _OWN = "/rosapi/"
 
@@ -31,7 +32,7 @@ def command(
 
 
 async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict[str, Any]]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         names: list[str] = (await host.call("/rosapi/services", {}))["services"]
         return [
             {

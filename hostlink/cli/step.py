@@ -23,7 +23,8 @@ from hostlink.cli.step_recorder import (
 from hostlink.cli.step_report import notes_of, record_views, step_lines
 from hostlink.cli.step_stages import Stage, Wheel, describe_way, make_stage, rising_stages
 from hostlink.cli.step_tuning import tune
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 from hostlink.robot.step_response import FULL_PWM, step_figures
 
@@ -99,7 +100,7 @@ def command(  # noqa: PLR0913 - the options of a command line
 
 
 async def _describe(url: str, token: str | None, request: _Request) -> str:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         robot = await require_robot(host, request.robot)
         state = await connected_state(robot)
         separation_m = await separation_of(host, robot.name)
@@ -108,7 +109,7 @@ async def _describe(url: str, token: str | None, request: _Request) -> str:
 
 
 async def _step(url: str, token: str | None, request: _Request) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         robot = await require_robot(host, request.robot)
         separation_m = await separation_of(host, robot.name)
         source = await find_source(host, await connected_state(robot), request.wheel, separation_m)

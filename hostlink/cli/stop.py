@@ -6,7 +6,8 @@ import json as json_text
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.chosen_robots import chosen
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, RobotState, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, RobotState
 
 
 def command(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
@@ -16,7 +17,7 @@ def command(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = N
 
 
 async def _stop(url: str, token: str | None, name: str | None) -> list[RobotState]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         if name is None:
             await host.post("/api/stop")
             return await chosen(host, None)

@@ -15,6 +15,7 @@ from hostlink.cli.keys import Key, KeyReader
 from hostlink.cli.standstill import Standstill
 from hostlink.cli.teleop_screen import UNLOCK_KEY, lost_screen, screen
 from hostlink.cli.terminal import Terminal, draw, key_terminal, size
+from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
 
@@ -47,7 +48,7 @@ def command(
 
 
 async def _teleop(url: str, token: str | None, name: str | None, driving: Driving, layout: str) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         found = await _choose(host, name)
     with key_terminal() as terminal, _Keyboard(terminal, driving) as keyboard:
         while not keyboard.is_done:

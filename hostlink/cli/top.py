@@ -11,7 +11,8 @@ from hostlink.cli.arguments import Token, Url
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
 from hostlink.cli.live_figures import live_figures
 from hostlink.cli.output import table, write
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
 
 
@@ -40,7 +41,7 @@ def command(
 
 
 async def _print(url: str, token: str | None, interval_s: float, *, is_once: bool, as_json: bool) -> None:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         async for shown in live_figures(host, interval_s):
             write(*([json_text.dumps(shown)] if as_json else _lines(shown)))
             if is_once:

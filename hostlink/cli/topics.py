@@ -8,7 +8,8 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.output import plain, show_progress, table, write, write_error
-from hostlink.client import DEFAULT_URL, Host, TopicState, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, Host, TopicState
 
 RATE_S = 1.0  # rates of -v are of this time
 HEAD = ("topic", "type", "publishers", "subscribers", "messages", "rate")
@@ -32,7 +33,7 @@ def command(
 
 
 async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         return await _rated(host) if with_rates else list(await host.topics())
 
 

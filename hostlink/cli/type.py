@@ -10,7 +10,8 @@ from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.completion import graph_names
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import HostlinkError
 
 Name = Annotated[str, typer.Argument(help="Of a topic or a service.", autocompletion=graph_names)]
@@ -35,7 +36,7 @@ def command(
 
 
 async def _find(url: str, token: str | None, name: str, *, with_fields: bool) -> dict[str, Any]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         topics = {topic["name"]: topic["type"] for topic in await host.topics()}
         services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
         if name in topics:

@@ -9,7 +9,8 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.chosen_robots import chosen
 from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, Host, RobotState, connect
+from hostlink.cli.waiting import connected
+from hostlink.client import DEFAULT_URL, Host, RobotState
 from hostlink.errors import ConfigError, HostlinkError
 
 
@@ -29,7 +30,7 @@ def command(
 
 
 async def _unlock(url: str, token: str | None, name: str | None, *, everything: bool) -> list[RobotState]:
-    async with connect(url, token=token, reconnect=False) as host:
+    async with connected(url, token) as host:
         meant = await _meant(host, name, everything=everything)
         for each in meant:
             await host.robot(each["name"]).unlock()

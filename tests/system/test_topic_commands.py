@@ -244,3 +244,14 @@ async def test_other_shells_get_the_same_names(shell: str) -> None:
         words = {"_HOSTLINK_COMPLETE": f"complete_{shell}", "_TYPER_COMPLETE_ARGS": "hostlink echo /robot_0/od"}
         _, out, _ = await run(environment={**words, **action, "HOSTLINK_URL": host.url})
     assert "/robot_0/odometry" in out
+
+
+async def test_a_daemon_that_does_not_answer_is_waited_for_visibly() -> None:
+    async with asyncio.timeout(30), screen() as terminal:
+        silent = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
+        port = silent.sockets[0].getsockname()[1]
+        await terminal.keys(f"{HOSTLINK} topics --url http://127.0.0.1:{port}", "Enter")
+        await terminal.shows(f"connecting to http://127.0.0.1:{port} ... 3 s; Ctrl-C ends")
+        shown = await terminal.shows(f"hostlink: no hostlink at http://127.0.0.1:{port}: no answer within 5 s")
+        assert "connecting" not in shown
+        silent.close()

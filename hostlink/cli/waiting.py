@@ -1,0 +1,78 @@
+"""What a command shows while it waits for longer than a person does without a sign."""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from typing import TypeVar
+
+from hostlink.cli.output import show_progress
+from hostlink.client import Host, connect
+
+PATIENCE_S = 2.0
+INTERVAL_S = 1.0
+CHECKED_ITEMS = 256  # between two looks at the clock
+
+Show = Callable[[str], None]
+
+Item = TypeVar("Item")
+
+
+class _Notice:
+    """A text that is shown from PATIENCE_S on, with the seconds."""
+
+    def __init__(self, text: str, show: Show) -> None:
+        self._text, self._show_line = text, show
+        self._loop = asyncio.get_running_loop()
+        self._began_s = self._loop.time()
+        self._is_shown = False
+        self._timer = self._loop.call_later(PATIENCE_S, self._show)
+
+    def _show(self) -> None:
+        self._is_shown = True
+        self._show_line(f"{self._text} ... {self._loop.time() - self._began_s:.0f} s; Ctrl-C ends")
+        self._timer = self._loop.call_later(INTERVAL_S, self._show)
+
+    def end(self) -> None:
+        """Take it away."""
+        self._timer.cancel()
+        if self._is_shown:
+            self._show_line("")
+
+
+@contextlib.contextmanager
+def waiting(text: str, show: Show = show_progress) -> Iterator[None]:
+    """For the length of the block: if that is longer than a person waits without a sign, the text."""
+    notice = _Notice(text, show)
+    try:
+        yield
+    finally:
+        notice.end()
+
+
+@contextlib.asynccontextmanager
+async def connected(url: str, token: str | None) -> AsyncIterator[Host]:
+    """A connection to the daemon for the length of the block; what is lost is not made again.
+
+    Raises:
+        HostlinkError: there is no hostlink at `url`, it refuses, or the connection is lost.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        with waiting(f"connecting to {url}"):
+            host = await stack.enter_async_context(connect(url, token=token, reconnect=False))
+        yield host
+
+
+def counted(
+    items: Iterable[Item], what: str, *, show: Show = show_progress, clock: Callable[[], float] = time.monotonic
+) -> Iterator[Item]:
+    """The items; after PATIENCE_S and each second how many they were."""
+    show_at_s = clock() + PATIENCE_S
+    is_shown = False
+    for count, item in enumerate(items):
+        if count % CHECKED_ITEMS == 0 and clock() >= show_at_s:
+            show_at_s, is_shown = clock() + INTERVAL_S, True
+            show(f"{count} {what} ...")
+        yield item
+    if is_shown:
+        show("")
