@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import ServiceName, Token, Url, json_object
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected, waiting
+from hostlink.cli.waiting import waiting
 from hostlink.client import DEFAULT_URL
 
 

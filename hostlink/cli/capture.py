@@ -11,8 +11,8 @@ import msgspec
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, write_error
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 

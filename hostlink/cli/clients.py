@@ -5,9 +5,9 @@ import json as json_text
 from typing import Any
 
 from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.measuring import duration, size
 from hostlink.cli.output import table, write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL
 
 COLUMNS = ("client", "kind", "peer", "role", "for s", "from", "to", "bytes to", "waiting", "lag", "dropped", "program")

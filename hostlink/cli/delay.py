@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import JsonLines, Seconds, Token, TopicName, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.following import Followed, measure
 from hostlink.cli.measuring import WINDOW, Measured, duration
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, RawMessage
 from hostlink.errors import HostlinkError
 

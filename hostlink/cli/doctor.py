@@ -15,10 +15,10 @@ from hostlink import logs
 from hostlink.api.views import finding_views
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, write, write_error
 from hostlink.cli.probe import probe_capture, probe_network, probe_port
 from hostlink.cli.report import Report, report_lines, report_of
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL
 from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError

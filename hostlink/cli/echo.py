@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import JsonLines, Token, TopicName, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.fields import csv_line, field_of, flat, readable
 from hostlink.cli.following import run_until_interrupted, write_hint
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError, HostlinkError
 

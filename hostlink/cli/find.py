@@ -4,9 +4,9 @@ import asyncio
 import json as json_text
 
 from hostlink.cli.arguments import Json, Token, TypeName, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL
 
 

@@ -8,10 +8,10 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
+from hostlink.cli.connecting import connected
 from hostlink.cli.measuring import Measured
 from hostlink.cli.names import near
 from hostlink.cli.output import write, write_error
-from hostlink.cli.waiting import connected
 from hostlink.client import Host, Mailbox, RawMessage
 
 INTERVAL_S = 1.0

@@ -4,9 +4,9 @@ import asyncio
 import json as json_text
 from typing import Any
 
+from hostlink.cli.connecting import connected
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected
 from hostlink.client import Host
 
 

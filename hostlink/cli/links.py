@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.figures import LINK_COLUMNS, Sample, advice, figures, link_rows
 from hostlink.cli.output import table, write, write_error
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL
 
 

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Json, ParameterName, Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write, write_error
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 

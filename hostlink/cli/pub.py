@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, TopicName, Url, json_object
+from hostlink.cli.connecting import connected
 from hostlink.cli.following import run_until_interrupted
 from hostlink.cli.output import show_progress, write_error
-from hostlink.cli.waiting import PATIENCE_S, connected
+from hostlink.cli.waiting import PATIENCE_S
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import HostlinkError
 

@@ -5,9 +5,9 @@ import json as json_text
 from typing import Any
 
 from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.figures import ROBOT_COLUMNS, robot_rows
 from hostlink.cli.output import table, write, write_error
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, RobotState
 
 

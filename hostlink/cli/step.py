@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, write, write_error
 from hostlink.cli.step_picture import draw_picture, require_picture
 from hostlink.cli.step_recorder import (
@@ -23,7 +24,6 @@ from hostlink.cli.step_recorder import (
 from hostlink.cli.step_report import notes_of, record_views, step_lines
 from hostlink.cli.step_stages import Stage, Wheel, describe_way, make_stage, rising_stages
 from hostlink.cli.step_tuning import tune
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 from hostlink.robot.step_response import FULL_PWM, step_figures

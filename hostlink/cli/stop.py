@@ -5,8 +5,8 @@ import json as json_text
 
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.chosen_robots import chosen
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, RobotState
 
 

@@ -9,13 +9,13 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
 from hostlink.cli.keys import Key, KeyReader
 from hostlink.cli.standstill import Standstill
 from hostlink.cli.teleop_screen import UNLOCK_KEY, lost_screen, screen
 from hostlink.cli.terminal import Terminal, draw, key_terminal, size
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
 

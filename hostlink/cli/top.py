@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
 from hostlink.cli.live_figures import live_figures
 from hostlink.cli.output import table, write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL
 from hostlink.errors import ConfigError
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import typer
 
 from hostlink.cli.arguments import Json, Token, Url
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import plain, show_progress, table, write, write_error
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host, TopicState
 
 RATE_S = 1.0  # rates of -v are of this time

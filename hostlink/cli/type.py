@@ -8,9 +8,9 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.completion import graph_names
+from hostlink.cli.connecting import connected
 from hostlink.cli.names import unknown
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import HostlinkError
 

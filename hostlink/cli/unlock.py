@@ -8,8 +8,8 @@ import typer
 
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.chosen_robots import chosen
+from hostlink.cli.connecting import connected
 from hostlink.cli.output import write
-from hostlink.cli.waiting import connected
 from hostlink.client import DEFAULT_URL, Host, RobotState
 from hostlink.errors import ConfigError, HostlinkError
 

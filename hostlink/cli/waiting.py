@@ -3,11 +3,10 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 from hostlink.cli.output import show_progress
-from hostlink.client import Host, connect
 
 PATIENCE_S = 2.0
 INTERVAL_S = 1.0
@@ -48,19 +47,6 @@ def waiting(text: str, show: Show = show_progress) -> Iterator[None]:
         yield
     finally:
         notice.end()
-
-
-@contextlib.asynccontextmanager
-async def connected(url: str, token: str | None) -> AsyncIterator[Host]:
-    """A connection to the daemon for the length of the block; what is lost is not made again.
-
-    Raises:
-        HostlinkError: there is no hostlink at `url`, it refuses, or the connection is lost.
-    """
-    async with contextlib.AsyncExitStack() as stack:
-        with waiting(f"connecting to {url}"):
-            host = await stack.enter_async_context(connect(url, token=token, reconnect=False))
-        yield host
 
 
 def counted(

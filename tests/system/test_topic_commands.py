@@ -251,7 +251,7 @@ async def test_a_daemon_that_does_not_answer_is_waited_for_visibly() -> None:
         silent = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
         port = silent.sockets[0].getsockname()[1]
         await terminal.keys(f"{HOSTLINK} topics --url http://127.0.0.1:{port}", "Enter")
-        await terminal.shows(f"connecting to http://127.0.0.1:{port} ... 3 s; Ctrl-C ends")
+        await terminal.shows(f"connecting to http://127.0.0.1:{port} ... ")
         shown = await terminal.shows(f"hostlink: no hostlink at http://127.0.0.1:{port}: no answer within 5 s")
         assert "connecting" not in shown
         silent.close()
