@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
+from hostlink.cli.following import run_until_interrupted
 from hostlink.cli.output import show_progress, write_error
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
@@ -35,19 +37,29 @@ def command(
     """
     if (link is None) != last:
         raise ConfigError("capture", "name a link by its number, or say --last")
-    asyncio.run(_capture(url, token, link, output, seconds))
-
-
-async def _capture(url: str, token: str | None, number: int | None, output: Path | None, seconds: float) -> None:
-    async with connected(url, token) as host:
-        wanted = await _last(host) if number is None else number
-        count = 0
-        with _opened(output) as write:
-            async for read in _reads(host, wanted, seconds):
-                write(msgspec.json.encode(read) + b"\n")
-                count += len(read["hex"]) // 2
+    saved = Saved()
+    run_until_interrupted(_capture(url, token, link, output, seconds, saved))
     show_progress("")
-    write_error(f"link {wanted}: {count} bytes{f' in {output}' if output else ''}")
+    write_error(f"link {saved.link}: {saved.bytes} bytes{f' in {output}' if output else ''}")
+
+
+@dataclass(slots=True)
+class Saved:
+    """What was saved so far: it is said also after Ctrl-C."""
+
+    link: int | None = None
+    bytes: int = 0
+
+
+async def _capture(
+    url: str, token: str | None, number: int | None, output: Path | None, seconds: float, saved: Saved
+) -> None:
+    async with connected(url, token) as host:
+        saved.link = await _last(host) if number is None else number
+        with _opened(output) as write:
+            async for read in _reads(host, saved.link, seconds):
+                write(msgspec.json.encode(read) + b"\n")
+                saved.bytes += len(read["hex"]) // 2
 
 
 @contextlib.contextmanager

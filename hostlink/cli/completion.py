@@ -1,7 +1,12 @@
-"""Names that a shell completes: what the daemon knows at this moment. Without a daemon there are none, and no error."""
+"""Names that a shell completes: what the daemon knows at this moment. Without a daemon there are none, and no error.
+
+A device chooses its names, and a shell runs what stands on its line: only names without a meaning for a shell are
+completed.
+"""
 
 import asyncio
 import contextlib
+import re
 from collections.abc import Awaitable, Callable, Iterable
 
 import typer
@@ -10,6 +15,7 @@ from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import HostlinkError
 
 TIMEOUT_S = 1.0  # a person has pressed a key and waits
+_SAFE = re.compile(r"[A-Za-z0-9_/.-]+")
 
 
 def topic_names(context: typer.Context, incomplete: str) -> list[str]:
@@ -76,5 +82,5 @@ def _complete(context: typer.Context, incomplete: str, read: Callable[[Host], Aw
             return await read(host)
 
     with contextlib.suppress(HostlinkError, TimeoutError):
-        return [name for name in sorted(asyncio.run(ask())) if name.startswith(incomplete)]
+        return [name for name in sorted(asyncio.run(ask())) if name.startswith(incomplete) and _SAFE.fullmatch(name)]
     return []

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.arguments import Token, Url
+from hostlink.cli.completion import robot_names
 from hostlink.cli.connecting import connected
 from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
@@ -29,7 +30,10 @@ QUIT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 def command(
     robot: Annotated[
-        str | None, typer.Argument(help="Its name; the only one that is connected.", show_default=False)
+        str | None,
+        typer.Argument(
+            help="Its name; the only one that is connected.", show_default=False, autocompletion=robot_names
+        ),
     ] = None,
     *,
     url: Url = DEFAULT_URL,

@@ -1,5 +1,8 @@
 """Which command a line means, typed or to be completed."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from hostlink.cli.main import COMMANDS, completed_words, wanted_command
@@ -30,3 +33,18 @@ def test_the_words_that_a_shell_completes(environment: dict[str, str], words: li
 def test_every_command_has_a_line_that_fits_a_terminal() -> None:
     assert len(COMMANDS) > 20
     assert all(text.endswith(".") and len(text) <= 86 for text in COMMANDS.values())
+
+
+DOCUMENTS = Path(__file__).parents[3] / "docs"
+NAMED = re.compile(r"(?:`|^    |^    \.venv/bin/|\$ )hostlink ([a-z]+)\b", re.MULTILINE)
+
+
+def test_every_command_is_in_the_document_of_commands() -> None:
+    text = (DOCUMENTS / "commands.md").read_text()
+    assert [name for name in COMMANDS if not re.search(rf"`(?:hostlink )?{name}\b", text)] == []
+
+
+def test_no_document_names_a_command_that_does_not_exist() -> None:
+    named = {name for path in DOCUMENTS.glob("*.md") for name in NAMED.findall(path.read_text())}
+    assert len(named) > 15
+    assert named - set(COMMANDS) == set()
