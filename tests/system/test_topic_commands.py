@@ -250,7 +250,8 @@ async def test_a_name_that_a_shell_would_run_is_not_completed() -> None:
     names = ["/robot_0/odom$(reboot)", "/robot_0/odom;reboot", "/robot_0/odom`x`", "/robot_0/odom'"]
     topics = [topic(Id.PUBLISHER, 130 + number, name, "std_msgs/Bool") for number, name in enumerate(names)]
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), *topics]):
-        assert all(name in (await run("topics", "--url", host.url))[1] for name in names)
+        _, listed, _ = await run("topics", "--url", host.url)
+        assert all(name in listed for name in names)
         words = {"_HOSTLINK_COMPLETE": "complete_bash", "COMP_WORDS": "hostlink echo /robot_0/odom", "COMP_CWORD": "2"}
         _, out, _ = await run(environment={**words, "HOSTLINK_URL": host.url})
     assert out.split() == ["/robot_0/odom", "/robot_0/odometry"]
