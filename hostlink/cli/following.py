@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import sys
 import time
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
@@ -30,8 +31,11 @@ class Followed:
 
 def run_until_interrupted(work: Coroutine[Any, Any, None]) -> None:
     """Run until it is done, or until Ctrl-C."""
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         asyncio.run(work)
+    except KeyboardInterrupt:
+        if sys.stderr.isatty():  # which has written ^C
+            write_error("")
 
 
 async def write_hint(host: Host, topic: str) -> None:
