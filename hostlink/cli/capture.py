@@ -45,7 +45,7 @@ def command(
 
 @dataclass(slots=True)
 class Saved:
-    """What was saved so far: it is said also after Ctrl-C."""
+    """What was saved so far: reported also after Ctrl-C."""
 
     link: int | None = None
     bytes: int = 0

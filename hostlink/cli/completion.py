@@ -77,10 +77,12 @@ def parameter_names(context: typer.Context, incomplete: str) -> list[str]:
 def _complete(context: typer.Context, incomplete: str, read: Callable[[Host], Awaitable[Iterable[str]]]) -> list[str]:
     url, token = context.params.get("url"), context.params.get("token")
 
-    async def ask() -> Iterable[str]:
+    async def request() -> Iterable[str]:
         async with asyncio.timeout(TIMEOUT_S), connect(url or DEFAULT_URL, token=token, reconnect=False) as host:
             return await read(host)
 
     with contextlib.suppress(HostlinkError, TimeoutError):
-        return [name for name in sorted(asyncio.run(ask())) if name.startswith(incomplete) and _SAFE.fullmatch(name)]
+        return [
+            name for name in sorted(asyncio.run(request())) if name.startswith(incomplete) and _SAFE.fullmatch(name)
+        ]
     return []

@@ -50,7 +50,7 @@ def command(  # noqa: PLR0913 - the options of a command line
 ) -> None:
     """Print the messages of a topic until Ctrl-C."""
     if csv and json:
-        raise ConfigError("--csv", "is no JSON: say one of the two")
+        raise ConfigError("--csv", "is no JSON: give one of the two")
     echo = Echo(
         topic=topic,
         field=field,

@@ -1,4 +1,4 @@
-"""Commands that follow a topic until Ctrl-C, which is their end and not their failure; what they say at the end."""
+"""Commands that follow a topic until Ctrl-C, which is their end and not a failure; and the figures of a topic, each second."""
 
 import asyncio
 import contextlib
@@ -39,7 +39,7 @@ def run_until_interrupted(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def write_hint(host: Host, topic: str) -> None:
-    """If nobody has announced to publish the topic: one line that says so, and what comes near its name."""
+    """If nobody has announced to publish the topic: one line about it, and the names that come near."""
     topics = {each["name"]: each for each in await host.topics()}
     full = "/" + topic.lstrip("/~")
     known = topics.pop(full, None)

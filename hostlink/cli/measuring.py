@@ -10,7 +10,7 @@ WINDOW = 10_000  # messages, as rostopic has it
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Distribution:
     """What many numbers are like."""
 
     count: int
@@ -20,14 +20,14 @@ class Spread:
     deviation: float
 
 
-def spread(numbers: Iterable[float]) -> Spread | None:
+def distribution(numbers: Iterable[float]) -> Distribution | None:
     """None: there are no numbers."""
     known = list(numbers)
     if not known:
         return None
     mean = math.fsum(known) / len(known)
     variance = math.fsum((each - mean) ** 2 for each in known) / len(known)
-    return Spread(len(known), mean, min(known), max(known), math.sqrt(variance))
+    return Distribution(len(known), mean, min(known), max(known), math.sqrt(variance))
 
 
 class Measured:
@@ -45,15 +45,15 @@ class Measured:
         self._figures.append(figure)
 
     @property
-    def figures(self) -> Spread | None:
+    def figures(self) -> Distribution | None:
         """None before the first message."""
-        return spread(self._figures)
+        return distribution(self._figures)
 
     @property
-    def between_s(self) -> Spread | None:
+    def between_s(self) -> Distribution | None:
         """From each message to the next; None before the second of them."""
         times_s = list(self._times_s)
-        return spread(later - earlier for earlier, later in itertools.pairwise(times_s))
+        return distribution(later - earlier for earlier, later in itertools.pairwise(times_s))
 
     @property
     def rate_hz(self) -> float:

@@ -26,7 +26,7 @@ class Pace:
 
 @dataclass(slots=True)
 class Sent:
-    """How many were sent so far: it is said also after Ctrl-C."""
+    """How many were sent so far: reported also after Ctrl-C."""
 
     messages: int = 0
 

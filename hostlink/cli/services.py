@@ -1,4 +1,4 @@
-"""`hostlink services`: the services of devices and programs; those of the daemon itself by wish."""
+"""`hostlink services`: the services of devices and programs; those of the daemon itself with --all."""
 
 import asyncio
 import json as json_text

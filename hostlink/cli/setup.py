@@ -26,7 +26,7 @@ def command(
 ) -> None:
     """Ask ten questions and write a configuration. An empty answer means what is in brackets; Ctrl-C writes nothing."""
     if file.exists() and not force:
-        raise ConfigError("FILE", f"{file} is there already: name another, or say --force")
+        raise ConfigError("FILE", f"{file} is there already: name another, or add --force")
     answers: dict[str, str] = {}
     asked = questions(list(_serial_ports()))
     for number, question in enumerate(asked, 1):

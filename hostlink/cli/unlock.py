@@ -24,7 +24,7 @@ def command(
 ) -> None:
     """Let a robot be driven again; its name may be left out where only one is locked. Nothing moves by that."""
     if robot is not None and everything:
-        raise ConfigError("--all", "is every robot: leave the name away")
+        raise ConfigError("--all", "is every robot: give no name")
     unlocked = asyncio.run(_unlock(url, token, robot, everything=everything))
     write(*([json_text.dumps(unlocked)] if json else (f"{each['name']} may be driven" for each in unlocked)))
 
@@ -46,5 +46,5 @@ async def _meant(host: Host, name: str | None, *, everything: bool) -> list[Robo
         raise HostlinkError("no robot is locked")
     if len(locked) > 1 and not everything:
         names = ", ".join(robot["name"] for robot in locked)
-        raise HostlinkError(f"which robot? say `hostlink unlock NAME` or --all; locked are: {names}")
+        raise HostlinkError(f"which robot? `hostlink unlock NAME`, or --all; locked are: {names}")
     return locked

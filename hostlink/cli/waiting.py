@@ -10,7 +10,7 @@ from hostlink.cli.output import show_progress
 
 PATIENCE_S = 2.0
 INTERVAL_S = 1.0
-CHECKED_ITEMS = 256  # between two looks at the clock
+CHECKED_ITEMS = 256  # between two readings of the clock
 
 Show = Callable[[str], None]
 
@@ -33,7 +33,7 @@ class _Notice:
         self._timer = self._loop.call_later(INTERVAL_S, self._show)
 
     def end(self) -> None:
-        """Take it away."""
+        """Clear the line."""
         self._timer.cancel()
         if self._is_shown:
             self._show_line("")

@@ -153,7 +153,7 @@ class HttpClient:
             case aiohttp.ClientConnectorError() if isinstance(error.os_error, ConnectionRefusedError):
                 cause = "is `hostlink serve` running there? Nothing listens; `hostlink demo` runs one with a robot"
             case aiohttp.ClientConnectorError() if error.os_error.strerror:
-                cause = f"there is no way to it ({error.os_error.strerror}): look at the address and the network"
+                cause = f"there is no way to it ({error.os_error.strerror}): check the address and the network"
             case _:
                 cause = f"is `hostlink serve` running there? ({error})"
         return f"no hostlink at {self.url}: {cause}"

@@ -1,10 +1,10 @@
-"""Figures of messages: rate, spread, and how they are written."""
+"""Figures of messages: rate, distribution, and how they are written."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.measuring import Measured, duration, size, spread
+from hostlink.cli.measuring import Measured, distribution, duration, size
 
 
 def test_a_rate_is_of_the_window() -> None:
@@ -28,7 +28,7 @@ def test_there_is_no_rate_of_one_message_nor_of_many_at_once() -> None:
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1))
 def test_the_mean_lies_within_and_the_deviation_is_at_most_the_width(numbers: list[float]) -> None:
-    found = spread(numbers)
+    found = distribution(numbers)
     assert found is not None
     assert found.least - 1e-6 <= found.mean <= found.most + 1e-6
     assert 0 <= found.deviation <= found.most - found.least + 1e-6

@@ -39,7 +39,7 @@ def test_what_lasts_shows_its_seconds_and_is_taken_away(fails: bool) -> None:
 
 
 def counts(items: int, *, second_s: float) -> list[str]:
-    """What is shown of so many items, when each look at the clock is so much later."""
+    """What is shown of so many items, when each reading of the clock is so much later."""
     lines: list[str] = []
     times_s = itertools.count(0.0, second_s)
     found = counted(range(items), "lines", show=lines.append, clock=lambda: next(times_s))
