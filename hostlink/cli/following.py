@@ -1,4 +1,4 @@
-"""Commands that follow a topic until Ctrl-C, which is their end and not a failure; and the figures of a topic, each second."""
+"""Commands that follow a topic until Ctrl-C, which is their end and no failure; the figures of a topic, each second."""
 
 import asyncio
 import contextlib
