@@ -35,7 +35,7 @@ def rates(counts: dict[str, Any], seconds: float) -> Report:
 
 
 def _live(link: dict[str, Any], robot: Report | None) -> Report:
-    known = {key: link[key] for key in ("number", "peer", "robot", "seconds", "diagnosis", "silent_s")}
+    known = {key: link[key] for key in ("number", "transport", "peer", "robot", "seconds", "diagnosis", "silent_s")}
     names = sorted({info["name"] for info in link["topics"]})
     odometry = None if robot is None else robot["odometry"]
     return {
@@ -84,9 +84,10 @@ def report_lines(report: Report) -> list[str]:
 def _link_lines(link: Report) -> Iterator[str]:
     state = f"ended: {link['end']}" if link["end"] else f"{link['seconds']:.0f} s"
     baud = f", {link['baud']} baud" if link.get("baud") else ""
+    way = ", UDP" if link.get("transport") == "udp" else ""
     robot = f"  {link['robot']}" if link.get("robot") else ""
     well = "" if link["diagnosis"] else "  nothing was wrong" if link["end"] else "  healthy"
-    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {link['topics']} topics{baud}){well}"
+    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {link['topics']} topics{baud}{way}){well}"
     yield from (f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found))
     if link.get("frames_from_device_s"):
         yield f"  {_rates_line(link)}"

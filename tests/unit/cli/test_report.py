@@ -10,13 +10,13 @@ FOUND = {"code": "text_on_line", "cause": "text", "next_step": "remove it", "det
 def live(number: int, peer: str, robot: str | None, *, seconds: float = 100.0, **changes: Any) -> dict[str, Any]:
     counts = {"frames_from_device": 3000, "frames_to_device": 1000, "bytes_from_device": 10_000, "skipped_bytes": 0}
     topics = [{"name": f"/{robot}/odometry"}]
-    link = {"number": number, "peer": peer, "robot": robot, "seconds": seconds, "silent_s": 0.05, "diagnosis": []}
+    link = {"number": number, "transport": "tcp", "peer": peer, "robot": robot, "seconds": seconds, "silent_s": 0.05, "diagnosis": []}
     return {**link, **counts, "topics": topics, **changes}
 
 
 def ended(number: int, peer: str, robot: str | None, *, ago_s: float = 5.0, found: bool = False) -> dict[str, Any]:
     diagnosis = [FOUND] if found else []
-    link = {"number": number, "peer": peer, "robot": robot, "end": "idle", "seconds": 9.0, "diagnosis": diagnosis}
+    link = {"number": number, "transport": "tcp", "peer": peer, "robot": robot, "end": "idle", "seconds": 9.0, "diagnosis": diagnosis}
     return {**link, "ended_ago_s": ago_s}
 
 
