@@ -10,14 +10,15 @@ FOUND = {"code": "text_on_line", "cause": "text", "next_step": "remove it", "det
 def live(number: int, peer: str, robot: str | None, *, seconds: float = 100.0, **changes: Any) -> dict[str, Any]:
     counts = {"frames_from_device": 3000, "frames_to_device": 1000, "bytes_from_device": 10_000, "skipped_bytes": 0}
     topics = [{"name": f"/{robot}/odometry"}]
-    link = {"number": number, "transport": "tcp", "peer": peer, "robot": robot, "seconds": seconds, "silent_s": 0.05, "diagnosis": []}
+    link = {"number": number, "transport": "tcp", "peer": peer, "robot": robot, "diagnosis": []}
+    counts |= {"seconds": seconds, "silent_s": 0.05}
     return {**link, **counts, "topics": topics, **changes}
 
 
 def ended(number: int, peer: str, robot: str | None, *, ago_s: float = 5.0, found: bool = False) -> dict[str, Any]:
     diagnosis = [FOUND] if found else []
-    link = {"number": number, "transport": "tcp", "peer": peer, "robot": robot, "end": "idle", "seconds": 9.0, "diagnosis": diagnosis}
-    return {**link, "ended_ago_s": ago_s}
+    link = {"number": number, "transport": "tcp", "peer": peer, "robot": robot, "diagnosis": diagnosis}
+    return {**link, "end": "idle", "seconds": 9.0, "ended_ago_s": ago_s}
 
 
 def numbers(links: list[dict[str, Any]], gone: list[dict[str, Any]]) -> list[int]:
