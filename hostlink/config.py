@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import ipaddress
+import re
+import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +18,8 @@ from hostlink.errors import ConfigError
 
 MAX_PORT = 0xFFFF
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
+
+ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # a part of a key
 
 ParameterScalar = bool | int | float | str
 ParameterValue = ParameterScalar | list[ParameterScalar]
@@ -214,6 +218,35 @@ class BlackBoxConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ZenohConfig:
+    """The Zenoh session of this daemon, and what goes over it: the fleet, and ROS 2 by rmw_zenoh's protocol."""
+
+    fleet: bool = True  # show and drive the robots of other daemons, and show them those of this one
+    ros2: bool = False  # be a part of a ROS 2 graph whose nodes use rmw_zenoh
+    ros_domain_id: int = 0
+    name: str = ""  # of this daemon in the fleet; empty: the computer's name
+    fleet_name: str = "hostlink"  # the first part of every key: daemons with another one are another fleet
+    drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive the robots here; others may read, and stop
+    mode: Literal["peer", "client", "router"] = "peer"
+    connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; peers in the local network find each other by multicast
+    listen: tuple[str, ...] = ()  # "tls/0.0.0.0:7447"; none: Zenoh's own, a free port on every address
+    multicast: bool = True
+    ca: Path | None = None  # PEM; with `certificate` and `key`: TLS on both sides, for tls/ and quic/ endpoints
+    certificate: Path | None = None
+    key: Path | None = None
+    file: Path | None = None  # a configuration of Zenoh, JSON5, for everything else: access rules, leases
+
+    def __post_init__(self) -> None:
+        for setting, name in (("name", self.name), ("fleet_name", self.fleet_name)):
+            if name and not re.fullmatch(ZENOH_NAME, name):
+                raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("zenoh.certificate and zenoh.key belong together")
+        if not self.fleet_name:
+            raise ValueError("zenoh.fleet_name must not be empty")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """The whole of hostlink.toml."""
 
@@ -227,6 +260,7 @@ class Config:
     message_folders: tuple[Path, ...] = ()
     recording: RecordingConfig = field(default_factory=RecordingConfig)
     black_box: BlackBoxConfig = field(default_factory=BlackBoxConfig)
+    zenoh: ZenohConfig | None = None  # None: no Zenoh, and none of it is imported
     guardian: bool = True  # a process of its own that stops the robots when the daemon's has ended without doing so
 
 
@@ -289,7 +323,10 @@ def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
             _refuse_unknown_keys(value, hints[key], file, f"{prefix}{key}.")
         return
     inner = typing.get_args(wanted)
-    if typing.get_origin(wanted) is dict and isinstance(raw, dict):
+    if typing.get_origin(wanted) in (typing.Union, types.UnionType):
+        for each in inner:
+            _refuse_unknown_keys(raw, each, file, prefix)
+    elif typing.get_origin(wanted) is dict and isinstance(raw, dict):
         for key, value in raw.items():
             _refuse_unknown_keys(value, inner[1], file, f"{prefix}{key}.")
     elif typing.get_origin(wanted) is tuple and isinstance(raw, list):

@@ -1,0 +1,219 @@
+"""What daemons of a fleet send to each other, as JSON; and the keys on which they do. Pure.
+
+The verb comes first in a key and the sender's name stands in it, so that Zenoh's access rules can say who may do what.
+"""
+
+from typing import Annotated, NamedTuple, TypeVar
+
+import msgspec
+
+from hostlink.errors import BadPayload
+from hostlink.hub.message import MAX_PRIORITY
+from hostlink.robot.velocity import Velocity
+
+MAX_ROBOTS = 256  # of one daemon
+MAX_TOPICS = 4096  # of one daemon
+MAX_STATE_BYTES = 256 * 1024
+MAX_REQUEST_BYTES = 4096
+
+_LONGEST_TOPIC = 256
+
+RobotName = Annotated[str, msgspec.Meta(pattern=r"^[\w.-]+$", max_length=64)]
+TopicName = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z0-9_]+)+$", max_length=_LONGEST_TOPIC)]
+TypeName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z]\w*/[A-Za-z]\w*$", max_length=128)]
+Text = Annotated[str, msgspec.Meta(max_length=256)]
+Priority = Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)]
+
+
+class Sender(NamedTuple):
+    """Who sends: a daemon's name, and the id of its session; another one after each start."""
+
+    name: str
+    zid: str
+
+
+class Keys:
+    """The keys of one fleet."""
+
+    def __init__(self, fleet: str) -> None:
+        self.fleet = fleet
+
+    def key(self, verb: str, sender: Sender, *rest: str, to: str = "") -> str:
+        """Of `alive`, `state`, `live`, `topics`, `out`, `stop`; and of `drive`, `publish`, `answer`, with `to`."""
+        return "/".join((self.fleet, verb, *((to,) if to else ()), *sender, *rest))
+
+    def sender(self, key: str, *, is_addressed: bool = False) -> Sender | None:
+        """Who has sent on a key; None: it is no key of this fleet."""
+        parts = key.removeprefix(f"{self.fleet}/").split("/")
+        first = 2 if is_addressed else 1
+        if not key.startswith(f"{self.fleet}/") or len(parts) < first + 2:
+            return None
+        return Sender(parts[first], parts[first + 1])
+
+    def topic(self, key: str, *, is_addressed: bool = False) -> str:
+        """The topic at the end of a key of `out` or `publish`."""
+        first = self.fleet.count("/") + (5 if is_addressed else 4)
+        return "/" + "/".join(key.split("/")[first:])
+
+
+class PoseState(msgspec.Struct, frozen=True, kw_only=True):
+    """The newest pose, and the motion."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+    linear_m_s: float
+    angular_rad_s: float
+    stamp_ns: int
+    age_s: float
+    rate_hz: float
+    count: int
+    restarts: int = 0
+    ignored: int = 0
+
+
+class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One robot as the daemon that has its link shows it."""
+
+    name: RobotName
+    link: int | None = None
+    velocity_topic: TopicName
+    odometry_topic: TopicName
+    odometry_type: TypeName
+    reset_topic: TopicName | None = None
+    holder: Text | None = None
+    priority: Priority | None = None
+    lock_reason: Text | None = None
+    unreachable: Text | None = None
+    velocity: tuple[float, float] = (0.0, 0.0)
+    lease_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
+    pose: PoseState | None = None
+
+
+class State(msgspec.Struct, frozen=True, kw_only=True):
+    """Every robot of a daemon. `sent_s`: by its own clock; `topics`: a number that changes with its topics."""
+
+    sent_s: float
+    topics: int
+    robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+
+
+class TopicState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A topic below a robot's name. `is_published`: others may subscribe; `is_subscribed`: others may publish."""
+
+    robot: RobotName
+    name: TopicName
+    type: TypeName
+    is_published: bool = False
+    is_subscribed: bool = False
+    is_velocity: bool = False
+
+
+class Topics(msgspec.Struct, frozen=True, kw_only=True):
+    """Every topic of a daemon's robots."""
+
+    number: int
+    topics: Annotated[tuple[TopicState, ...], msgspec.Meta(max_length=MAX_TOPICS)]
+
+
+class Drive(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
+    """A velocity, linear and angular, for the length of a lease. `owner`: who drives, among those of the sender."""
+
+    number: int
+    sent_s: float
+    robot: RobotName
+    owner: int
+    owner_name: Text
+    velocity: tuple[float, float, float, float, float, float]
+    priority: Priority
+    link: int | None = None
+
+    @property
+    def wanted(self) -> Velocity:
+        """The velocity."""
+        return Velocity(*self.velocity)
+
+
+class Release(msgspec.Struct, frozen=True, kw_only=True, tag="release"):
+    """A driver has left: what it drives stops."""
+
+    number: int
+    owner: int
+
+
+class Unlock(msgspec.Struct, frozen=True, kw_only=True, tag="unlock"):
+    """Let a robot be driven again."""
+
+    number: int
+    robot: RobotName
+
+
+class Stop(msgspec.Struct, frozen=True, kw_only=True, tag="stop"):
+    """Stop a robot, whoever has it; None: every robot."""
+
+    number: int
+    robot: RobotName | None = None
+
+
+class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
+    """Zero at once, and no command until it is unlocked; whoever has the robot."""
+
+    number: int
+    robot: RobotName
+    reason: Text
+
+
+class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """To the request of this number: the velocity after the limits, or the robots that it was for; or why not."""
+
+    number: int
+    error: Text = ""  # the name of a class of hostlink.errors
+    reason: Annotated[str, msgspec.Meta(max_length=1024)] = ""
+    owner: Text | None = None  # who drives it
+    lock_reason: Text | None = None
+    velocity: tuple[float, float, float, float, float, float] | None = None
+    robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
+
+
+Request = Drive | Release | Unlock
+StopRequest = Stop | Lock
+
+_Kind = TypeVar("_Kind")
+_DECODERS = {kind: msgspec.json.Decoder(kind) for kind in (State, Topics, Answer)}
+_REQUESTS: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)
+_STOPS: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)
+encode = msgspec.json.Encoder().encode
+
+
+def decode(payload: bytes, kind: type[_Kind]) -> _Kind:
+    """A State, Topics or Answer.
+
+    Raises:
+        BadPayload: it is none, or something in it is over a bound.
+    """
+    return _decode(_DECODERS[kind], payload)  # type: ignore[index,return-value]
+
+
+def decode_request(payload: bytes) -> Request:
+    """What one daemon requests of another.
+
+    Raises:
+        BadPayload: it is none.
+    """
+    return _decode(_REQUESTS, payload)
+
+
+def decode_stop(payload: bytes) -> StopRequest:
+    """What one daemon requests of all.
+
+    Raises:
+        BadPayload: it is none.
+    """
+    return _decode(_STOPS, payload)
+
+
+def _decode(decoder: "msgspec.json.Decoder[_Kind]", payload: bytes) -> _Kind:
+    try:
+        return decoder.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BadPayload("fleet", str(error)) from error

@@ -1,0 +1,366 @@
+"""Session: one Zenoh session on the event loop. What Zenoh's threads deliver comes to callbacks in the loop."""
+
+import asyncio
+import contextlib
+import json
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import structlog
+
+from hostlink.config import ZenohConfig
+from hostlink.errors import ConfigError
+from hostlink.graphs.zenoh.inbox import MAX_WAITING, Inbox
+from hostlink.hub.isolation import Isolation
+from hostlink.logs import printable
+
+log = structlog.get_logger()
+
+LEASE_MS = 1000  # a neighbour that is silent for so long is gone, and its tokens with it
+KEEP_ALIVES = 4  # in each lease
+CLOSE_TIMEOUT_S = 1.0
+MAX_PAYLOAD_BYTES = 1024 * 1024
+MAX_KEY_CHARS = 512
+MAX_ANSWERS = 1024  # to one query
+
+
+class Sample(NamedTuple):
+    """What was put on a key."""
+
+    key: str
+    payload: bytes
+    attachment: bytes = b""
+
+
+class Token(NamedTuple):
+    """A liveliness token: whoever declared it lives, or not any more."""
+
+    key: str
+    is_alive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A question of somebody; `reply` may be called later, and at most once for each key. `close` ends it."""
+
+    key: str
+    payload: bytes
+    attachment: bytes
+    reply: Callable[..., None]
+    close: Callable[[], None]
+
+
+class Declaration:
+    """Something that is declared in the session, until it is closed."""
+
+    def __init__(self, *undeclare: Callable[[], None]) -> None:
+        self._undeclare = undeclare
+
+    def close(self) -> None:
+        """Take it back; it may be closed already."""
+        undeclare, self._undeclare = self._undeclare, ()
+        for each in undeclare:
+            each()
+
+
+class Publisher:
+    """A key on which this daemon publishes. Nothing is sent while nobody subscribes."""
+
+    def __init__(self, session: "Session", publisher: Any) -> None:
+        self._session, self._publisher = session, publisher
+        self._listener: Any = None
+
+    def put(self, payload: bytes, *, attachment: bytes | None = None) -> None:
+        """Publish; while the network is behind it is dropped."""
+        with self._session.guarded("put"):
+            self._publisher.put(payload, attachment=attachment)
+
+    @property
+    def is_subscribed(self) -> bool:
+        """Whether anybody elsewhere subscribes."""
+        with self._session.guarded("match"):
+            return bool(self._publisher.matching_status.matching)
+        return False
+
+    def watch(self, on_change: Callable[[bool], None]) -> None:
+        """Call `on_change` in the loop, with whether anybody elsewhere subscribes, when that changes."""
+        inbox = self._session.inbox(on_change)
+        with self._session.guarded("match"):
+            self._listener = self._publisher.declare_matching_listener(lambda status: inbox.put("", status.matching))
+
+    def close(self) -> None:
+        """Publish no more."""
+        with self._session.guarded("undeclare"):
+            if self._listener is not None:
+                self._listener.undeclare()
+            self._publisher.undeclare()
+
+
+class Session:
+    """One Zenoh session. Its methods are called in the loop, wait for nothing, and do not raise what Zenoh raises.
+
+    `counts`: `dropped` and `oversized` of what came, `failed` calls of Zenoh; what `receive` callbacks raise goes to
+    the hub's isolation.
+    """
+
+    def __init__(self, zenoh: Any, session: Any, isolation: Isolation) -> None:
+        """`zenoh`: the module."""
+        self.counts: Counter[str] = Counter()
+        self.zid = str(session.info.zid())
+        self._zenoh, self._session, self._isolation = zenoh, session, isolation
+        self._is_closed = False
+
+    # -- what is sent -------------------------------------------------------------------------------------------------
+
+    def put(self, key: str, payload: bytes, *, attachment: bytes | None = None, is_urgent: bool = False) -> None:
+        """Publish once, on a key that is used seldom; `is_urgent`: before everything else, and never in a batch."""
+        with self.guarded("put"):
+            self._session.put(key, payload, attachment=attachment, **self._quality(is_urgent=is_urgent))
+
+    def declare_publisher(self, key: str, *, is_urgent: bool = False) -> Publisher:
+        """Publish on a key again and again.
+
+        Raises:
+            ConfigError: the session is closed, or the key is none.
+        """
+        return Publisher(self, self._declare(self._session.declare_publisher, key, **self._quality(is_urgent=is_urgent)))
+
+    def declare_token(self, key: str) -> Declaration:
+        """Show that this daemon lives, or has something, until the declaration or the session is closed.
+
+        Raises:
+            ConfigError: the session is closed, or the key is none.
+        """
+        token = self._declare(self._session.liveliness().declare_token, key)
+        return Declaration(lambda: self._undeclare(token))
+
+    # -- what comes ---------------------------------------------------------------------------------------------------
+
+    def subscribe(
+        self,
+        key_expr: str,
+        receive: Callable[[Sample], None],
+        *,
+        source_of: Callable[[str], str] = lambda _: "",
+        max_bytes: int = MAX_PAYLOAD_BYTES,
+        max_waiting: int = MAX_WAITING,
+    ) -> Declaration:
+        """Call `receive` for each sample of others that fits in `max_bytes`; not for those of this session.
+
+        `source_of`: of a key, whose queue its sample waits in; `max_waiting`: samples in each queue, the oldest goes.
+
+        Raises:
+            ConfigError: the session is closed, or the key expression is none.
+        """
+        inbox = self.inbox(receive, max_waiting=max_waiting)
+
+        def put(sample: Any) -> None:
+            with self.guarded("receive"):
+                key = str(sample.key_expr)
+                if self._fits(key, len(sample.payload), max_bytes) and sample.kind == self._zenoh.SampleKind.PUT:
+                    inbox.put(source_of(key), Sample(key, sample.payload.to_bytes(), _bytes(sample.attachment)))
+
+        subscriber = self._declare(
+            self._session.declare_subscriber, key_expr, self._callback(put), allowed_origin=self._zenoh.Locality.REMOTE
+        )
+        return Declaration(inbox.close, lambda: self._undeclare(subscriber))
+
+    def subscribe_tokens(self, key_expr: str, receive: Callable[[Token], None]) -> Declaration:
+        """Call `receive` for each liveliness token that is there, comes or goes, of this session too.
+
+        Raises:
+            ConfigError: the session is closed, or the key expression is none.
+        """
+        inbox = self.inbox(receive, max_waiting=MAX_WAITING * 64)
+
+        def put(sample: Any) -> None:
+            with self.guarded("receive"):
+                key = str(sample.key_expr)
+                if self._fits(key, 0, 0):
+                    inbox.put("", Token(key, sample.kind == self._zenoh.SampleKind.PUT))
+
+        subscriber = self._declare(
+            self._session.liveliness().declare_subscriber, key_expr, self._callback(put), history=True
+        )
+        return Declaration(inbox.close, lambda: self._undeclare(subscriber))
+
+    def serve(self, key_expr: str, answer: Callable[[Query], None], *, is_complete: bool = True) -> Declaration:
+        """Call `answer` for each query.
+
+        Raises:
+            ConfigError: the session is closed, or the key expression is none.
+        """
+        inbox = self.inbox(answer)
+
+        def put(query: Any) -> None:
+            with self.guarded("receive"):
+                key, payload = str(query.key_expr), _bytes(query.payload)
+                if self._fits(key, len(payload), MAX_PAYLOAD_BYTES):
+                    reply, close = _replies(self, query)
+                    inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
+
+        queryable = self._declare(
+            self._session.declare_queryable, key_expr, self._callback(put), complete=is_complete
+        )
+        return Declaration(inbox.close, lambda: self._undeclare(queryable))
+
+    async def get(
+        self, selector: str, payload: bytes | None = None, *, attachment: bytes | None = None, timeout_s: float
+    ) -> list[Sample]:
+        """Every answer to a query that came in time; none when nobody answers."""
+        loop, answers = asyncio.get_running_loop(), list[Sample]()
+        done = asyncio.Event()
+
+        def put(reply: Any) -> None:
+            with self.guarded("receive"):
+                sample = reply.ok
+                if sample is not None and len(answers) < MAX_ANSWERS and len(sample.payload) <= MAX_PAYLOAD_BYTES:
+                    answers.append(
+                        Sample(str(sample.key_expr), sample.payload.to_bytes(), _bytes(sample.attachment))
+                    )
+
+        def end() -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(done.set)
+
+        with self.guarded("get"):
+            self._session.get(
+                selector,
+                self._callback(put, end),
+                payload=payload,
+                attachment=attachment,
+                timeout=timeout_s,
+                target=self._zenoh.QueryTarget.ALL,
+            )
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(timeout_s + CLOSE_TIMEOUT_S):
+                    await done.wait()
+        return list(answers)
+
+    # -- its end ------------------------------------------------------------------------------------------------------
+
+    async def aclose(self) -> None:
+        """End the session: tokens and declarations go, for everybody at once. It waits for a second at most."""
+        self._is_closed = True
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                await asyncio.to_thread(self._close)
+
+    def _close(self) -> None:
+        with self.guarded("close"):
+            self._session.close()
+
+    # -- for its parts ------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def guarded(self, what: str) -> Any:
+        """Keep what Zenoh raises from whoever called; in Zenoh's threads, too."""
+        try:
+            yield
+        except self._zenoh.ZError as error:
+            self.counts["failed"] += 1
+            if not self._is_closed:
+                log.debug("zenoh.failed", what=what, cause=printable(str(error), 200))
+
+    def inbox(self, deliver: Callable[[Any], None], *, max_waiting: int = MAX_WAITING) -> Inbox[Any]:
+        """A queue from Zenoh's threads to the loop."""
+        return Inbox(deliver, self._isolation, self.counts, max_waiting=max_waiting)
+
+    def _fits(self, key: str, payload_bytes: int, max_bytes: int) -> bool:
+        if payload_bytes <= max_bytes and len(key) <= MAX_KEY_CHARS:
+            return True
+        self.counts["oversized"] += 1
+        return False
+
+    def _declare(self, declare: Callable[..., Any], key: str, *arguments: Any, **options: Any) -> Any:
+        try:
+            return declare(key, *arguments, **options)
+        except self._zenoh.ZError as error:
+            raise ConfigError("zenoh", f"{printable(key)} cannot be declared: {error}") from error
+
+    def _undeclare(self, declared: Any) -> None:
+        if not self._is_closed:
+            with self.guarded("undeclare"):
+                declared.undeclare()
+
+    def _callback(self, call: Callable[[Any], None], end: Callable[[], None] = lambda: None) -> Any:
+        """Called in Zenoh's own threads, without one of its own: it only queues."""
+        return self._zenoh.handlers.Callback(call, end, indirect=False)
+
+    def _quality(self, *, is_urgent: bool) -> dict[str, Any]:
+        priority = self._zenoh.Priority.REAL_TIME if is_urgent else self._zenoh.Priority.DATA
+        return {"congestion_control": self._zenoh.CongestionControl.DROP, "priority": priority, "express": is_urgent}
+
+
+@contextlib.asynccontextmanager
+async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Session]:
+    """A session for the length of the block.
+
+    Raises:
+        ConfigError: eclipse-zenoh is not installed, or Zenoh refuses the settings.
+    """
+    try:
+        import zenoh  # noqa: PLC0415 - an optional dependency
+    except ImportError as error:
+        raise ConfigError("zenoh", "needs eclipse-zenoh: pip install 'hostlink[zenoh]'") from error
+    try:
+        raw = await asyncio.to_thread(lambda: zenoh.open(_settings(zenoh, config)))
+    except (zenoh.ZError, ValueError) as error:
+        raise ConfigError("zenoh", f"the session cannot be opened: {printable(str(error), 300)}") from error
+    session = Session(zenoh, raw, isolation)
+    log.info("zenoh.opened", zid=session.zid, mode=config.mode, listen=list(config.listen), connect=list(config.connect))
+    try:
+        yield session
+    finally:
+        await session.aclose()
+        log.info("zenoh.closed", **session.counts)
+
+
+def _settings(zenoh: Any, config: ZenohConfig) -> Any:
+    """The file's, and over them what [zenoh] says."""
+    settings = zenoh.Config() if config.file is None else zenoh.Config.from_file(str(config.file))
+    for key, value in _values(config).items():
+        settings.insert_json5(key, json.dumps(value))
+    return settings
+
+
+def _values(config: ZenohConfig) -> dict[str, Any]:
+    values: dict[str, Any] = {"mode": config.mode, "connect/exit_on_failure": False}
+    if config.connect:
+        values["connect/endpoints"] = list(config.connect)
+    if config.listen:
+        values["listen/endpoints"] = list(config.listen)
+    if config.file is None:
+        values |= {"transport/link/tx/lease": LEASE_MS, "transport/link/tx/keep_alive": KEEP_ALIVES}
+    if not config.multicast:
+        values["scouting/multicast/enabled"] = False
+    files: dict[str, Path | None] = {
+        "root_ca_certificate": config.ca,
+        "listen_certificate": config.certificate,
+        "listen_private_key": config.key,
+        "connect_certificate": config.certificate,
+        "connect_private_key": config.key,
+    }
+    values |= {f"transport/link/tls/{name}": str(path) for name, path in files.items() if path is not None}
+    if config.certificate is not None and config.ca is not None:
+        values["transport/link/tls/enable_mtls"] = True
+    return values
+
+
+def _bytes(payload: Any) -> bytes:
+    return b"" if payload is None else bytes(payload.to_bytes())
+
+
+def _replies(session: Session, query: Any) -> tuple[Callable[..., None], Callable[[], None]]:
+    def reply(payload: bytes, *, key: str = "", attachment: bytes | None = None) -> None:
+        with session.guarded("reply"):
+            query.reply(key or str(query.key_expr), payload, attachment=attachment)
+
+    def close() -> None:
+        with session.guarded("reply"):
+            query.drop()
+
+    return reply, close

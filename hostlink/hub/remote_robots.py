@@ -1,0 +1,81 @@
+"""RemoteRobots: the robots of other daemons: in the table of robots, and their velocity topics in the graph."""
+
+import functools
+from collections.abc import Iterable
+
+import structlog
+
+from hostlink.errors import DeviceGone, HostlinkError, WrongType
+from hostlink.hub.emergency_stop import EmergencyStop
+from hostlink.hub.message import Message
+from hostlink.hub.node import Node
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robots import Robots
+from hostlink.hub.topic import DeviceSubscription
+from hostlink.hub.topic_graph import TopicGraph
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
+
+log = structlog.get_logger()
+
+TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
+
+
+class RemoteRobots:
+    """Whoever publishes on a velocity topic of one of them commands it, as with a robot that is here."""
+
+    def __init__(self, robots: Robots, topics: TopicGraph, emergency_stop: EmergencyStop) -> None:
+        self._robots, self._topics, self._emergency_stop = robots, topics, emergency_stop
+        self._nodes: dict[str, Node] = {}
+        self._velocities: dict[str, frozenset[tuple[str, str]]] = {}
+
+    def add(self, robot: RemoteRobot) -> None:
+        """It is known from now on, by its name."""
+        self.remove(robot.name)
+        self._robots.remote[robot.name] = robot
+        self._nodes[robot.name] = Node(f"{robot.name} at {robot.host}")
+        self._emergency_stop.serve(robot.name)
+
+    def remove(self, name: str) -> None:
+        """It is known no more; it may be removed already."""
+        robot = self._robots.remote.pop(name, None)
+        if robot is not None:
+            self._topics.leave(self._nodes.pop(name))
+            self._velocities.pop(name, None)
+            self._emergency_stop.withdraw(name)
+
+    def offer(self, robot: RemoteRobot, velocities: Iterable[tuple[str, str]]) -> None:
+        """It is driven by these topics, by name and type, while no device here has them."""
+        wanted = frozenset(velocities)
+        if self._velocities.get(robot.name, frozenset()) == wanted:
+            return
+        node = self._nodes[robot.name]
+        self._topics.leave(node)
+        self._velocities[robot.name] = wanted
+        for name, type_name in wanted:
+            subscription = DeviceSubscription(functools.partial(self._receive, robot), is_gate=True)
+            try:
+                self._topics.subscribe_device(name, node, subscription, type_name=type_name)
+            except HostlinkError as error:
+                log.warning("topic.refused", topic=name, reason=str(error))
+
+    def deliver(self, topic: str, payload: bytes, *, at_s: float) -> None:
+        """What the other daemon's gate sent to the device, for whoever subscribes here."""
+        known = self._topics.find_or_none(topic)
+        if known is not None:
+            known.deliver(payload, source=self, at_s=at_s)
+
+    def _receive(self, robot: RemoteRobot, message: Message) -> None:
+        """A velocity that was published here.
+
+        Raises:
+            HostlinkError: as `RemoteRobot.command`; also where a device here has the same topic.
+        """
+        if len(self._topics.find(message.topic).devices) > 1:
+            raise DeviceGone(robot.name, f"{message.topic} is a topic here and at {robot.host}")
+        if message.type_name == TWIST_TYPE:
+            velocity = Velocity.decode(message.payload)
+        elif message.type_name == TWIST_STAMPED_TYPE:
+            velocity = Velocity.from_twist(message.decoded["twist"])  # type: ignore[arg-type]  # by its definition
+        else:
+            raise WrongType(message.topic, TWIST_TYPE, message.type_name)
+        robot.command(velocity, owner=message.source, priority=message.priority)
