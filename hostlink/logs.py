@@ -14,6 +14,8 @@ The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.
                  loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost
 Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete
+Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone, fleet.name_twice,
+                 fleet.unanswered, fleet.topic_refused, graph.crashed
 The log itself   log.lines_left_out, log.lines_lost
 """
 

@@ -1,5 +1,6 @@
 """Drive: the operation of a program that drives a robot, beside those of rosbridge."""
 
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import msgspec
@@ -9,8 +10,12 @@ from hostlink.api.views import velocity_answer
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.participant import Participant
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import Robot
 from hostlink.hub.robots import Robots
 from hostlink.robot.velocity import Velocity
+
+MAX_ANSWERS = 64  # that one client waits for
 
 
 class DriveRequest(msgspec.Struct):
@@ -25,21 +30,57 @@ class DriveRequest(msgspec.Struct):
 
 
 class Drive:
-    """One client's commands. Each is answered, so that a refusal is known at once and not by the next command."""
+    """One client's commands. Each is answered, so that a refusal is known at once and not by the next command.
 
-    def __init__(self, participant: Participant, robots: Robots, queue: ClientQueue) -> None:
-        self._participant, self._robots, self._queue = participant, robots, queue
+    A robot of another daemon answers from there, MAX_ANSWERS of one client at a time; over that what was sent is the
+    answer.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        robots: Robots,
+        queue: ClientQueue,
+        *,
+        spawn: Callable[[Coroutine[Any, Any, None]], object],
+    ) -> None:
+        """`spawn` runs what waits for an answer, at most as long as the client is there."""
+        self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
+        self._waiting = 0
 
     def receive(self, request: dict[str, Any]) -> None:
         """Do the operation; whatever comes of it is the answer."""
-        answer: dict[str, Any] = {"op": "drive_result", "id": request.get("id")}
         try:
-            answer |= {"result": True, **self._command(request)}
+            robot, velocity, limited = self._command(request)
         except HostlinkError as error:
-            answer |= {"result": False, "kind": type(error).__name__, "reason": str(error)}
-        put_json(self._queue, answer)
+            self._refuse(request, error)
+            return
+        if isinstance(robot, RemoteRobot) and self._waiting < MAX_ANSWERS:
+            self._waiting += 1
+            self._spawn(self._wait(request, robot, velocity))
+        else:
+            self._accept(request, robot, velocity, limited)
 
-    def _command(self, request: dict[str, Any]) -> dict[str, Any]:
+    async def _wait(self, request: dict[str, Any], robot: RemoteRobot, velocity: Velocity) -> None:
+        try:
+            self._accept(request, robot, velocity, await self._participant.driven(robot, velocity))
+        except HostlinkError as error:
+            self._refuse(request, error)
+        finally:
+            self._waiting -= 1
+
+    def _accept(
+        self, request: dict[str, Any], robot: Robot | RemoteRobot, velocity: Velocity, limited: Velocity
+    ) -> None:
+        link = None if robot.link is None else robot.link.number
+        answer = {"op": "drive_result", "id": request.get("id"), "result": True, "link": link}
+        put_json(self._queue, answer | velocity_answer(robot, velocity, limited))
+
+    def _refuse(self, request: dict[str, Any], error: HostlinkError) -> None:
+        answer = {"op": "drive_result", "id": request.get("id"), "result": False}
+        put_json(self._queue, answer | {"kind": type(error).__name__, "reason": str(error)})
+
+    def _command(self, request: dict[str, Any]) -> tuple[Robot | RemoteRobot, Velocity, Velocity]:
         try:
             wanted = msgspec.convert(request, DriveRequest)
         except msgspec.ValidationError as error:
@@ -51,5 +92,4 @@ class Drive:
         limited = self._participant.drive(
             robot, velocity, priority=wanted.priority, link=wanted.link, sent_s=wanted.sent_s
         )
-        link = None if robot.link is None else robot.link.number
-        return {"link": link, **velocity_answer(robot, velocity, limited)}
+        return robot, velocity, limited

@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+from collections import Counter
 from collections.abc import Iterator
 from importlib.metadata import version
 
@@ -131,10 +132,25 @@ class _Graph(Collector):
         for cause, count in self._hub.datagrams_dropped.items():
             dropped.add_metric([cause], count)
         yield dropped
+        yield from self._graphs()
         yield from self._robots()
         yield from self._links()
         yield from self._to_clients()
         yield from self._to_port()
+
+    def _graphs(self) -> Iterator[Metric]:
+        events = CounterMetricFamily(
+            "hostlink_graph_events", "What a graph refused, dropped or did not fit", labels=["graph", "what"]
+        )
+        for graph, counts in self._hub.graph_counts.items():
+            for what, count in counts.items():
+                events.add_metric([graph, what], count)
+        yield events
+        places: Counter[str] = Counter(robot.host for robot in self._hub.robots.remote.values() if robot.link)
+        elsewhere = GaugeMetricFamily("hostlink_fleet_robots", "Connected robots of other daemons", labels=["host"])
+        for host, count in places.items():
+            elsewhere.add_metric([host], count)
+        yield elsewhere
 
     def _robots(self) -> Iterator[Metric]:
         now_s = asyncio.get_running_loop().time()
@@ -144,7 +160,7 @@ class _Graph(Collector):
         refused = CounterMetricFamily(
             "hostlink_robot_velocity_refused", "Velocities that the device could not receive", labels=["robot"]
         )
-        for robot in self._hub.robots.all():
+        for robot in self._hub.robots.here():
             refused.add_metric([robot.name], robot.refusals.count)
             connected.add_metric([robot.name], robot.link is not None)
             odometry = robot.odometry.snapshot(now_s)
@@ -159,7 +175,7 @@ class _Graph(Collector):
         unreadable = CounterMetricFamily(
             "hostlink_robot_unreadable", "Messages of its odometry that are none", labels=["robot"]
         )
-        for robot in self._hub.robots.all():
+        for robot in self._hub.robots.here():
             unreadable.add_metric([robot.name], robot.unreadable)
             for outcome, count in dataclasses.asdict(robot.gate.counts).items():
                 gates.add_metric([robot.name, outcome], count)
@@ -171,7 +187,7 @@ class _Graph(Collector):
         yield from (connected, age, poses, refused, unreadable, gates, forgotten)
 
     def _links(self) -> Iterator[Metric]:
-        robots = {robot.link: robot.name for robot in self._hub.robots.all() if robot.link is not None}
+        robots = {robot.link: robot.name for robot in self._hub.robots.here() if robot.link is not None}
         names = ["peer", "robot"]
         counters = {
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)

@@ -31,6 +31,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
+from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 
@@ -176,7 +177,7 @@ class Rest:
             ),
         ]
 
-    def _find(self, request: web.Request) -> Robot:
+    def _find(self, request: web.Request) -> Robot | RemoteRobot:
         """The robot that the path names.
 
         Raises:
@@ -201,7 +202,8 @@ class Rest:
         robot = self._find(request)
         body = decode_body(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=body.linear, angular_z_rad_s=body.angular)
-        limited = self._owner(request).drive(robot, velocity, priority=body.priority)
+        owner = self._owner(request)
+        limited = await owner.driven(robot, owner.drive(robot, velocity, priority=body.priority))
         return reply(velocity_answer(robot, velocity, limited))
 
     def _owner(self, request: web.Request) -> Participant:
@@ -211,10 +213,12 @@ class Rest:
     async def _stop(self, request: web.Request) -> web.Response:
         robot = self._find(request)
         self._hub.gates.stop(robot)
+        await self._hub.gates.settled()
         return reply(robot_view(robot))
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         self._hub.gates.stop_all()
+        await self._hub.gates.settled()
         return await self._robots(request)
 
     async def _lock(self, request: web.Request) -> web.Response:
@@ -226,11 +230,13 @@ class Rest:
             self._hub.emergency_stop.stop(robot)
             raise
         self._hub.emergency_stop.stop(robot, body.reason)
+        await self._hub.gates.settled()
         return reply(robot_view(robot))
 
     async def _unlock(self, request: web.Request) -> web.Response:
         robot = self._find(request)
         self._hub.emergency_stop.release(robot)
+        await self._hub.gates.settled()
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
@@ -256,7 +262,7 @@ class Rest:
 
     async def _readiness(self, _: web.Request) -> web.Response:
         """Ready: at least one robot is connected, and none that was connected is missing."""
-        robots = self._hub.robots.all()
+        robots = self._hub.robots.here()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing
         if not is_ready:

@@ -54,7 +54,7 @@ class RosbridgeClient:
         self._status_from = _LEVELS.index("none")
         self._unknown_ops: set[str] = set()
         self._fragments = Fragments(hub.config.api.max_message_bytes)
-        self._drive = Drive(self.participant, hub.robots, queue)
+        self._drive = Drive(self.participant, hub.robots, queue, spawn=spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
             "unadvertise": self._topics.unadvertise,

@@ -11,6 +11,7 @@ from hostlink.api.slices import Slices
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
+from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 
@@ -54,10 +55,13 @@ class OdometryView(TypedDict):
 class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry.
 
-    unreachable: why its device could not receive the last velocity; null: it could.
+    unreachable: why its device could not receive the last velocity; null: it could. host: the daemon that has its link;
+    null: this one. also_at: other daemons that have a robot of this name.
     """
 
     name: str
+    host: str | None
+    also_at: list[str]
     connected: bool
     link: int | None
     velocity_topic: str
@@ -184,10 +188,12 @@ class TopicView(TypedDict):
     messages: int
 
 
-def robot_view(robot: Robot) -> RobotView:
+def robot_view(robot: Robot | RemoteRobot) -> RobotView:
     """One robot as it is now."""
     return {
         "name": robot.name,
+        "host": robot.host,
+        "also_at": list(robot.also_at),
         "connected": robot.link is not None,
         "link": None if robot.link is None else robot.link.number,
         "velocity_topic": robot.shown.velocity,
@@ -207,7 +213,7 @@ def velocity_view(velocity: Velocity) -> VelocityView:
     return {"linear_m_s": velocity.linear_x_m_s, "angular_rad_s": velocity.angular_z_rad_s}
 
 
-def velocity_answer(robot: Robot, requested: Velocity, limited: Velocity) -> VelocityAnswer:
+def velocity_answer(robot: Robot | RemoteRobot, requested: Velocity, limited: Velocity) -> VelocityAnswer:
     """The velocity after the limits, beside the requested one."""
     return {
         "velocity": velocity_view(limited),
@@ -216,7 +222,7 @@ def velocity_answer(robot: Robot, requested: Velocity, limited: Velocity) -> Vel
     }
 
 
-def odometry_view(robot: Robot) -> OdometryView | None:
+def odometry_view(robot: Robot | RemoteRobot) -> OdometryView | None:
     """The newest pose with its age; None before the first."""
     known = robot.odometry.snapshot(asyncio.get_running_loop().time())
     if known is None:

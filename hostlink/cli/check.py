@@ -18,7 +18,7 @@ from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_address
 from hostlink.cli.descriptors import fitted
-from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig
+from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
@@ -56,6 +56,8 @@ async def check(config: Config, *, descriptors: int) -> list[str]:
     tls_context(config.api)
     if config.tcp.mdns and not all(map(importlib.util.find_spec, ("ifaddr", "zeroconf"))):
         raise ConfigError("tcp.mdns", "needs zeroconf: pip install 'hostlink[mdns]'")
+    if config.zenoh is not None and importlib.util.find_spec("zenoh") is None:
+        raise ConfigError("zenoh", "needs eclipse-zenoh: pip install 'hostlink[zenoh]'")
     warnings = [*await _try_port("tcp", config.tcp.host, config.tcp.port)]
     warnings += await _try_port("api", config.api.host, config.api.port)
     if config.udp is not None:
@@ -83,6 +85,8 @@ def describe(config: Config) -> list[str]:
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
     lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{api.host}:{api.port}")
     lines += [f"robot {name}, {robot.address or 'known by its topics'}" for name, robot in config.robots.items()]
+    if config.zenoh is not None:
+        lines.append(_describe_zenoh(config.zenoh))
     lines += [f"messages in {folder}" for folder in config.message_folders]
     return [*lines, f"{len(config.parameters)} parameters"]
 
@@ -92,6 +96,13 @@ def _describe_who(config: TcpConfig | UdpConfig) -> str:
     if config.key_file is None:
         return who
     return f"{who}, with the key" + (f" but {', '.join(config.keyless)}" if config.keyless else "")
+
+
+def _describe_zenoh(zenoh: ZenohConfig) -> str:
+    parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
+    places = [f"listens on {', '.join(zenoh.listen)}"] * bool(zenoh.listen)
+    places += [f"connects to {', '.join(zenoh.connect)}"] * bool(zenoh.connect)
+    return "; ".join([f"Zenoh, a {zenoh.mode}: {' and '.join(parts) or 'nothing'}", *places])
 
 
 def _describe_port(port: SerialConfig) -> str:
@@ -153,6 +164,8 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _suspicious_robots(config)
     yield from _shared_topics(config)
     yield from _suspicious_api(config)
+    if config.zenoh is not None and config.zenoh.certificate is None and config.zenoh.file is None:
+        yield "zenoh without a certificate: everybody who reaches its port can drive the robots (docs/fleet.md)"
     if config.tcp.keyless and config.tcp.key_file is None:
         yield "tcp.keyless means nothing without tcp.key_file: nobody needs a key"
     if config.udp is not None and config.udp.keyless and config.udp.key_file is None:

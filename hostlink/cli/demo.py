@@ -74,7 +74,7 @@ async def drive_robots(hub: Hub, participant: Participant) -> None:
     now_s = asyncio.get_running_loop().time
     busy_until_s: dict[str, float] = {}
     while True:
-        for robot in hub.robots.all():
+        for robot in hub.robots.here():
             if robot.gate.owner not in (None, participant):
                 busy_until_s[robot.name] = now_s() + PAUSE_S
             elif now_s() >= busy_until_s.get(robot.name, 0.0):
@@ -87,7 +87,7 @@ async def _show(hub: Hub) -> None:
     """One line that is written over again on a terminal; elsewhere a line a second."""
     is_terminal = sys.stdout.isatty()
     while True:
-        robots = hub.robots.all()
+        robots = hub.robots.here()
         if robots:
             text = "   ".join(_describe(robot) for robot in robots[:2])
             write_over(text)

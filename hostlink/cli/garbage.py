@@ -23,6 +23,6 @@ async def collect_while_idle(robots: Robots) -> None:
     interval_s = CHECK_INTERVAL_S
     while True:
         await asyncio.sleep(interval_s)
-        if gc.get_count()[2] >= ENOUGH and not any(robot.gate.may_move for robot in robots.all()):
+        if gc.get_count()[2] >= ENOUGH and not any(robot.gate.may_move for robot in robots.here()):
             is_worth_it = gc.collect() >= WORTH
             interval_s = CHECK_INTERVAL_S if is_worth_it else min(2 * interval_s, LONGEST_INTERVAL_S)

@@ -121,6 +121,10 @@ async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncI
             _serial_ports(hub, config),
         ):
             await last.enter_async_context(advertised(config.tcp, listener.address))
+            if config.zenoh is not None:
+                from hostlink.graphs.zenoh.running import zenoh_running  # noqa: PLC0415 - a daemon without it is lighter
+
+                await last.enter_async_context(zenoh_running(hub, config.zenoh))
             yield Addresses(listener.address, api, udp)
 
 
@@ -245,7 +249,7 @@ async def _serve(config: Config, notifier: Notifier) -> None:
 
 
 def _status(hub: Hub) -> str:
-    connected = [robot.name for robot in hub.robots.all() if robot.link is not None]
+    connected = [robot.name for robot in hub.robots.here() if robot.link is not None]
     return f"{len(hub.links())} devices; robots: {', '.join(connected) or 'none'}"
 
 

@@ -12,6 +12,7 @@ import structlog
 from hostlink.errors import HostlinkError
 from hostlink.hub.gates import Gates
 from hostlink.hub.participant import Participant
+from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robots import Robots
@@ -33,8 +34,20 @@ class EmergencyStop:
         self._robots, self._gates, self._participant = robots, gates, participant
         self._locked: dict[str, Robot] = {}
 
-    def stop(self, robot: Robot, reason: str = LOCK_REASON) -> None:
+    def stop(self, robot: Robot | RemoteRobot, reason: str = LOCK_REASON) -> None:
         """Zero at once, and no command until `release`; also while the robot is not connected.
+
+        Raises:
+            HostlinkError: the zero does not fit the device; the robot is locked all the same.
+        """
+        elsewhere = self._gates.elsewhere
+        if elsewhere is not None and (isinstance(robot, RemoteRobot) or robot.also_at):
+            elsewhere.lock(robot.name, printable(reason))
+        if not isinstance(robot, RemoteRobot):
+            self.stop_here(robot, reason)
+
+    def stop_here(self, robot: Robot, reason: str) -> None:
+        """Lock a robot of this daemon.
 
         Raises:
             HostlinkError: the zero does not fit the device; the robot is locked all the same.
@@ -48,8 +61,16 @@ class EmergencyStop:
             log.warning("robot.locked", robot=robot.name, reason=robot.gate.lock_reason)
             self._gates.events.note(EventKind.LOCKED, robot.name, reason=robot.gate.lock_reason)
 
-    def release(self, robot: Robot) -> None:
-        """Let the robot be driven again."""
+    def release(self, robot: Robot | RemoteRobot) -> None:
+        """Let the robot be driven again.
+
+        Raises:
+            DeviceGone: it is not known which robot is meant.
+        """
+        if isinstance(robot, RemoteRobot):
+            robot.check_unique()
+            robot.elsewhere.unlock(robot)
+            return
         if robot.gate.lock_reason is not None:
             log.warning("robot.unlocked", robot=robot.name, reason=robot.gate.lock_reason)
             self._gates.events.note(EventKind.UNLOCKED, robot.name, reason=robot.gate.lock_reason)
@@ -68,25 +89,27 @@ class EmergencyStop:
                     self.stop(robot, f"it may be {other.name}: {other.gate.lock_reason}")
                 return
 
-    def serve(self, robot: Robot) -> None:
-        """Provide the robot's services; nobody else may provide services of these names."""
-        name = robot.name
+    def serve(self, name: str) -> None:
+        """Provide the services of the robot of this name; nobody else may provide services of these names."""
 
         async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self.stop(robot)
+            self.stop(self._robots.find(name))
+            await self._gates.settled()
             return {"success": True, "message": f"{name} is locked until {name}/{_UNLOCK} is called"}
 
         async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self.release(robot)
+            self.release(self._robots.find(name))
+            await self._gates.settled()
             return {"success": True, "message": f"{name} may be driven"}
 
         for service, answer in ((_LOCK, lock), (_UNLOCK, unlock)):
             self._participant.provide(f"{name}/{service}", _TYPE, answer)
 
-    def withdraw(self, robot: Robot) -> None:
-        """The robot is forgotten."""
-        for service in (_LOCK, _UNLOCK):
-            self._participant.withdraw(f"{robot.name}/{service}")
+    def withdraw(self, name: str) -> None:
+        """The robot of this name is forgotten, unless there is another."""
+        if not self._robots.has(name):
+            for service in (_LOCK, _UNLOCK):
+                self._participant.withdraw(f"{name}/{service}")
 
 
 def _is_surely_there(robot: Robot) -> bool:

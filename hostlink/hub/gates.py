@@ -11,6 +11,8 @@ from hostlink.hub.drivable import Drivable
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.remote_robot import Elsewhere, RemoteRobot
+from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.link.link import Link, LinkEnd
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
@@ -31,6 +33,7 @@ class Gates:
         """`guard` stops the devices when this process cannot any more; `events` has what is commanded and stopped."""
         self.events = RobotEvents() if events is None else events
         self.is_closed = False  # the daemon ends, and drives nobody any more
+        self.elsewhere: Elsewhere | None = None  # the way to the gates of other daemons
         self._isolation, self._guardian = isolation, guard
         self._of_link: dict[Link, list[Drivable]] = {}
         self._topic_ids: dict[Link, list[int]] = {}  # that the guard knows
@@ -94,7 +97,7 @@ class Gates:
 
     def command(
         self,
-        drivable: Drivable,
+        drivable: Drivable | RemoteRobot,
         velocity: Velocity,
         *,
         owner: Hashable,
@@ -109,6 +112,10 @@ class Gates:
             BadRequest: the velocity is not finite.
             FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
         """
+        if isinstance(drivable, RemoteRobot):
+            if self.is_closed:
+                raise DeviceGone(drivable.name, ENDING)
+            return drivable.command(velocity, owner=owner, priority=priority)
         now_s = _now_s() if now_s is None else now_s
         facts = {"owner": str(owner), "priority": priority, "velocity": velocity}
         try:
@@ -150,6 +157,8 @@ class Gates:
 
     def release(self, owner: Hashable) -> None:
         """A source of commands is gone: what it drives stops."""
+        if self.elsewhere is not None:
+            self.elsewhere.release(owner)
         for drivable in list(self._active):
             is_driving = drivable.gate.owner == owner
             drivable.gate.release(owner, now_s=_now_s())  # also what it has claimed without driving now
@@ -157,13 +166,24 @@ class Gates:
                 self._note_stop(drivable, "owner left", str(owner))
                 self._send_news(drivable)
 
-    def stop(self, drivable: Drivable) -> None:
+    def stop(self, robot: Robot | RemoteRobot) -> None:
         """Stop it, and whatever else its link drives, as fast as decelerations allow, whoever drives.
 
         Raises:
             HostlinkError: the zero does not fit the device.
         """
-        self._stop(self.beside(drivable))
+        if self.elsewhere is not None and (isinstance(robot, RemoteRobot) or robot.also_at):
+            self.elsewhere.stop(robot.name)
+        if not isinstance(robot, RemoteRobot):
+            self.stop_here(robot)
+
+    def stop_here(self, robot: Robot) -> None:
+        """Stop a robot of this daemon.
+
+        Raises:
+            HostlinkError: the zero does not fit the device.
+        """
+        self._stop(self.beside(robot))
 
     def stop_all(self) -> None:
         """Stop whatever can be driven.
@@ -171,7 +191,26 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
+        if self.elsewhere is not None:
+            self.elsewhere.stop(None)
+        self.stop_all_here()
+
+    def stop_all_here(self) -> None:
+        """Stop whatever this daemon drives.
+
+        Raises:
+            HostlinkError: the zero does not fit a device; all others have been stopped.
+        """
         self._stop(self.all())
+
+    async def settled(self) -> None:
+        """Wait until other daemons have answered the stops, locks and unlocks so far.
+
+        Raises:
+            DeviceGone: one of them has not answered.
+        """
+        if self.elsewhere is not None:
+            await self.elsewhere.settled()
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Zero, whatever the limits; a device that it does not fit is passed over."""

@@ -27,6 +27,7 @@ from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.parameters import ParameterAnswers
 from hostlink.hub.participant import Participant, Parts
+from hostlink.hub.remote_robots import RemoteRobots
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind, RobotEvents
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
@@ -60,10 +61,12 @@ class Hub:
     def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False, guard: Guard | None = None) -> None:
         self.config, self.catalog = config, catalog
         self.is_running = asyncio.Event()  # once set, it can `spawn`
+        self.graph_counts: dict[str, Counter[str]] = {}  # of each graph that this daemon is a part of
         self.refused: Counter[str] = Counter()  # connections that were not served or were evicted, by cause
         self.datagrams_dropped: Counter[str] = Counter()  # of UDP, either way, by cause
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
+        self._numbers = itertools.count(1)
         changes = GraphChanges()
         self.topics = TopicGraph(catalog, changes)
         self.services = Services(catalog, changes)
@@ -89,6 +92,7 @@ class Hub:
             on_change=changes.note,
         )
         self.emergency_stop = EmergencyStop(self.robots, self.gates, self.join_daemon())
+        self.remote_robots = RemoteRobots(self.robots, self.topics, self.emergency_stop, self.new_number)
         robot_topics = RobotTopicPublisher(config.robots, self.topics, self.gates, self._node, catalog)
         self._identities = Identities(
             Affected(self.topics, self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses),
@@ -105,7 +109,6 @@ class Hub:
                 Rosout(self.join_daemon()),
             )
         )
-        self._numbers = itertools.count(1)
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
@@ -167,13 +170,17 @@ class Hub:
             transport,
             session,
             config,
-            number=next(self._numbers),
+            number=self.new_number(),
             on_event=self._device_events.react,
             share=self._share,
         )
         self._identities.devices[link.number] = Device(link, self._parts, self._node)
         self.diagnoses.begin(link)
         return link
+
+    def new_number(self) -> int:
+        """For one more connection of a device, here or to another daemon."""
+        return next(self._numbers)
 
     async def serve(self, link: Link) -> LinkEnd:
         """Serve an opened link to its end."""

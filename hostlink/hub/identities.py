@@ -77,7 +77,7 @@ class Identities:
         """It has been away for long."""
         self._directory.forget(robot.name)
         self._affected.robot_topics.forget(robot)
-        self._affected.emergency_stop.withdraw(robot)
+        self._affected.emergency_stop.withdraw(robot.name)
 
     def _identify(self, device: Device) -> None:
         """Find out which device it is, as far as that can be known by now."""
@@ -149,7 +149,7 @@ class Identities:
         device.announce(device.infos, shown, robot)
         if not claim.is_certain and before is not robot:
             self._affected.emergency_stop.lock_likewise(robot)
-        self._affected.emergency_stop.serve(robot)
+        self._affected.emergency_stop.serve(robot.name)
         return robot
 
     def _displace(self, robot: Robot) -> None:

@@ -16,6 +16,7 @@ from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node, Role
+from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.services import Answer, Notify, Provider, Services
@@ -79,7 +80,7 @@ class Participant(Node):
         self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
-        self._followed: set[Robot] = set()
+        self._followed: set[Robot | RemoteRobot] = set()
         self._calls: set[asyncio.Timeout] = set()
 
     # -- topics -------------------------------------------------------------------------------------------------------
@@ -265,7 +266,7 @@ class Participant(Node):
 
     def drive(
         self,
-        robot: Robot,
+        robot: Robot | RemoteRobot,
         velocity: Velocity,
         *,
         priority: int | None = None,
@@ -296,7 +297,16 @@ class Participant(Node):
         with self._parts.topics.deliveries.sending(self):
             return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority)
 
-    def follow(self, robot: Robot, receive: Callable[[], None]) -> None:
+    async def driven(self, robot: Robot | RemoteRobot, limited: Velocity) -> Velocity:
+        """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
+
+        Raises:
+            DeviceGone: the daemon that has the robot has not answered in time, or its device is not connected.
+            BadRequest, RobotHeld, FrameTooLarge, WrongType, UnknownTopic: it has refused the command.
+        """
+        return await robot.elsewhere.answer(robot, self) if isinstance(robot, RemoteRobot) else limited
+
+    def follow(self, robot: Robot | RemoteRobot, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of the robot, whatever its topic is, until it leaves.
 
         Raises:

@@ -1,4 +1,4 @@
-"""RemoteRobot: a robot of another daemon, as that one describes it. It is driven there: its gate and lease are there."""
+"""RemoteRobot: a robot of another daemon, as that one describes it. Its gate and its lease are there."""
 
 import dataclasses
 import math
@@ -134,5 +134,3 @@ class RemoteRobot:
         """Call the followers: there is a new pose."""
         for receive in tuple(self.followers.values()):
             receive(None)
-
-

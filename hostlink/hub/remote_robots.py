@@ -1,7 +1,8 @@
 """RemoteRobots: the robots of other daemons: in the table of robots, and their velocity topics in the graph."""
 
+import asyncio
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import structlog
 
@@ -9,7 +10,7 @@ from hostlink.errors import DeviceGone, HostlinkError, WrongType
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
-from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
 from hostlink.hub.robots import Robots
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
@@ -23,8 +24,12 @@ TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 class RemoteRobots:
     """Whoever publishes on a velocity topic of one of them commands it, as with a robot that is here."""
 
-    def __init__(self, robots: Robots, topics: TopicGraph, emergency_stop: EmergencyStop) -> None:
+    def __init__(
+        self, robots: Robots, topics: TopicGraph, emergency_stop: EmergencyStop, new_number: Callable[[], int]
+    ) -> None:
+        """`new_number`: for one more connection of a device."""
         self._robots, self._topics, self._emergency_stop = robots, topics, emergency_stop
+        self._new_number = new_number
         self._nodes: dict[str, Node] = {}
         self._velocities: dict[str, frozenset[tuple[str, str]]] = {}
 
@@ -43,6 +48,13 @@ class RemoteRobots:
             self._velocities.pop(name, None)
             self._emergency_stop.withdraw(name)
 
+    def connect(self, robot: RemoteRobot, own_number: int | None) -> None:
+        """Its device has this connection over there; None: none."""
+        if own_number is None:
+            robot.link = None
+        elif robot.link is None or robot.link.own_number != own_number:
+            robot.link = RemoteLink(self._new_number(), own_number)
+
     def offer(self, robot: RemoteRobot, velocities: Iterable[tuple[str, str]]) -> None:
         """It is driven by these topics, by name and type, while no device here has them."""
         wanted = frozenset(velocities)
@@ -58,11 +70,16 @@ class RemoteRobots:
             except HostlinkError as error:
                 log.warning("topic.refused", topic=name, reason=str(error))
 
-    def deliver(self, topic: str, payload: bytes, *, at_s: float) -> None:
+    def is_read(self, topic: str) -> bool:
+        """Whether anybody here subscribes to one of their velocity topics."""
+        known = self._topics.find_or_none(topic)
+        return known is not None and bool(known.subscribers)
+
+    def deliver(self, topic: str, payload: bytes) -> None:
         """What the other daemon's gate sent to the device, for whoever subscribes here."""
         known = self._topics.find_or_none(topic)
         if known is not None:
-            known.deliver(payload, source=self, at_s=at_s)
+            known.deliver(payload, source=self, at_s=asyncio.get_running_loop().time())
 
     def _receive(self, robot: RemoteRobot, message: Message) -> None:
         """A velocity that was published here.

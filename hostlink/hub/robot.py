@@ -26,8 +26,12 @@ class Robot(Drivable):
     topics: RobotTopicNames  # as its device names them
     shown: RobotTopicNames  # as the graph names them
     locked_link: Link | None = None  # the one that it had when it was locked
+    host: None = None  # it is here
+    also_at: tuple[str, ...] = ()  # other daemons that have a robot of this name
     unreadable: int = 0  # messages of its odometry that are none
-    followers: dict[Hashable, Callable[[Message], None]] = field(default_factory=dict)  # receive what were new poses
+    followers: dict[Hashable, Callable[[Message | None], None]] = field(
+        default_factory=dict
+    )  # receive what were new poses
 
     def receive_odometry(self, message: Message) -> None:
         """A message of its odometry's topic. A pose belongs to the robot of the link by which it came."""

@@ -91,8 +91,10 @@ class RobotTopicPublisher:
         if self._plain == robot.name and robot.name not in self._configs:
             self._plain = None
 
-    def _relay(self, offer: _Offer, message: Message) -> None:
+    def _relay(self, offer: _Offer, message: Message | None) -> None:
         """Publish what a pose of the robot means, where anybody subscribes."""
+        if message is None:
+            return
         odom, tf = offer.odom, self._tf if offer.publishes_tf else None
         if (odom is None or not odom.has_subscribers) and (tf is None or not tf.has_subscribers):
             return

@@ -10,6 +10,7 @@ import structlog
 from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
 from hostlink.hub.gates import Gates
+from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
@@ -52,28 +53,59 @@ class Robots:
             limits_of(config)
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, Robot] = {}
+        self.remote: dict[str, RemoteRobot] = {}  # of other daemons
         self._of_link: dict[Hashable, Robot] = {}
         self._away = Away(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
 
-    def all(self) -> list[Robot]:
-        """Every robot that is connected, or was and is not forgotten, by name."""
+    def here(self) -> list[Robot]:
+        """Every robot that is connected to this daemon, or was and is not forgotten, by name."""
         return [self._robots[name] for name in sorted(self._robots)]
 
-    def find(self, name: str) -> Robot:
+    def all(self) -> list[Robot | RemoteRobot]:
+        """Every robot, also of other daemons, by name; as `find` finds it."""
+        found = (self._find(name) for name in sorted(self._robots.keys() | self.remote.keys()))
+        return [robot for robot in found if robot is not None]
+
+    def find(self, name: str) -> Robot | RemoteRobot:
         """The robot of that name, connected or not.
 
         Raises:
             UnknownTopic: there is none.
         """
-        robot = self._robots.get(name.strip("/"))
+        robot = self._find(name.strip("/"))
+        if robot is None:
+            raise UnknownTopic("robot", name, self._robots.keys() | self.remote.keys())
+        return robot
+
+    def has(self, name: str) -> bool:
+        """Whether there is one of that name, here or elsewhere."""
+        return self._find(name) is not None
+
+    def _find(self, name: str) -> Robot | RemoteRobot | None:
+        """A robot of this daemon comes first, unless it has left and is connected to another one now."""
+        robot, remote = self._robots.get(name), self.remote.get(name)
+        is_elsewhere = robot is not None and robot.link is None and remote is not None and remote.link is not None
+        return remote if robot is None or is_elsewhere else robot
+
+    def find_here(self, name: str) -> Robot:
+        """The robot of this daemon that has this name, connected or not.
+
+        Raises:
+            UnknownTopic: there is none.
+        """
+        robot = self.get_here(name)
         if robot is None:
             raise UnknownTopic("robot", name, self._robots)
         return robot
 
-    def is_known(self, robot: Robot) -> bool:
+    def get_here(self, name: str) -> Robot | None:
+        """The robot of this daemon that has this name, if any."""
+        return self._robots.get(name)
+
+    def is_known(self, robot: Robot | RemoteRobot) -> bool:
         """Whether it is not forgotten."""
-        return self._robots.get(robot.name) is robot
+        return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
 
     def of_link(self, link: Hashable) -> Robot | None:
         """The robot whose device has this link."""

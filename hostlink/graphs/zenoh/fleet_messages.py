@@ -18,7 +18,7 @@ MAX_REQUEST_BYTES = 4096
 
 _LONGEST_TOPIC = 256
 
-RobotName = Annotated[str, msgspec.Meta(pattern=r"^[\w.-]+$", max_length=64)]
+RobotName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_]+$", max_length=64)]
 TopicName = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z0-9_]+)+$", max_length=_LONGEST_TOPIC)]
 TypeName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z]\w*/[A-Za-z]\w*$", max_length=128)]
 Text = Annotated[str, msgspec.Meta(max_length=256)]
@@ -171,7 +171,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     reason: Annotated[str, msgspec.Meta(max_length=1024)] = ""
     owner: Text | None = None  # who drives it
     lock_reason: Text | None = None
-    velocity: tuple[float, float, float, float, float, float] | None = None
+    velocity: tuple[float, ...] | None = None
     robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 

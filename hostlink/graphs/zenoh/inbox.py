@@ -19,7 +19,7 @@ SLICE_S = 0.0005  # of one turn of the loop; a stop that comes by another way wa
 class Inbox(Generic[Item]):
     """A bounded queue for each source, emptied in turns: who floods loses his own items only.
 
-    `put` may be called in any thread, and raises nothing. Items are delivered in the loop, a slice in each of its turns.
+    `put` may be called in any thread, and raises nothing. The loop delivers, a slice in each of its turns.
     """
 
     def __init__(

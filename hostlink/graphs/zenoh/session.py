@@ -126,7 +126,9 @@ class Session:
         Raises:
             ConfigError: the session is closed, or the key is none.
         """
-        return Publisher(self, self._declare(self._session.declare_publisher, key, **self._quality(is_urgent=is_urgent)))
+        return Publisher(
+            self, self._declare(self._session.declare_publisher, key, **self._quality(is_urgent=is_urgent))
+        )
 
     def declare_token(self, key: str) -> Declaration:
         """Show that this daemon lives, or has something, until the declaration or the session is closed.
@@ -202,9 +204,7 @@ class Session:
                     reply, close = _replies(self, query)
                     inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
 
-        queryable = self._declare(
-            self._session.declare_queryable, key_expr, self._callback(put), complete=is_complete
-        )
+        queryable = self._declare(self._session.declare_queryable, key_expr, self._callback(put), complete=is_complete)
         return Declaration(inbox.close, lambda: self._undeclare(queryable))
 
     async def get(
@@ -218,9 +218,7 @@ class Session:
             with self.guarded("receive"):
                 sample = reply.ok
                 if sample is not None and len(answers) < MAX_ANSWERS and len(sample.payload) <= MAX_PAYLOAD_BYTES:
-                    answers.append(
-                        Sample(str(sample.key_expr), sample.payload.to_bytes(), _bytes(sample.attachment))
-                    )
+                    answers.append(Sample(str(sample.key_expr), sample.payload.to_bytes(), _bytes(sample.attachment)))
 
         def end() -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
@@ -311,7 +309,9 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Ses
     except (zenoh.ZError, ValueError) as error:
         raise ConfigError("zenoh", f"the session cannot be opened: {printable(str(error), 300)}") from error
     session = Session(zenoh, raw, isolation)
-    log.info("zenoh.opened", zid=session.zid, mode=config.mode, listen=list(config.listen), connect=list(config.connect))
+    log.info(
+        "zenoh.opened", zid=session.zid, mode=config.mode, listen=list(config.listen), connect=list(config.connect)
+    )
     try:
         yield session
     finally:

@@ -1,0 +1,121 @@
+"""FleetStates: what other daemons receive of the robots here: a state each second and after each change."""
+
+import asyncio
+import re
+
+import msgspec
+
+from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, PoseState, RobotState, State, encode
+from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.hub.hub import Hub
+from hostlink.hub.robot import Robot
+from hostlink.logs import printable
+from hostlink.robot.odometry_estimator import OdometrySnapshot
+
+STATE_INTERVAL_S = 1.0
+GREETING_S = 0.5  # after a daemon has appeared: it may not yet know who sends
+_TEXT = 200
+
+
+class FleetStates:
+    """Poses go with every state; as they come only while somebody reads them, by another key."""
+
+    def __init__(self, hub: Hub, post: Post) -> None:
+        self._hub, self._post = hub, post
+        self._states = post.session.declare_publisher(post.keys.key("state", post.me), is_urgent=True)
+        self._live = post.session.declare_publisher(post.keys.key("live", post.me))
+        self._is_live = False
+        self._live.watch(self._note_readers)
+        self._due_s = 0.0
+        self._greeting_until_s = 0.0
+        self._known: tuple[object, ...] = ()
+        self._poses: tuple[object, ...] = ()
+
+    def greet(self) -> None:
+        """Somebody has appeared: send the state again and again for a moment."""
+        self._greeting_until_s = _now_s() + GREETING_S
+
+    def tick(self, topics: int) -> None:
+        """Send what has changed; `topics`: the number of the list of topics."""
+        now_s = _now_s()
+        states = self.states()
+        known = (topics, *(msgspec.structs.replace(each, pose=None) for each in states))
+        poses = tuple(each.pose and (each.pose.count, each.pose.restarts) for each in states)
+        is_due = now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known
+        is_moved = self._is_live and poses != self._poses
+        if is_due or is_moved:
+            payload = encode(State(sent_s=now_s, topics=topics, robots=states))
+            if is_due:
+                self._due_s = now_s + STATE_INTERVAL_S
+                self._states.put(payload)
+            else:
+                self._live.put(payload)
+        self._known, self._poses = known, poses
+
+    def states(self) -> tuple[RobotState, ...]:
+        """Of every robot here whose name can be a part of a key."""
+        robots = [robot for robot in self._hub.robots.here() if is_shareable(robot)]
+        if len(robots) > MAX_ROBOTS:
+            self._post.counts["unshared_robots"] += len(robots) - MAX_ROBOTS
+            robots = sorted(robots, key=lambda robot: robot.link is None)[:MAX_ROBOTS]
+        return tuple(map(state_of, robots))
+
+    def close(self) -> None:
+        """Send no more."""
+        self._states.close()
+        self._live.close()
+
+    def _note_readers(self, is_read: bool) -> None:
+        self._is_live = is_read
+
+
+def is_shareable(robot: Robot) -> bool:
+    """Whether other daemons can know it by its name."""
+    return re.fullmatch(r"\w{1,64}", robot.name, re.ASCII) is not None
+
+
+def fleet_name(robot: Robot, topic: str) -> str:
+    """A topic of a robot as other daemons know it: below the robot's name."""
+    return topic if topic.startswith(f"/{robot.name}/") else f"/{robot.name}{topic}"
+
+
+def state_of(robot: Robot) -> RobotState:
+    """A robot as other daemons are to see it."""
+    gate, shown = robot.gate, robot.shown
+    pose = robot.odometry.snapshot(_now_s())
+    cause = robot.refusals.cause
+    return RobotState(
+        name=robot.name,
+        link=None if robot.link is None else robot.link.number,
+        velocity_topic=fleet_name(robot, shown.velocity),
+        odometry_topic=fleet_name(robot, shown.odometry),
+        odometry_type=shown.odometry_type,
+        reset_topic=None if shown.reset is None else fleet_name(robot, shown.reset),
+        holder=None if gate.owner_name is None else printable(gate.owner_name, _TEXT),
+        priority=gate.priority,
+        lock_reason=gate.lock_reason,
+        unreachable=None if cause is None else printable(cause, _TEXT),
+        velocity=(gate.current.linear_x_m_s, gate.current.angular_z_rad_s),
+        lease_s=gate.lease_s,
+        pose=None if pose is None else _pose_of(pose),
+    )
+
+
+def _pose_of(known: OdometrySnapshot) -> PoseState:
+    return PoseState(
+        x_m=known.pose.x_m,
+        y_m=known.pose.y_m,
+        theta_rad=known.pose.theta_rad,
+        linear_m_s=known.twist.linear_m_s,
+        angular_rad_s=known.twist.angular_rad_s,
+        stamp_ns=known.stamp_ns,
+        age_s=known.age_s,
+        rate_hz=known.rate_hz,
+        count=known.count,
+        restarts=known.restarts,
+        ignored=known.ignored,
+    )
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

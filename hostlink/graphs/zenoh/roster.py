@@ -1,0 +1,159 @@
+"""Roster: which other daemons there are, and which robots each of them has. Pure."""
+
+import math
+from collections import Counter, OrderedDict, defaultdict
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from hostlink.graphs.zenoh.fleet_messages import RobotState, Sender, State
+from hostlink.robot.freshness import Freshness
+
+MAX_DAEMONS = 256
+MAX_GONE = 64  # daemons that are gone, whose robots are still shown
+MAX_REMOTE_ROBOTS = 4096
+SILENT_S = 3.0  # a daemon sends its state each second; one whose token lives but which sends nothing has stopped
+
+
+@dataclass(slots=True, eq=False)
+class Neighbour:
+    """One other daemon."""
+
+    sender: Sender
+    heard_at_s: float
+    gone_at_s: float = math.inf
+    robots: dict[str, RobotState] = field(default_factory=dict)
+    topics: int = -1  # the number of its list of topics
+    freshness: Freshness = field(default_factory=Freshness)
+    is_silent: bool = False
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether its robots may be connected."""
+        return math.isinf(self.gone_at_s) and not self.is_silent
+
+    def is_connected(self, name: str) -> bool:
+        """Whether a robot of it is there to be driven."""
+        return self.is_alive and self.robots[name].link is not None
+
+
+class Place(NamedTuple):
+    """Where a robot is, as far as it is known. `also_at`: other daemons at which it is connected."""
+
+    neighbour: Neighbour
+    state: RobotState
+    is_connected: bool
+    also_at: tuple[str, ...]
+
+
+class Roster:
+    """Known by the ids of their sessions. Each method returns the names of the robots that it touched.
+
+    `counts`: `excess_daemons` and `excess_robots` over a bound; `unannounced`: states of daemons that have no token.
+    """
+
+    def __init__(self, counts: Counter[str], *, forget_after_s: float = math.inf) -> None:
+        self._counts, self._forget_after_s = counts, forget_after_s
+        self._neighbours: dict[str, Neighbour] = {}
+        self._gone: OrderedDict[str, Neighbour] = OrderedDict()
+        self._by_name: defaultdict[str, dict[str, Neighbour]] = defaultdict(dict)
+
+    def all(self) -> list[Neighbour]:
+        """Every daemon that has a token."""
+        return list(self._neighbours.values())
+
+    def names(self) -> list[str]:
+        """Of all robots."""
+        return list(self._by_name)
+
+    def find(self, sender: Sender) -> Neighbour | None:
+        """The daemon that has sent something, if it has a token under that name."""
+        neighbour = self._neighbours.get(sender.zid)
+        return neighbour if neighbour is not None and neighbour.sender == sender else None
+
+    def appear(self, sender: Sender, now_s: float) -> bool:
+        """A daemon has a token; returns whether it is new."""
+        if sender.zid in self._neighbours:
+            return False
+        if len(self._neighbours) >= MAX_DAEMONS:
+            self._counts["excess_daemons"] += 1
+            return False
+        self._neighbours[sender.zid] = Neighbour(sender, now_s)
+        return True
+
+    def leave(self, zid: str, now_s: float) -> set[str]:
+        """Its token is gone: its robots are known, and not connected."""
+        neighbour = self._neighbours.pop(zid, None)
+        if neighbour is None:
+            return set()
+        neighbour.gone_at_s = now_s
+        self._gone[zid] = neighbour
+        return set(neighbour.robots) | self.forget(now_s)
+
+    def forget(self, now_s: float) -> set[str]:
+        """Forget who has been gone for long, or before many others."""
+        touched: set[str] = set()
+        while self._gone:
+            oldest = next(iter(self._gone.values()))
+            if len(self._gone) <= MAX_GONE and now_s < oldest.gone_at_s + self._forget_after_s:
+                break
+            self._gone.popitem(last=False)
+            touched |= set(oldest.robots)
+            for name in list(oldest.robots):
+                self._remove(oldest, name)
+        return touched
+
+    def receive(self, sender: Sender, state: State, now_s: float) -> set[str]:
+        """A daemon has sent its state."""
+        neighbour = self.find(sender)
+        if neighbour is None:
+            self._counts["unannounced"] += 1
+            return set()
+        neighbour.heard_at_s, neighbour.is_silent = now_s, False
+        robots = {robot.name: robot for robot in state.robots}
+        touched = set(neighbour.robots) | set(robots)
+        for name in neighbour.robots.keys() - robots.keys():
+            self._remove(neighbour, name)
+        for name, robot in robots.items():
+            self._put(neighbour, name, robot)
+        return touched
+
+    def watch(self, now_s: float) -> set[str]:
+        """Note who has fallen silent."""
+        silent = [
+            each for each in self._neighbours.values() if not each.is_silent and now_s > each.heard_at_s + SILENT_S
+        ]
+        for neighbour in silent:
+            neighbour.is_silent = True
+        return {name for neighbour in silent for name in neighbour.robots}
+
+    def place(self, name: str) -> Place | None:
+        """Where a robot is: where it is connected, else where it was last. None: nobody has it."""
+        known = self._by_name.get(name)
+        if not known:
+            return None
+        ordered = sorted(known.values(), key=lambda each: each.sender)
+        connected = [each for each in ordered if each.is_connected(name)]
+        chosen = connected[0] if connected else max(ordered, key=lambda each: (each.is_alive, each.heard_at_s))
+        also_at = tuple(each.sender.name for each in connected[1:])
+        return Place(chosen, chosen.robots[name], bool(connected), also_at)
+
+    def connected_at(self, name: str) -> tuple[str, ...]:
+        """The names of the daemons at which it is connected."""
+        known = self._by_name.get(name, {}).values()
+        return tuple(sorted(each.sender.name for each in known if each.is_connected(name)))
+
+    def _put(self, neighbour: Neighbour, name: str, robot: RobotState) -> None:
+        known = self._by_name.get(name, {})
+        if neighbour.sender.zid not in known:
+            if name not in self._by_name and len(self._by_name) >= MAX_REMOTE_ROBOTS:
+                self._counts["excess_robots"] += 1
+                return
+            self._by_name[name][neighbour.sender.zid] = neighbour
+        neighbour.robots[name] = robot
+
+    def _remove(self, neighbour: Neighbour, name: str) -> None:
+        neighbour.robots.pop(name, None)
+        known = self._by_name.get(name, {})
+        known.pop(neighbour.sender.zid, None)
+        if not known:
+            self._by_name.pop(name, None)

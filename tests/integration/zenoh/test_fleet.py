@@ -1,0 +1,252 @@
+"""Daemons over Zenoh: each shows and drives the robots of all, and a lease ends where the robot is."""
+
+import asyncio
+import contextlib
+from dataclasses import replace
+
+import pytest
+
+from hostlink.config import Config
+from hostlink.errors import BadRequest, HostlinkError
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.participants import subscribe
+from tests.support.process import free_port
+from tests.support.rosbridge import client
+from tests.support.waiting import expect
+from tests.support.zenoh_fleet import drive, fleet, robot, shown, zenoh
+
+STILL = (0.0, 0.0)
+
+
+async def test_a_robot_of_another_daemon_is_shown() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await device.send(pose(1.5))
+        await shown(a, "robot_7")
+        view = await robot(a, "robot_7")
+        assert (view["host"], view["connected"], view["also_at"]) == ("b", True, [])
+        await expect(lambda: a.hub.robots.remote["robot_7"].odometry.count)
+        assert (await a.get("/api/robots/robot_7/odometry"))["pose"]["x_m"] == 1.5
+        assert [each["name"] for each in (await a.get("/api/robots"))["robots"]] == ["robot_7"]
+        assert (await robot(b, "robot_7"))["host"] is None
+
+
+async def test_a_robot_of_another_daemon_is_driven_over_rest() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        status, answer = await drive(a, "robot_7", 0.3)
+        assert (status, answer["velocity"]["linear_m_s"], answer["is_limited"]) == (200, 0.3, False)
+        assert await device.velocity_other_than(STILL) == (0.3, 0.0)
+        holder = (await robot(b, "robot_7"))["holder"]
+        assert holder is not None
+        assert holder.endswith(" at a")
+
+
+async def test_the_other_daemons_limits_apply() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
+        await shown(a, "robot_7")
+        _, answer = await drive(a, "robot_7", 9.0)
+        assert (answer["velocity"]["linear_m_s"], answer["is_limited"]) == (1.0, True)
+
+
+async def test_a_lease_ends_where_the_robot_is() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        await drive(a, "robot_7", 0.3)
+        assert await device.velocity_other_than(STILL) == (0.3, 0.0)
+        assert await device.velocity_other_than((0.3, 0.0)) == STILL
+
+
+async def test_a_driver_that_leaves_stops_its_robot_elsewhere_at_once() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        participant = a.hub.join("driver")
+        participant.drive(a.hub.robots.find("robot_7"), Velocity(linear_x_m_s=0.3))
+        assert await device.velocity_other_than(STILL) == (0.3, 0.0)
+        participant.leave()
+        loop = asyncio.get_running_loop()
+        left_s = loop.time()
+        assert await device.velocity_other_than((0.3, 0.0)) == STILL
+        assert loop.time() - left_s < 0.3  # the lease alone would last 0.5 s
+
+
+async def test_the_more_important_driver_drives_wherever_he_is() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
+        await shown(a, "robot_7")
+        person = b.hub.join("person", priority=60)
+        person.drive(b.hub.robots.find("robot_7"), Velocity(linear_x_m_s=0.1))
+        status, answer = await drive(a, "robot_7", 0.3)
+        assert (status, answer["error"]["kind"]) == (409, "RobotHeld")
+        assert "person drives it" in answer["error"]["reason"]
+
+
+async def test_a_robot_that_connects_again_is_not_driven_on() -> None:
+    async with fleet("a", "b") as (a, b):
+        async with fake_device(b.tcp, robot_topics("robot_7")):
+            before = (await shown(a, "robot_7")).link
+        await expect(lambda: a.hub.robots.remote["robot_7"].link is None)
+        async with fake_device(b.tcp, robot_topics("robot_7")):
+            found = await shown(a, "robot_7")
+            assert before is not None
+            with pytest.raises(BadRequest, match="connected again"):
+                a.hub.join("driver").drive(found, Velocity(linear_x_m_s=0.3), link=before.number)
+
+
+async def test_a_robot_that_leaves_its_daemon_is_shown_as_not_connected() -> None:
+    async with fleet("a", "b") as (a, b):
+        async with fake_device(b.tcp, robot_topics("robot_7")):
+            await shown(a, "robot_7")
+        await expect(lambda: a.hub.robots.remote["robot_7"].link is None)
+        status, answer = await drive(a, "robot_7", 0.3)
+        assert (status, answer["error"]["kind"]) == (503, "DeviceGone")
+
+
+async def test_stop_all_reaches_every_daemon_and_is_answered_by_each() -> None:
+    async with (
+        fleet("a", "b", "c") as (a, b, c),
+        fake_device(b.tcp, robot_topics("robot_7")) as seventh,
+        fake_device(c.tcp, robot_topics("robot_8")) as eighth,
+    ):
+        await shown(a, "robot_7")
+        await shown(a, "robot_8")
+        for host, name in ((b, "robot_7"), (c, "robot_8")):
+            host.hub.join("driver").drive(host.hub.robots.find(name), Velocity(linear_x_m_s=0.2))
+        for device in (seventh, eighth):
+            assert await device.velocity_other_than(STILL) == (0.2, 0.0)
+        status, answer = await a.rest("POST", "/api/stop")
+        assert (status, [each["holder"] for each in answer["robots"]]) == (200, [None, None])
+        for device in (seventh, eighth):
+            assert await device.velocity_other_than((0.2, 0.0)) == STILL
+
+
+async def test_a_lock_holds_everywhere_until_it_is_released_from_anywhere() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
+        await shown(a, "robot_7")
+        status, view = await a.rest("POST", "/api/robots/robot_7/lock", b'{"reason":"smoke"}')
+        assert (status, view["locked"], view["lock_reason"]) == (200, True, "smoke (a)")
+        assert b.hub.robots.find_here("robot_7").gate.lock_reason == "smoke (a)"
+        assert (await drive(a, "robot_7", 0.3))[0] == 409
+        assert (await drive(b, "robot_7", 0.3))[0] == 409
+        status, view = await a.rest("POST", "/api/robots/robot_7/unlock")
+        assert (status, view["locked"]) == (200, False)
+        assert (await drive(b, "robot_7", 0.3))[0] == 200
+
+
+async def test_a_lock_by_the_service_of_ros_reaches_the_other_daemon() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")), client(a) as program:
+        await shown(a, "robot_7")
+        assert (await program.call("/robot_7/lock"))["success"]
+        assert b.hub.robots.find_here("robot_7").gate.lock_reason is not None
+
+
+async def test_topics_of_a_robot_elsewhere_travel_while_somebody_subscribes() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        topic = b.hub.topics.find("/robot_7/odometry")
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
+        assert len(topic.subscribers) == 1  # the robot itself
+        received: list[bytes] = []
+        subscription = subscribe(a.hub, "/robot_7/odometry", lambda message: received.append(message.payload))
+        await expect(lambda: len(topic.subscribers) == 2)
+        await device.send(pose(2.5))
+        await expect(lambda: received)
+        subscription.close()
+        await expect(lambda: len(topic.subscribers) == 1)
+
+
+async def test_a_velocity_topic_of_a_robot_elsewhere_drives_it() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device, client(a) as program:
+        await shown(a, "robot_7")
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/cmd_vel"))
+        velocity = {"linear": {"x": 0.2, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0}}
+        await program.send(op="publish", topic="/robot_7/cmd_vel", type=TWIST_TYPE, msg=velocity)
+        assert await device.velocity_other_than(STILL) == (0.2, 0.0)
+
+
+async def test_a_reset_reaches_the_device_elsewhere() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        reset = b.hub.robots.find_here("robot_7").topics.reset
+        assert reset is not None
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/reset_odometry"))
+        status, _ = await a.rest("POST", "/api/robots/robot_7/odometry/reset")
+        assert status == 200
+        reset_id = next(info.topic_id for info in robot_topics("robot_7") if info.name == reset)
+        assert await device.frame(reset_id) == b""
+
+
+async def test_one_name_at_two_daemons_is_shown_and_neither_is_driven_from_a_third() -> None:
+    async with (
+        fleet("a", "b", "c") as (a, b, c),
+        fake_device(b.tcp, robot_topics()) as second,
+        fake_device(c.tcp, robot_topics()) as third,
+    ):
+        await shown(a, "robot_0")
+        await expect(lambda: a.hub.robots.remote["robot_0"].also_at)
+        assert (await robot(a, "robot_0"))["also_at"] == ["c"]
+        await expect(lambda: b.hub.robots.find_here("robot_0").also_at)
+        assert (await robot(b, "robot_0"))["also_at"] == ["c"]
+        status, answer = await drive(a, "robot_0", 0.3)
+        assert (status, answer["error"]["kind"]) == (503, "DeviceGone")
+        assert "several robots have this name, at b, c" in answer["error"]["reason"]
+        assert (await drive(b, "robot_0", 0.2))[0] == 200  # its own programs mean its own
+        assert await second.velocity_other_than(STILL) == (0.2, 0.0)
+        status, _ = await a.rest("POST", "/api/robots/robot_0/lock")
+        assert status == 200
+        for host in (b, c):
+            assert host.hub.robots.find_here("robot_0").gate.lock_reason is not None
+        third.hang_up()
+        await expect(lambda: not a.hub.robots.remote["robot_0"].also_at)
+
+
+async def test_a_daemon_that_may_only_read_stops_and_does_not_drive() -> None:
+    async with fleet("a", "b", drivers=("b",)) as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        status, answer = await drive(a, "robot_7", 0.3)
+        assert (status, answer["error"]["kind"]) == (400, "BadRequest")
+        assert "a may only read at b" in answer["error"]["reason"]
+        assert (await drive(b, "robot_7", 0.2))[0] == 200
+        assert await device.velocity_other_than(STILL) == (0.2, 0.0)
+        assert (await a.rest("POST", "/api/robots/robot_7/stop"))[0] == 200
+        assert await device.velocity_other_than((0.2, 0.0)) == STILL
+        assert (await a.rest("POST", "/api/robots/robot_7/lock"))[0] == 200
+        assert (await a.rest("POST", "/api/robots/robot_7/unlock"))[0] == 503
+
+
+async def test_a_refusal_reaches_a_driver_that_waits_for_no_answer() -> None:
+    async with fleet("a", "b", drivers=("b",)) as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
+        found = await shown(a, "robot_7")
+        participant = a.hub.join("driver")
+        participant.drive(found, Velocity(linear_x_m_s=0.2))
+
+        def refusal() -> str:
+            try:
+                participant.drive(found, Velocity(linear_x_m_s=0.2))
+            except HostlinkError as error:
+                return str(error)
+            return ""
+
+        await expect(lambda: "may only read" in refusal())
+
+
+async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> None:
+    async with fleet("a") as (a,), contextlib.AsyncExitStack() as stack:
+        assert a.hub.config.zenoh is not None
+        port = int(a.hub.config.zenoh.listen[0].rpartition(":")[2])
+        b = await _join(stack, port)
+        async with (
+            fake_device(b.tcp, robot_topics("robot_7")),
+            fake_device(a.tcp, robot_topics("robot_1")) as own,
+        ):
+            await shown(a, "robot_7")
+            await shown(b, "robot_1")
+            b.hub.join("driver").drive(b.hub.robots.find("robot_1"), Velocity(linear_x_m_s=0.3))
+            assert await own.velocity_other_than(STILL) == (0.3, 0.0)
+            await stack.aclose()
+            assert await own.velocity_other_than((0.3, 0.0)) == STILL
+            await expect(lambda: a.hub.robots.remote["robot_7"].link is None, timeout_s=2.0)
+
+
+async def _join(stack: contextlib.AsyncExitStack, port: int) -> Daemon:
+    return await stack.enter_async_context(daemon(replace(Config(), zenoh=zenoh("b", free_port(), port))))

@@ -1,0 +1,73 @@
+"""Daemons that are one fleet over Zenoh, in the test's own process, on loopback and ports of their own."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+from hostlink.config import Config, ZenohConfig
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.process import free_port
+from tests.support.waiting import expect
+
+
+def zenoh(name: str, port: int, *others: int, **settings: Any) -> ZenohConfig:
+    """A peer that listens on one port and connects to others."""
+    return ZenohConfig(
+        name=name,
+        listen=(f"tcp/127.0.0.1:{port}",),
+        connect=tuple(f"tcp/127.0.0.1:{other}" for other in others),
+        multicast=False,
+        **settings,
+    )
+
+
+@contextlib.asynccontextmanager
+async def fleet(*names: str, config: Config | None = None, **settings: Any) -> AsyncIterator[list[Daemon]]:
+    """A daemon of each name, each connected to all before it; they know each other when the block begins."""
+    ports = [free_port() for _ in names]
+    config = Config() if config is None else config
+    async with contextlib.AsyncExitStack() as stack:
+        hosts = []
+        for number, name in enumerate(names):
+            own = replace(config, zenoh=zenoh(name, ports[number], *ports[:number], **settings))
+            hosts.append(await stack.enter_async_context(daemon(own)))
+        yield hosts
+
+
+async def shown(host: Daemon, name: str) -> RemoteRobot:
+    """A robot of another daemon, once it is shown as connected here."""
+    await expect(lambda: name in host.hub.robots.remote and host.hub.robots.remote[name].link)
+    return host.hub.robots.remote[name]
+
+
+async def robot(host: Daemon, name: str) -> Any:
+    """As REST shows it."""
+    return await host.get(f"/api/robots/{name}")
+
+
+async def drive(host: Daemon, name: str, linear: float, angular: float = 0.0) -> tuple[int, Any]:
+    """One command over REST."""
+    return await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear":%f,"angular":%f}' % (linear, angular))
+
+
+@contextlib.asynccontextmanager
+async def driven(host: Daemon, name: str, linear: float) -> AsyncIterator[None]:
+    """Commands ten times a second by one participant, for the length of the block."""
+    participant = host.hub.join("driver")
+
+    async def repeat() -> None:
+        while True:
+            participant.drive(host.hub.robots.find(name), Velocity(linear_x_m_s=linear))
+            await asyncio.sleep(0.1)
+
+    async with asyncio.TaskGroup() as tasks:
+        repeating = tasks.create_task(repeat())
+        try:
+            yield
+        finally:
+            repeating.cancel()
+            participant.leave()
