@@ -54,6 +54,21 @@ async def drive(host: Daemon, name: str, linear: float, angular: float = 0.0) ->
     return await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear":%f,"angular":%f}' % (linear, angular))
 
 
+def port_of(host: Daemon) -> int:
+    """Where its Zenoh session listens."""
+    settings = host.hub.config.zenoh
+    assert settings is not None
+    return int(settings.listen[0].rpartition(":")[2])
+
+
+@contextlib.asynccontextmanager
+async def joined(port: int, name: str, config: Config | None = None, **settings: Any) -> AsyncIterator[Daemon]:
+    """One more daemon, which connects to that port."""
+    own = replace(Config() if config is None else config, zenoh=zenoh(name, free_port(), port, **settings))
+    async with daemon(own) as host:
+        yield host
+
+
 @contextlib.asynccontextmanager
 async def driven(host: Daemon, name: str, linear: float) -> AsyncIterator[None]:
     """Commands ten times a second by one participant, for the length of the block."""

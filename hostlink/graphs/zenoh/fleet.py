@@ -17,6 +17,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
     MAX_REQUEST_BYTES,
     MAX_STATE_BYTES,
     Keys,
+    Live,
     RobotState,
     Sender,
     State,
@@ -174,6 +175,16 @@ class Fleet:
         if state.topics != neighbour.topics:
             self._fetch_topics(neighbour, state.topics)
 
+    def _receive_motions(self, sample: Sample) -> None:
+        sender = self._post.keys.sender(sample.key)
+        try:
+            live = decode(sample.payload, Live)
+        except BadPayload:
+            self._post.counts["malformed"] += 1
+            return
+        if sender is not None:
+            self._apply(self._roster.receive_motions(sender, live, _now_s()))
+
     def _receive_answer(self, sample: Sample) -> None:
         """Stops and locks are answered with the robots as they are now."""
         sender, answer = self._post.keys.sender(sample.key, is_addressed=True), self._requests.receive(sample)
@@ -255,7 +266,7 @@ class Fleet:
             if zid in wanted and zid not in self._live:
                 self._live[zid] = self._post.session.subscribe(
                     self._post.keys.key("live", neighbour.sender),
-                    self._receive_state,
+                    self._receive_motions,
                     source_of=self._source,
                     max_bytes=MAX_STATE_BYTES,
                     max_waiting=4,

@@ -150,7 +150,7 @@ class FleetDrivers:
             self._check_role(neighbour, robot.name)
             if robot.also_at:
                 raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
-        if neighbour.topics < 0:  # it has sent nothing by which its clock is known
+        if neighbour.is_silent:  # it has sent nothing by which its clock is known
             raise DeviceGone(robot.name, "the daemons have just met; try again")
         late_s = neighbour.freshness.late_s(request.sent_s, _now_s())
         if late_s > robot.gate.lease_s:

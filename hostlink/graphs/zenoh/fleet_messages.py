@@ -56,8 +56,8 @@ class Keys:
         return "/" + "/".join(key.split("/")[first:])
 
 
-class PoseState(msgspec.Struct, frozen=True, kw_only=True):
-    """The newest pose, and the motion."""
+class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """The newest pose, and the motion. It comes ten times a second, so its fields have no names."""
 
     x_m: float
     y_m: float
@@ -96,6 +96,20 @@ class State(msgspec.Struct, frozen=True, kw_only=True):
     sent_s: float
     topics: int
     robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+
+
+class Motion(msgspec.Struct, frozen=True, array_like=True):
+    """What of a robot changes all the time."""
+
+    name: RobotName
+    velocity: tuple[float, float]
+    pose: PoseState | None
+
+
+class Live(msgspec.Struct, frozen=True, kw_only=True):
+    """How the robots of a daemon move, for as long as somebody reads it."""
+
+    robots: Annotated[tuple[Motion, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 
 
 class TopicState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -179,14 +193,14 @@ Request = Drive | Release | Unlock
 StopRequest = Stop | Lock
 
 _Kind = TypeVar("_Kind")
-_DECODERS = {kind: msgspec.json.Decoder(kind) for kind in (State, Topics, Answer)}
+_DECODERS = {kind: msgspec.json.Decoder(kind) for kind in (State, Live, Topics, Answer)}
 _REQUESTS: msgspec.json.Decoder[Request] = msgspec.json.Decoder(Request)
 _STOPS: msgspec.json.Decoder[StopRequest] = msgspec.json.Decoder(StopRequest)
 encode = msgspec.json.Encoder().encode
 
 
 def decode(payload: bytes, kind: type[_Kind]) -> _Kind:
-    """A State, Topics or Answer.
+    """A State, Live, Topics or Answer.
 
     Raises:
         BadPayload: it is none, or something in it is over a bound.

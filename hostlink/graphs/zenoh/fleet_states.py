@@ -5,7 +5,7 @@ import re
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, PoseState, RobotState, State, encode
+from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, Live, Motion, PoseState, RobotState, State, encode
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import Robot
@@ -15,6 +15,7 @@ from hostlink.robot.odometry_estimator import OdometrySnapshot
 STATE_INTERVAL_S = 1.0
 GREETING_S = 0.5  # after a daemon has appeared: it may not yet know who sends
 _TEXT = 200
+_DIGITS = 6  # micrometres
 
 
 class FleetStates:
@@ -29,7 +30,7 @@ class FleetStates:
         self._due_s = 0.0
         self._greeting_until_s = 0.0
         self._known: tuple[object, ...] = ()
-        self._poses: tuple[object, ...] = ()
+        self._marks: dict[str, object] = {}  # by which a motion that was sent is known
 
     def greet(self) -> None:
         """Somebody has appeared: send the state again and again for a moment."""
@@ -39,18 +40,23 @@ class FleetStates:
         """Send what has changed; `topics`: the number of the list of topics."""
         now_s = _now_s()
         states = self.states()
-        known = (topics, *(msgspec.structs.replace(each, pose=None) for each in states))
-        poses = tuple(each.pose and (each.pose.count, each.pose.restarts) for each in states)
-        is_due = now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known
-        is_moved = self._is_live and poses != self._poses
-        if is_due or is_moved:
-            payload = encode(State(sent_s=now_s, topics=topics, robots=states))
-            if is_due:
-                self._due_s = now_s + STATE_INTERVAL_S
-                self._states.put(payload)
-            else:
-                self._live.put(payload)
-        self._known, self._poses = known, poses
+        known = (topics, *(msgspec.structs.replace(each, pose=None, velocity=(0.0, 0.0)) for each in states))
+        if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
+            self._due_s, self._known = now_s + STATE_INTERVAL_S, known
+            self._states.put(encode(State(sent_s=now_s, topics=topics, robots=states)))
+        elif self._is_live:
+            self._send_motions(states)
+
+    def _send_motions(self, states: tuple[RobotState, ...]) -> None:
+        """Of the robots that have moved, or whose velocity is another."""
+        motions = {state.name: Motion(state.name, state.velocity, state.pose) for state in states}
+        marks: dict[str, object] = {
+            name: (each.velocity, each.pose and each.pose.count) for name, each in motions.items()
+        }
+        moved = tuple(motion for name, motion in motions.items() if marks[name] != self._marks.get(name))
+        self._marks = marks
+        if moved:
+            self._live.put(encode(Live(robots=moved)))
 
     def states(self) -> tuple[RobotState, ...]:
         """Of every robot here whose name can be a part of a key."""
@@ -103,14 +109,14 @@ def state_of(robot: Robot) -> RobotState:
 
 def _pose_of(known: OdometrySnapshot) -> PoseState:
     return PoseState(
-        x_m=known.pose.x_m,
-        y_m=known.pose.y_m,
-        theta_rad=known.pose.theta_rad,
-        linear_m_s=known.twist.linear_m_s,
-        angular_rad_s=known.twist.angular_rad_s,
+        x_m=round(known.pose.x_m, _DIGITS),
+        y_m=round(known.pose.y_m, _DIGITS),
+        theta_rad=round(known.pose.theta_rad, _DIGITS),
+        linear_m_s=round(known.twist.linear_m_s, _DIGITS),
+        angular_rad_s=round(known.twist.angular_rad_s, _DIGITS),
         stamp_ns=known.stamp_ns,
-        age_s=known.age_s,
-        rate_hz=known.rate_hz,
+        age_s=round(known.age_s, _DIGITS),
+        rate_hz=round(known.rate_hz, 2),
         count=known.count,
         restarts=known.restarts,
         ignored=known.ignored,

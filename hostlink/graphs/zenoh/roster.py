@@ -5,7 +5,9 @@ from collections import Counter, OrderedDict, defaultdict
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hostlink.graphs.zenoh.fleet_messages import RobotState, Sender, State
+import msgspec
+
+from hostlink.graphs.zenoh.fleet_messages import Live, RobotState, Sender, State
 from hostlink.robot.freshness import Freshness
 
 MAX_DAEMONS = 256
@@ -48,7 +50,7 @@ class Place(NamedTuple):
 class Roster:
     """Known by the ids of their sessions. Each method returns the names of the robots that it touched.
 
-    `counts`: `excess_daemons` and `excess_robots` over a bound; `unannounced`: states of daemons that have no token.
+    `counts`: `met`: daemons that began to send, or did again; `excess_daemons` and `excess_robots` over a bound; `unannounced`: states of daemons that have no token.
     """
 
     def __init__(self, counts: Counter[str], *, forget_after_s: float = math.inf) -> None:
@@ -77,7 +79,12 @@ class Roster:
         if len(self._neighbours) >= MAX_DAEMONS:
             self._counts["excess_daemons"] += 1
             return False
-        self._neighbours[sender.zid] = Neighbour(sender, now_s)
+        neighbour = self._gone.pop(sender.zid, None)
+        if neighbour is None or neighbour.sender != sender:
+            neighbour = Neighbour(sender, now_s)
+        neighbour.gone_at_s, neighbour.heard_at_s = math.inf, now_s
+        neighbour.is_silent, neighbour.topics = True, -1  # until it sends
+        self._neighbours[sender.zid] = neighbour
         return True
 
     def leave(self, zid: str, now_s: float) -> set[str]:
@@ -108,6 +115,7 @@ class Roster:
         if neighbour is None:
             self._counts["unannounced"] += 1
             return set()
+        self._counts["met"] += neighbour.is_silent
         neighbour.heard_at_s, neighbour.is_silent = now_s, False
         robots = {robot.name: robot for robot in state.robots}
         touched = set(neighbour.robots) | set(robots)
@@ -115,6 +123,22 @@ class Roster:
             self._remove(neighbour, name)
         for name, robot in robots.items():
             self._put(neighbour, name, robot)
+        return touched
+
+    def receive_motions(self, sender: Sender, live: Live, now_s: float) -> set[str]:
+        """A daemon has sent how its robots move."""
+        neighbour = self.find(sender)
+        if neighbour is None:
+            self._counts["unannounced"] += 1
+            return set()
+        neighbour.heard_at_s = now_s
+        touched = set()
+        for motion in live.robots:
+            state = neighbour.robots.get(motion.name)
+            if state is not None:
+                changed = msgspec.structs.replace(state, velocity=motion.velocity, pose=motion.pose)
+                neighbour.robots[motion.name] = changed
+                touched.add(motion.name)
         return touched
 
     def watch(self, now_s: float) -> set[str]:

@@ -19,8 +19,11 @@ from hostlink.logs import printable
 
 log = structlog.get_logger()
 
-LEASE_MS = 1000  # a neighbour that is silent for so long is gone, and its tokens with it
-KEEP_ALIVES = 4  # in each lease
+DEFAULTS: dict[str, object] = {
+    "transport/link/tx/lease": 1000,  # ms; a neighbour that is silent for so long is gone, and its tokens with it
+    "transport/link/tx/keep_alive": 4,  # in each lease
+    "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
+}
 CLOSE_TIMEOUT_S = 1.0
 MAX_PAYLOAD_BYTES = 1024 * 1024
 MAX_KEY_CHARS = 512
@@ -320,8 +323,12 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Ses
 
 
 def _settings(zenoh: Any, config: ZenohConfig) -> Any:
-    """The file's, and over them what [zenoh] says."""
+    """The file's, and over them what [zenoh] says; this project's defaults where the file has Zenoh's."""
+    usual = zenoh.Config()
     settings = zenoh.Config() if config.file is None else zenoh.Config.from_file(str(config.file))
+    for key, value in DEFAULTS.items():
+        if settings.get_json(key) == usual.get_json(key):
+            settings.insert_json5(key, json.dumps(value))
     for key, value in _values(config).items():
         settings.insert_json5(key, json.dumps(value))
     return settings
@@ -333,8 +340,6 @@ def _values(config: ZenohConfig) -> dict[str, Any]:
         values["connect/endpoints"] = list(config.connect)
     if config.listen:
         values["listen/endpoints"] = list(config.listen)
-    if config.file is None:
-        values |= {"transport/link/tx/lease": LEASE_MS, "transport/link/tx/keep_alive": KEEP_ALIVES}
     if not config.multicast:
         values["scouting/multicast/enabled"] = False
     files: dict[str, Path | None] = {

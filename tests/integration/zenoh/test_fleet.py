@@ -2,20 +2,16 @@
 
 import asyncio
 import contextlib
-from dataclasses import replace
 
 import pytest
 
-from hostlink.config import Config
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
-from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.participants import subscribe
-from tests.support.process import free_port
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
-from tests.support.zenoh_fleet import drive, fleet, robot, shown, zenoh
+from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown
 
 STILL = (0.0, 0.0)
 
@@ -232,9 +228,7 @@ async def test_a_refusal_reaches_a_driver_that_waits_for_no_answer() -> None:
 
 async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> None:
     async with fleet("a") as (a,), contextlib.AsyncExitStack() as stack:
-        assert a.hub.config.zenoh is not None
-        port = int(a.hub.config.zenoh.listen[0].rpartition(":")[2])
-        b = await _join(stack, port)
+        b = await stack.enter_async_context(joined(port_of(a), "b"))
         async with (
             fake_device(b.tcp, robot_topics("robot_7")),
             fake_device(a.tcp, robot_topics("robot_1")) as own,
@@ -246,7 +240,3 @@ async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> 
             await stack.aclose()
             assert await own.velocity_other_than((0.3, 0.0)) == STILL
             await expect(lambda: a.hub.robots.remote["robot_7"].link is None, timeout_s=2.0)
-
-
-async def _join(stack: contextlib.AsyncExitStack, port: int) -> Daemon:
-    return await stack.enter_async_context(daemon(replace(Config(), zenoh=zenoh("b", free_port(), port))))

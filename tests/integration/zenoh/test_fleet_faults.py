@@ -1,0 +1,321 @@
+"""What networks, peers and certificates do to a fleet: robots stop, names stay, who may only read does not drive."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from hostlink.config import Config, ZenohConfig
+from hostlink.graphs.zenoh.fleet_messages import Drive, RobotState, State, Topics, TopicState, encode
+from hostlink.robot.velocity import Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.process import free_port
+from tests.support.proxy import Line, Proxy, proxy
+from tests.support.waiting import expect
+from tests.support.zenoh_certificates import make_authority, make_certificate, write_rules
+from tests.support.zenoh_fleet import drive, driven, fleet, joined, port_of, robot, shown
+
+STILL, MOVING = (0.0, 0.0), (0.2, 0.0)
+
+
+@contextlib.asynccontextmanager
+async def apart() -> AsyncIterator[tuple[Daemon, Daemon, Proxy]]:
+    """Two daemons, and the line between them."""
+    async with contextlib.AsyncExitStack() as stack:
+        (a,) = await stack.enter_async_context(fleet("a"))
+        line = await stack.enter_async_context(proxy(("127.0.0.1", port_of(a))))
+        b = await stack.enter_async_context(joined(int(line.url.rpartition(":")[2]), "b"))
+        yield a, b, line
+
+
+async def test_a_network_that_is_cut_ends_the_lease_where_the_robot_is_and_shows_it_elsewhere() -> None:
+    loop = asyncio.get_running_loop()
+    async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
+        before = (await shown(b, "robot_7")).link
+        with contextlib.suppress(ExceptionGroup):  # a driver learns that he cannot drive any more
+            async with driven(b, "robot_7", 0.2):
+                assert await device.velocity_other_than(STILL) == MOVING
+                line.set_line(Line.SWALLOWS)
+                cut_s = loop.time()
+                assert await device.velocity_other_than(MOVING) == STILL
+                assert loop.time() - cut_s < 0.8  # a lease, and a step of the gate
+                await expect(lambda: b.hub.robots.remote["robot_7"].link is None, timeout_s=2.0)
+                assert loop.time() - cut_s < 2.0
+        line.set_line(Line.WORKS)
+        line.break_off()
+        await expect(lambda: b.hub.robots.remote["robot_7"].link, timeout_s=20.0)
+        assert b.hub.robots.remote["robot_7"].link != before  # whoever drove must drive again
+        await expect(lambda: a.hub.graph_counts["fleet"]["met"] == 2)
+        assert (await drive(b, "robot_7", 0.1))[0] == 200
+
+
+async def test_commands_that_were_held_up_move_nobody() -> None:
+    async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
+        found = await shown(b, "robot_7")
+        participant = b.hub.join("driver")
+        participant.drive(found, Velocity(linear_x_m_s=0.2))
+        assert await device.velocity_other_than(STILL) == MOVING
+        line.set_line(Line.STALLS)
+        participant.drive(found, Velocity(linear_x_m_s=0.3))
+        assert await device.velocity_other_than(MOVING) == STILL
+        await asyncio.sleep(
+            0.2
+        )  # so that it is over a lease late; Zenoh gives the connection up a second after the stall
+        refused = a.hub.graph_counts["fleet"]["refused"]
+        line.set_line(Line.WORKS)
+        await expect(lambda: a.hub.graph_counts["fleet"]["refused"] > refused)
+        assert a.hub.robots.find_here("robot_7").gate.owner is None
+
+
+async def test_a_first_command_that_was_held_up_moves_nobody() -> None:
+    async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")):
+        found = await shown(b, "robot_7")
+        await asyncio.sleep(1.2)  # a state has come, by which the other clock is known
+        line.set_line(Line.STALLS)
+        b.hub.join("driver").drive(found, Velocity(linear_x_m_s=0.3))
+        await asyncio.sleep(0.7)
+        line.set_line(Line.WORKS)
+        await expect(lambda: a.hub.graph_counts["fleet"]["refused"])
+        assert a.hub.robots.find_here("robot_7").gate.counts.commands == 0
+
+
+async def test_a_stop_that_nobody_answers_is_reported() -> None:
+    async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")):
+        await shown(b, "robot_7")
+        line.set_line(Line.SWALLOWS)
+        status, answer = await b.rest("POST", "/api/stop")
+        assert (status, answer["error"]["kind"]) == (503, "DeviceGone")
+        assert "a: has not answered the stop" in answer["error"]["reason"]
+
+
+# -- a peer that lies -------------------------------------------------------------------------------------------------
+
+
+class Liar:
+    """A peer that speaks the fleet's protocol, and says what it likes."""
+
+    def __init__(self, session: Any, name: str = "liar") -> None:
+        self.session, self.name, self.zid = session, name, str(session.info.zid())
+        self._token = session.liveliness().declare_token(f"hostlink/alive/{name}/{self.zid}")
+
+    def put(self, verb: str, payload: bytes, *, to: str = "") -> None:
+        self.session.put("/".join(filter(None, ("hostlink", verb, to, self.name, self.zid))), payload)
+
+    def claim(self, *names: str, topics: int = 0) -> None:
+        self.put("state", encode(State(sent_s=0.0, topics=topics, robots=tuple(map(_claimed, names)))))
+
+
+def _claimed(name: str) -> RobotState:
+    return RobotState(
+        name=name,
+        link=1,
+        velocity_topic="/robot_7/cmd_vel",
+        odometry_topic="/robot_7/odometry",
+        odometry_type="nav_msgs/Odometry",
+    )
+
+
+@contextlib.asynccontextmanager
+async def lied_to() -> AsyncIterator[tuple[Daemon, Daemon, Liar]]:
+    """Two daemons, and a peer that is connected to both."""
+    async with fleet("a", "b") as (a, b):
+        config = zenoh.Config()
+        config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("listen/endpoints", "[]")
+        config.insert_json5("connect/endpoints", str([f"tcp/127.0.0.1:{port_of(host)}" for host in (a, b)]))
+        session = await asyncio.to_thread(zenoh.open, config)
+        try:
+            yield a, b, Liar(session)
+        finally:
+            await asyncio.to_thread(session.close)
+
+
+async def test_a_name_that_is_claimed_falsely_takes_nobody_s_robot() -> None:
+    async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        await _until_heard(a, liar, "robot_7", "robot_66")
+        await expect(lambda: b.hub.robots.find_here("robot_7").also_at == ("liar",))
+        assert (await drive(b, "robot_7", 0.2))[0] == 200
+        assert await device.velocity_other_than(STILL) == MOVING
+        status, answer = await drive(a, "robot_7", 0.2)
+        assert (status, answer["error"]["kind"]) == (503, "DeviceGone")
+        assert "several robots have this name" in answer["error"]["reason"]
+
+
+async def _until_heard(host: Daemon, liar: Liar, *names: str) -> None:
+    def is_heard() -> bool:
+        liar.claim(*names)
+        return names[-1] in host.hub.robots.remote
+
+    await expect(is_heard)
+
+
+async def test_a_robot_s_topics_stay_below_its_name() -> None:
+    async with lied_to() as (a, _, liar):
+        topics = Topics(
+            number=1,
+            topics=(
+                TopicState(robot="robot_66", name="/tf", type="tf2_msgs/TFMessage", is_published=True),
+                TopicState(robot="robot_66", name="/robot_7/cmd_vel", type="geometry_msgs/Twist", is_velocity=True),
+                TopicState(robot="robot_66", name="/robot_66/odom", type="nav_msgs/Odometry", is_published=True),
+                TopicState(robot="robot_66", name="/robot_66/x", type="none/Unknown", is_published=True),
+            ),
+        )
+        key = f"hostlink/topics/liar/{liar.zid}"
+        liar.session.declare_queryable(key, lambda query: query.reply(key, encode(topics)))
+        await _until_heard(a, liar, "robot_66")
+        await expect(lambda: a.hub.topics.find_or_none("/robot_66/odom"))
+        assert a.hub.topics.find_or_none("/tf") is None
+        assert a.hub.topics.find_or_none("/robot_7/cmd_vel") is None
+        assert a.hub.graph_counts["fleet"]["foreign_topics"] >= 2
+        assert a.hub.graph_counts["fleet"]["refused_topics"] >= 1
+
+
+@pytest.mark.parametrize("payload", [b"", b"{", b'{"robots":1}', b"[" * 1000, b"x" * 1000, b'{"type":"drive"}'])
+async def test_what_is_malformed_is_counted_and_costs_nothing(payload: bytes) -> None:
+    async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
+        await shown(a, "robot_7")
+        counts, me = b.hub.graph_counts["fleet"], _zid_of(a, "robot_7")
+        await _until_heard(b, liar, "robot_66")
+        before = counts["malformed"]
+        for verb in ("state", "stop"):
+            liar.put(verb, payload)
+        for verb in ("drive", "answer"):
+            liar.put(verb, payload, to=me)
+        await expect(lambda: counts["malformed"] >= before + 4)
+        assert (await drive(a, "robot_7", 0.2))[0] == 200
+        assert b.hub.isolation.crashes.total() == 0
+
+
+def _zid_of(host: Daemon, name: str) -> str:
+    return str(host.hub.robots.remote[name].place)
+
+
+async def test_what_is_too_large_is_dropped() -> None:
+    async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
+        await shown(a, "robot_7")
+        await _until_heard(b, liar, "robot_66")
+        liar.put("state", b" " * 1024 * 1024)
+        liar.put("drive", b" " * 8192, to=_zid_of(a, "robot_7"))
+        await expect(lambda: b.hub.graph_counts["zenoh"]["oversized"] >= 2)
+
+
+async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
+    async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        found = await shown(a, "robot_7")
+        await _until_heard(b, liar, "robot_66")
+        place = _zid_of(a, "robot_7")
+        flood = encode(
+            Drive(
+                number=1,
+                sent_s=1.0,
+                robot="robot_9",
+                owner=1,
+                owner_name="x",
+                velocity=(0.1,) + (0.0,) * 5,
+                priority=50,
+            )
+        )
+        stop = asyncio.Event()
+
+        def pour() -> None:
+            while not stop.is_set():
+                for _ in range(100):
+                    liar.put("drive", flood, to=place)
+
+        async with asyncio.TaskGroup() as tasks:
+            pouring = tasks.create_task(asyncio.to_thread(pour))
+            try:
+                await expect(lambda: b.hub.graph_counts["zenoh"]["dropped"] > 100)
+                participant = a.hub.join("driver")
+                participant.drive(found, Velocity(linear_x_m_s=0.2))
+                assert await device.velocity_other_than(STILL) == MOVING
+                began_s = asyncio.get_running_loop().time()
+                participant.leave()
+                assert await device.velocity_other_than(MOVING) == STILL
+                assert asyncio.get_running_loop().time() - began_s < 0.45  # sooner than the lease
+            finally:
+                stop.set()
+                await pouring
+
+
+async def test_many_drivers_of_one_peer_are_bounded() -> None:
+    async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
+        await shown(a, "robot_7")
+        await _until_heard(b, liar, "robot_66")
+        for owner in range(200):
+            request = Drive(
+                number=owner,
+                sent_s=0.0,
+                robot="robot_7",
+                owner=owner,
+                owner_name=f"\x1b[2J{owner}",
+                velocity=(0.1,) + (0.0,) * 5,
+                priority=50,
+            )
+            liar.put("drive", encode(request), to=_zid_of(a, "robot_7"))
+        await expect(lambda: b.hub.graph_counts["fleet"]["excess_drivers"] > 100)
+        holder = b.hub.robots.find_here("robot_7").gate.owner_name
+        assert holder is not None
+        assert holder.isprintable()
+
+
+# -- certificates -----------------------------------------------------------------------------------------------------
+
+
+def _secured(folder: Path, name: str, port: int, *others: int, **settings: Any) -> Config:
+    certificate, key = make_certificate(folder, name)
+    return Config(
+        zenoh=ZenohConfig(
+            name=name,
+            listen=(f"tls/127.0.0.1:{port}",),
+            connect=tuple(f"tls/127.0.0.1:{other}" for other in others),
+            multicast=False,
+            ca=folder / "ca.pem",
+            certificate=certificate,
+            key=key,
+            **settings,
+        )
+    )
+
+
+async def test_a_certificate_that_may_only_read_reads_and_stops_and_does_not_drive(tmp_path: Path) -> None:
+    make_authority(tmp_path)
+    rules = write_rules(tmp_path / "rules.json5", drivers=["host-b"], readers=["host-c"])
+    ports = [free_port() for _ in range(3)]
+    async with (
+        daemon(_secured(tmp_path, "host-a", ports[0], file=rules)) as a,
+        daemon(_secured(tmp_path, "host-b", ports[1], ports[0])) as b,
+        daemon(_secured(tmp_path, "host-c", ports[2], ports[0])) as c,
+        fake_device(a.tcp, robot_topics("robot_7")) as device,
+    ):
+        await shown(b, "robot_7")
+        await shown(c, "robot_7")
+        assert (await drive(b, "robot_7", 0.2))[0] == 200
+        assert await device.velocity_other_than(STILL) == MOVING
+        status, answer = await drive(c, "robot_7", 0.3)
+        assert (status, answer["error"]["kind"]) == (503, "DeviceGone")
+        assert "host-a does not answer" in answer["error"]["reason"]
+        assert (await robot(c, "robot_7"))["holder"] != "rest 127.0.0.1 at host-c"
+        assert (await c.rest("POST", "/api/robots/robot_7/lock"))[0] == 200
+        assert a.hub.robots.find_here("robot_7").gate.lock_reason is not None
+        assert (await c.rest("POST", "/api/robots/robot_7/unlock"))[0] == 503
+
+
+async def test_a_daemon_without_a_certificate_is_no_part_of_the_fleet(tmp_path: Path) -> None:
+    make_authority(tmp_path)
+    port = free_port()
+    async with (
+        daemon(_secured(tmp_path, "host-a", port)) as a,
+        daemon(Config(zenoh=ZenohConfig(name="b", connect=(f"tls/127.0.0.1:{port}",), multicast=False))) as b,
+        fake_device(a.tcp, robot_topics("robot_7")),
+    ):
+        await expect(lambda: "robot_7" in a.hub.robots.find("robot_7").name)
+        await asyncio.sleep(1.5)
+        assert b.hub.robots.remote == {}
+        assert a.hub.robots.remote == {}

@@ -1,0 +1,126 @@
+"""What daemons of a fleet send to each other: nothing in it is longer, larger or named otherwise than agreed."""
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.errors import BadPayload
+from hostlink.graphs.zenoh.fleet_messages import (
+    MAX_ROBOTS,
+    Answer,
+    Drive,
+    Keys,
+    Live,
+    Lock,
+    Sender,
+    State,
+    Stop,
+    Topics,
+    Unlock,
+    decode,
+    decode_request,
+    decode_stop,
+    encode,
+)
+
+KEYS, ME = Keys("hostlink"), Sender("host-a", "12ab")
+ROBOT = {
+    "name": "robot_0",
+    "velocity_topic": "/robot_0/cmd_vel",
+    "odometry_topic": "/robot_0/odom",
+    "odometry_type": "nav_msgs/Odometry",
+}
+
+
+def test_a_key_has_the_verb_first_and_the_sender_in_it() -> None:
+    assert KEYS.key("state", ME) == "hostlink/state/host-a/12ab"
+    assert KEYS.key("drive", ME, to="34cd") == "hostlink/drive/34cd/host-a/12ab"
+    assert KEYS.key("out", ME, "robot_0", "odom") == "hostlink/out/host-a/12ab/robot_0/odom"
+
+
+def test_a_sender_and_a_topic_are_read_from_a_key() -> None:
+    assert KEYS.sender("hostlink/state/host-a/12ab") == ME
+    assert KEYS.sender("hostlink/drive/34cd/host-a/12ab", is_addressed=True) == ME
+    assert KEYS.topic("hostlink/out/host-a/12ab/robot_0/odom") == "/robot_0/odom"
+    assert KEYS.topic("hostlink/publish/34cd/host-a/12ab/robot_0/a/b", is_addressed=True) == "/robot_0/a/b"
+
+
+@pytest.mark.parametrize("key", ["hostlink", "hostlink/state/host-a", "other/state/host-a/12ab", ""])
+def test_a_key_of_another_kind_has_no_sender(key: str) -> None:
+    assert KEYS.sender(key) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"name": "a/b"},
+        {"name": ""},
+        {"name": "x" * 65},
+        {"name": "*"},
+        {"name": "robot\n0"},
+        {"velocity_topic": "/a/**"},
+        {"velocity_topic": "relative"},
+        {"odometry_topic": "/" + "x" * 300},
+        {"odometry_type": "Odometry"},
+        {"lease_s": 0},
+        {"lease_s": 1e9},
+        {"priority": 101},
+        {"lock_reason": "x" * 300},
+        {"velocity": [1.0]},
+        {"link": "1"},
+    ],
+)
+def test_a_state_with_something_else_than_agreed_is_refused(change: dict[str, object]) -> None:
+    decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": [ROBOT]}), State)
+    with pytest.raises(BadPayload):
+        decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": [ROBOT | change]}), State)
+
+
+def test_a_state_with_too_many_robots_is_refused() -> None:
+    robots = [ROBOT | {"name": f"r{number}"} for number in range(MAX_ROBOTS + 1)]
+    with pytest.raises(BadPayload):
+        decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": robots}), State)
+
+
+@pytest.mark.parametrize("number", ["1e999", "NaN", '"1"', "null"])
+def test_a_velocity_that_is_no_number_is_refused(number: str) -> None:
+    fields = '"type":"drive","number":1,"sent_s":0.5,"robot":"r","owner":1,"owner_name":"x","priority":50,"velocity":'
+    decode_request(b"{%b[0,0,0,0,0,0.5]}" % fields.encode())
+    with pytest.raises(BadPayload):
+        decode_request(b"{%b[%b,0,0,0,0,0]}" % (fields.encode(), number.encode()))
+
+
+@pytest.mark.parametrize(
+    "request_", [Unlock(number=1, robot="r"), Stop(number=2), Lock(number=3, robot="r", reason="x")]
+)
+def test_a_request_is_only_for_whom_it_is_meant(request_: Unlock | Stop | Lock) -> None:
+    read, refuse = (decode_request, decode_stop) if isinstance(request_, Unlock) else (decode_stop, decode_request)
+    assert read(encode(request_)) == request_
+    with pytest.raises(BadPayload):
+        refuse(encode(request_))
+
+
+def test_a_command_passes_unchanged() -> None:
+    drive = Drive(
+        number=1,
+        sent_s=1.5,
+        robot="r",
+        owner=2,
+        owner_name="client 3",
+        velocity=(0.1, 0.0, 0.0, 0.0, 0.0, -0.5),
+        priority=60,
+        link=7,
+    )
+    assert decode_request(encode(drive)) == drive
+    assert (drive.wanted.linear_x_m_s, drive.wanted.angular_z_rad_s) == (0.1, -0.5)
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))
+def test_no_bytes_raise_anything_but_a_bad_payload(payload: bytes) -> None:
+    for kind in (State, Live, Topics, Answer):
+        with pytest.raises(BadPayload):
+            decode(payload, kind)
+    for read in (decode_request, decode_stop):
+        with pytest.raises(BadPayload):
+            read(payload)

@@ -1,0 +1,115 @@
+"""From Zenoh's threads to the loop: bounded for each source, in turns, and a failure is nobody else's."""
+
+import asyncio
+import threading
+from collections import Counter
+
+import pytest
+
+from hostlink.graphs.zenoh.inbox import MAX_SOURCES, Inbox
+from hostlink.hub.isolation import Isolation
+
+
+async def settled() -> None:
+    for _ in range(50):
+        await asyncio.sleep(0)
+
+
+async def test_items_arrive_in_the_loop_in_order() -> None:
+    received: list[int] = []
+    inbox = Inbox(received.append, Isolation(), Counter())
+    thread = threading.Thread(target=lambda: [inbox.put("a", number) for number in range(100)])
+    thread.start()
+    thread.join()
+    assert received == []
+    await settled()
+    assert received == list(range(100))
+
+
+async def test_who_floods_loses_his_own_oldest_items_only() -> None:
+    received: list[tuple[str, int]] = []
+    counts: Counter[str] = Counter()
+    inbox = Inbox(received.append, Isolation(), counts, max_waiting=10)
+    inbox.put("calm", ("calm", 0))
+    for number in range(1000):
+        inbox.put("flood", ("flood", number))
+    await settled()
+    assert ("calm", 0) in received
+    assert [number for who, number in received if who == "flood"] == list(range(990, 1000))
+    assert counts["dropped"] == 990
+
+
+async def test_sources_take_turns() -> None:
+    received: list[str] = []
+    inbox = Inbox(received.append, Isolation(), Counter())
+    for source in "aaab":
+        inbox.put(source, source)
+    await settled()
+    assert received == ["a", "b", "a", "a"]
+
+
+async def test_the_number_of_sources_is_bounded() -> None:
+    received: list[int] = []
+    counts: Counter[str] = Counter()
+    inbox = Inbox(received.append, Isolation(), counts)
+    for number in range(MAX_SOURCES + 5):
+        inbox.put(str(number), number)
+    await settled()
+    assert len(received) == MAX_SOURCES
+    assert counts["dropped"] == 5
+
+
+async def test_a_callback_that_fails_is_counted_and_the_next_item_comes() -> None:
+    received: list[int] = []
+
+    def deliver(number: int) -> None:
+        if number == 1:
+            raise ValueError("a defect")
+        received.append(number)
+
+    isolation = Isolation()
+    inbox = Inbox(deliver, isolation, Counter())
+    for number in range(3):
+        inbox.put("a", number)
+    await settled()
+    assert received == [0, 2]
+    assert isolation.crashes["graph"] == 1
+
+
+async def test_nothing_arrives_once_it_is_closed() -> None:
+    received: list[int] = []
+    inbox = Inbox(received.append, Isolation(), Counter())
+    inbox.put("a", 1)
+    inbox.close()
+    inbox.put("a", 2)
+    await settled()
+    assert received == []
+
+
+def test_an_item_for_a_loop_that_has_ended_is_dropped() -> None:
+    received: list[int] = []
+
+    async def make() -> Inbox[int]:
+        return Inbox(received.append, Isolation(), Counter())
+
+    inbox = asyncio.run(make())
+    inbox.put("a", 1)
+    assert received == []
+
+
+@pytest.mark.parametrize("count", [1, 5000])
+async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
+    received: list[int] = []
+
+    def deliver(number: int) -> None:
+        received.append(number)
+        sum(range(2000))
+
+    inbox = Inbox(deliver, Isolation(), Counter(), max_waiting=count)
+    for number in range(count):
+        inbox.put("a", number)
+    turns = 0
+    while len(received) < count:
+        turns += 1
+        await asyncio.sleep(0)
+    assert turns > count // 1000
