@@ -114,6 +114,10 @@ async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncI
         serve_api(config.api, hub, recordings) as api,
         contextlib.AsyncExitStack() as last,  # mDNS may be slow
     ):
+        if config.zenoh is not None:
+            from hostlink.graphs.zenoh.running import zenoh_running  # noqa: PLC0415 - a daemon without it is lighter
+
+            await last.enter_async_context(zenoh_running(hub, config.zenoh))
         acceptor = TcpAcceptor(hub, config.tcp)
         async with (
             serve_tcp(config.tcp, acceptor.accept) as listener,
@@ -121,10 +125,6 @@ async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncI
             _serial_ports(hub, config),
         ):
             await last.enter_async_context(advertised(config.tcp, listener.address))
-            if config.zenoh is not None:
-                from hostlink.graphs.zenoh.running import zenoh_running  # noqa: PLC0415 - a daemon without it is lighter
-
-                await last.enter_async_context(zenoh_running(hub, config.zenoh))
             yield Addresses(listener.address, api, udp)
 
 

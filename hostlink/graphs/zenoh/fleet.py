@@ -64,6 +64,7 @@ class Fleet:
         self._fetching: set[str] = set()
         self._live: dict[str, Declaration] = {}
         self._declarations: list[Declaration] = []
+        self._has_ended = False
 
     # -- its life -----------------------------------------------------------------------------------------------------
 
@@ -105,15 +106,15 @@ class Fleet:
         self._hub.gates.elsewhere = self._requests
 
     async def run(self) -> None:
-        """Send states, and watch the others, until cancelled."""
-        while True:
+        """Send states, and watch the others, until `end`."""
+        while not self._has_ended:
             with self._hub.isolation.around("graph", graph="fleet"):
                 self._tick()
             await asyncio.sleep(TICK_S)
 
     def end(self) -> None:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
-        self._hub.gates.elsewhere = None
+        self._has_ended, self._hub.gates.elsewhere = True, None
         for declaration in (*self._declarations, *self._live.values()):
             declaration.close()
         self._imports.hide_all()
@@ -323,13 +324,9 @@ async def fleet_running(hub: Hub, session: Session, config: ZenohConfig) -> Asyn
     """A part of the fleet for the length of the block."""
     fleet = Fleet(hub, session, config)
     fleet.begin()
+    hub.spawn(fleet.run(), name="fleet")
     try:
-        async with asyncio.TaskGroup() as tasks:
-            running = tasks.create_task(fleet.run(), name="fleet")
-            try:
-                yield
-            finally:
-                running.cancel()
+        yield
     finally:
         fleet.end()
 

@@ -50,7 +50,8 @@ class Place(NamedTuple):
 class Roster:
     """Known by the ids of their sessions. Each method returns the names of the robots that it touched.
 
-    `counts`: `met`: daemons that began to send, or did again; `excess_daemons` and `excess_robots` over a bound; `unannounced`: states of daemons that have no token.
+    `counts`: `met`: daemons that began to send, or did again; `excess_daemons` and `excess_robots` over a bound;
+    `unannounced`: states of daemons that have no token.
     """
 
     def __init__(self, counts: Counter[str], *, forget_after_s: float = math.inf) -> None:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import re
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
@@ -310,7 +311,7 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Ses
     try:
         raw = await asyncio.to_thread(lambda: zenoh.open(_settings(zenoh, config)))
     except (zenoh.ZError, ValueError) as error:
-        raise ConfigError("zenoh", f"the session cannot be opened: {printable(str(error), 300)}") from error
+        raise ConfigError("zenoh", f"the session cannot be opened: {_reason(error)}") from error
     session = Session(zenoh, raw, isolation)
     log.info(
         "zenoh.opened", zid=session.zid, mode=config.mode, listen=list(config.listen), connect=list(config.connect)
@@ -320,6 +321,13 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Ses
     finally:
         await session.aclose()
         log.info("zenoh.closed", **session.counts)
+
+
+def _reason(error: Exception) -> str:
+    """What of Zenoh's text concerns the user: not the places in its sources."""
+    text = str(error)
+    found = re.search(r'msg: "(.*)"', text)
+    return printable((found[1] if found else text).split(" at /")[0], 300)
 
 
 def _settings(zenoh: Any, config: ZenohConfig) -> Any:
