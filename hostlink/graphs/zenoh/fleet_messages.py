@@ -89,6 +89,12 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     lease_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
     pose: PoseState | None = None
 
+    @property
+    def is_below_its_name(self) -> bool:
+        """Whether its topics are its own, and no other robot's."""
+        topics = (self.velocity_topic, self.odometry_topic, self.reset_topic)
+        return all(topic is None or topic.startswith(f"/{self.name}/") for topic in topics)
+
 
 class State(msgspec.Struct, frozen=True, kw_only=True):
     """Every robot of a daemon. `sent_s`: by its own clock; `topics`: a number that changes with its topics."""

@@ -51,7 +51,7 @@ class Roster:
     """Known by the ids of their sessions. Each method returns the names of the robots that it touched.
 
     `counts`: `met`: daemons that began to send, or did again; `excess_daemons` and `excess_robots` over a bound;
-    `unannounced`: states of daemons that have no token.
+    `foreign_topics`: robots with topics that are not theirs; `unannounced`: states of daemons that have no token.
     """
 
     def __init__(self, counts: Counter[str], *, forget_after_s: float = math.inf) -> None:
@@ -118,7 +118,8 @@ class Roster:
             return set()
         self._counts["met"] += neighbour.is_silent
         neighbour.heard_at_s, neighbour.is_silent = now_s, False
-        robots = {robot.name: robot for robot in state.robots}
+        robots = {robot.name: robot for robot in state.robots if robot.is_below_its_name}
+        self._counts["foreign_topics"] += len(state.robots) - len(robots)
         touched = set(neighbour.robots) | set(robots)
         for name in neighbour.robots.keys() - robots.keys():
             self._remove(neighbour, name)

@@ -114,8 +114,8 @@ def _claimed(name: str) -> RobotState:
     return RobotState(
         name=name,
         link=1,
-        velocity_topic="/robot_7/cmd_vel",
-        odometry_topic="/robot_7/odometry",
+        velocity_topic=f"/{name}/cmd_vel",
+        odometry_topic=f"/{name}/odometry",
         odometry_type="nav_msgs/Odometry",
     )
 

@@ -2,6 +2,8 @@
 
 from collections import Counter
 
+import msgspec
+
 from hostlink.graphs.zenoh.fleet_messages import Live, Motion, PoseState, RobotState, Sender, State
 from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_REMOTE_ROBOTS, SILENT_S, Roster
 
@@ -108,6 +110,18 @@ def test_a_motion_changes_only_robots_that_are_listed() -> None:
     assert place is not None
     assert (place.state.pose, place.state.velocity, place.state.link) == (pose, (0.1, 0.0), 1)
     assert known.place("s") is None
+
+
+def test_a_robot_with_another_robot_s_topics_is_refused() -> None:
+    known, counts = roster(A)
+    (robot,) = state("r").robots
+    robots = tuple(
+        msgspec.structs.replace(robot, **change)
+        for change in ({"name": "s"}, {"reset_topic": "/tf"}, {"odometry_topic": "/rx/odom"})
+    )
+    known.receive(A, State(sent_s=0.0, topics=0, robots=robots), 0.0)
+    assert known.names() == []
+    assert counts["foreign_topics"] == 3
 
 
 def test_the_number_of_daemons_is_bounded() -> None:

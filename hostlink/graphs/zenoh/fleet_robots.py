@@ -1,0 +1,172 @@
+"""FleetRobots: the robots of other daemons, as this one shows them."""
+
+import asyncio
+from collections.abc import Callable, Iterable
+
+import structlog
+
+from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES, RobotState
+from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.graphs.zenoh.fleet_requests import FleetRequests
+from hostlink.graphs.zenoh.fleet_topics import FleetTopics
+from hostlink.graphs.zenoh.roster import Neighbour, Place, Roster
+from hostlink.graphs.zenoh.session import Declaration, Sample
+from hostlink.hub.hub import Hub
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.logs import of_peer, printable
+from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry_estimator import OdometrySnapshot, Twist
+from hostlink.robot.velocity import Velocity
+
+log = structlog.get_logger()
+
+READ_S = 2.0  # poses come as they are made for so long after somebody has read one
+MAX_WAITING = 4  # states of one daemon; the newest counts
+
+
+class FleetRobots:
+    """One name at several daemons: the robot here is driven by programs here, and of others none is driven."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        post: Post,
+        roster: Roster,
+        requests: FleetRequests,
+        topics: FleetTopics,
+        *,
+        receive: Callable[[Sample], None],
+    ) -> None:
+        """`receive`: how the robots of one daemon move, while somebody reads it."""
+        self._hub, self._post, self._roster = hub, post, roster
+        self._requests, self._topics, self._receive = requests, topics, receive
+        self._live: dict[str, Declaration] = {}
+
+    def apply(self, names: Iterable[str]) -> None:
+        """Show the robots of these names as they are known now."""
+        for name in names:
+            self._note_namesakes(name)
+            place = self._roster.place(name)
+            robot = self._hub.robots.remote.get(name)
+            if place is None:
+                self._topics.hide(name)
+                self._hub.remote_robots.remove(name)
+                continue
+            sender = place.neighbour.sender
+            if robot is None or robot.place != sender.zid:
+                self._topics.hide(name)
+                robot = _remote_robot(place.neighbour, place.state, self._requests)
+                self._hub.remote_robots.add(robot)
+            if robot.also_at != place.also_at:
+                robot.also_at = place.also_at
+                if place.also_at:
+                    _log_twice(name, (sender.name, *place.also_at))
+            self._update(robot, place)
+
+    def _update(self, robot: RemoteRobot, place: Place) -> None:
+        state = place.state
+        self._hub.remote_robots.connect(robot, state.link if place.is_connected else None)
+        robot.shown = _topics_of(state)
+        gate = robot.gate
+        gate.owner_name, gate.priority, gate.lock_reason = state.holder, state.priority, state.lock_reason
+        gate.current = Velocity(linear_x_m_s=state.velocity[0], angular_z_rad_s=state.velocity[1])
+        gate.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
+        if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):
+            robot.follow()
+        if place.is_connected and not robot.also_at and self._is_free(robot.name):
+            self._topics.show(robot, place.neighbour)
+        else:
+            self._topics.hide(robot.name)
+            self._hub.remote_robots.offer(robot, ())
+
+    def _is_free(self, name: str) -> bool:
+        """Whether no robot that is connected here has this name."""
+        robot = self._hub.robots.get_here(name)
+        return robot is None or robot.link is None
+
+    def _note_namesakes(self, name: str) -> None:
+        """One name here and elsewhere: programs here drive the one here, and others neither."""
+        robot = self._hub.robots.get_here(name)
+        if robot is None:
+            return
+        also_at = self._roster.connected_at(name) if robot.link is not None else ()
+        if also_at and not robot.also_at:
+            _log_twice(name, (self._post.me.name, *also_at))
+        robot.also_at = also_at
+
+    def follow(self, now_s: float) -> None:
+        """Subscribe the poses of those daemons of which somebody reads one."""
+        wanted = {
+            str(robot.place)
+            for robot in self._hub.robots.remote.values()
+            if robot.followers or now_s < robot.odometry.read_at_s + READ_S
+        }
+        for zid in self._live.keys() - wanted:
+            self._live.pop(zid).close()
+        for neighbour in self._roster.all():
+            zid = neighbour.sender.zid
+            if zid in wanted and zid not in self._live:
+                self._live[zid] = self._post.session.subscribe(
+                    self._post.keys.key("live", neighbour.sender),
+                    self._receive,
+                    source_of=self._post.source,
+                    max_bytes=MAX_STATE_BYTES,
+                    max_waiting=MAX_WAITING,
+                )
+
+    def lose(self, zid: str) -> None:
+        """A daemon is gone."""
+        live = self._live.pop(zid, None)
+        if live is not None:
+            live.close()
+
+    def end(self) -> None:
+        """Show none any more."""
+        for zid in list(self._live):
+            self.lose(zid)
+        for name in list(self._hub.robots.remote):
+            self._hub.remote_robots.remove(name)
+        for robot in self._hub.robots.here():
+            robot.also_at = ()
+
+
+def _remote_robot(neighbour: Neighbour, state: RobotState, requests: FleetRequests) -> RemoteRobot:
+    return RemoteRobot(
+        name=state.name,
+        host=printable(neighbour.sender.name),
+        place=neighbour.sender.zid,
+        shown=_topics_of(state),
+        elsewhere=requests,
+    )
+
+
+def _topics_of(state: RobotState) -> RobotTopicNames:
+    return RobotTopicNames(
+        state.name, state.velocity_topic, state.odometry_topic, state.odometry_type, state.reset_topic
+    )
+
+
+def _snapshot(state: RobotState) -> OdometrySnapshot:
+    pose = state.pose
+    assert pose is not None  # noqa: S101 - the caller has looked
+    return OdometrySnapshot(
+        pose=Pose(pose.x_m, pose.y_m, pose.theta_rad),
+        twist=Twist(pose.linear_m_s, pose.angular_rad_s),
+        stamp_ns=pose.stamp_ns,
+        age_s=pose.age_s,
+        rate_hz=pose.rate_hz,
+        count=pose.count,
+        restarts=pose.restarts,
+        ignored=pose.ignored,
+    )
+
+
+def _log_twice(name: str, hosts: Iterable[str]) -> None:
+    with_budget = of_peer("fleet names")
+    with structlog.contextvars.bound_contextvars(**with_budget):
+        log.warning("fleet.name_twice", robot=name, hosts=[printable(host) for host in hosts])
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
