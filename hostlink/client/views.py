@@ -45,6 +45,8 @@ class RobotState(TypedDict):
     priority: NotRequired[int | None]  # of who drives it
     locked: NotRequired[bool]
     lock_reason: NotRequired[str | None]
+    host: NotRequired[str | None]  # the daemon that has it; None: the one that sent this
+    also_at: NotRequired[list[str]]  # other daemons that have a robot of this name; then it is driven only here
     unreachable: NotRequired[str | None]  # why its device could not take the last velocity
 
 

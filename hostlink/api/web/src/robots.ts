@@ -34,6 +34,12 @@ export class RobotList {
   }
 
   private describe(robot: RobotView): string {
+    const host = robot.host ? `, at ${robot.host}` : "";
+    const others = robot.also_at?.length ? `; this name is also at ${robot.also_at.join(", ")}` : "";
+    return `${this.describeDriver(robot)}${host}${others}`;
+  }
+
+  private describeDriver(robot: RobotView): string {
     if (!robot.connected) return "not connected";
     if (robot.locked) return "locked";
     const driver = this.driver(robot);

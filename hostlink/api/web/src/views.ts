@@ -13,6 +13,8 @@ export interface Velocity {
 
 export interface RobotView {
   name: string;
+  host?: string | null; // the daemon that has its link; null: the one that sent this
+  also_at?: string[]; // other daemons that have a robot of this name
   connected: boolean;
   link: number | null;
   velocity_topic: string;
