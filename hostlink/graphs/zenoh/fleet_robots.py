@@ -69,7 +69,8 @@ class FleetRobots:
         self._hub.remote_robots.connect(robot, state.link if place.is_connected else None)
         robot.shown = _topics_of(state)
         gate = robot.gate
-        gate.owner_name, gate.priority, gate.lock_reason = state.holder, state.priority, state.lock_reason
+        holder = state.holder and state.holder.removesuffix(f" at {self._post.me.name}")  # one who is here
+        gate.owner_name, gate.priority, gate.lock_reason = holder, state.priority, state.lock_reason
         gate.current = Velocity(linear_x_m_s=state.velocity[0], angular_z_rad_s=state.velocity[1])
         gate.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
         if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):

@@ -1,0 +1,116 @@
+"""A fleet as its users have it: page, client, echo, pub and top show and drive a robot wherever it is."""
+
+import asyncio
+import contextlib
+import json
+
+import pytest
+
+from hostlink.client import connect
+from hostlink.config import Config, LinkConfig
+from hostlink.errors import HostlinkError
+from tests.support.browser import chromium, visit
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.process import HOSTLINK, run
+from tests.support.screen import screen
+from tests.support.waiting import expect
+from tests.support.zenoh_fleet import fleet, shown
+
+pytestmark = [pytest.mark.quiet, pytest.mark.timeout(60)]
+
+STILL = (0.0, 0.0)
+
+
+async def test_every_page_shows_thirty_robots_of_three_daemons_and_drives_one_of_another() -> None:
+    patient = Config(link=LinkConfig(idle_timeout_s=None))  # these robots send one pose
+    async with fleet("a", "b", "c", config=patient) as hosts, contextlib.AsyncExitStack() as stack:
+        devices = {}
+        for number in range(30):
+            name = f"robot_{number}"
+            topics = robot_topics(name)
+            devices[name] = await stack.enter_async_context(fake_device(hosts[number // 10].tcp, topics))
+            await devices[name].send(pose(number / 10))
+        for host in hosts:
+            await expect(lambda: sum(robot.link is not None for robot in host.hub.robots.all()) == 30)  # noqa: B023
+        browser = await stack.enter_async_context(chromium())
+        for host in hosts:
+            async with visit(browser, host.url) as page:
+                await page.is_connected()
+                await page.page.wait_for_function("document.querySelectorAll('#robots label.robot').length === 30")
+                assert page.complaints == []
+        page = await stack.enter_async_context(visit(browser, hosts[2].url))
+        await page.is_connected()
+        await page.page.locator("#robots label.robot", has_text="robot_7").first.click()
+        await page.shows("#robots label.robot:has(input:checked)", ", at a")
+        await page.page.evaluate("document.activeElement.blur()")  # keys in a field are letters
+        await page.page.keyboard.down("KeyW")
+        linear, _ = await devices["robot_7"].velocity_other_than(STILL)
+        assert linear > 0
+        await page.shows("#drive-state", "You drive")
+        await page.page.keyboard.up("KeyW")
+        while await devices["robot_7"].velocity() != STILL:
+            pass
+        assert page.complaints == []
+
+
+async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        async with connect(a.url) as host:
+            robot = host.robot("robot_7")
+            await device.send(pose(1.5))
+            poses = robot.odometry()
+            assert (await anext(poses))["pose"]["x_m"] == 1.5
+            await device.send(pose(2.5))
+            assert (await anext(poses))["pose"]["x_m"] == 2.5
+            await robot.drive(0.2, 0.0)
+            assert await device.velocity_other_than(STILL) == (0.2, 0.0)
+            await asyncio.sleep(1.0)  # it is repeated
+            assert b.hub.robots.find_here("robot_7").gate.owner is not None
+            await robot.stop()
+            assert await device.velocity_other_than((0.2, 0.0)) == STILL
+            await robot.lock("a test")
+            with pytest.raises(HostlinkError, match="locked"):
+                await robot.drive(0.2, 0.0)
+            await robot.unlock()
+            await robot.drive(0.1, 0.0)
+            device.hang_up()
+            await expect(lambda: not robot.is_driven)
+
+
+async def test_commands_reach_a_robot_of_another_daemon() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
+        status, out, _ = await run("top", "--once", "--url", a.url)
+        assert status == 0
+        assert "robot_7" in out
+        status, out, _ = await run("top", "--once", "--json", "--url", a.url)
+        (robot,) = json.loads(out)["robots"]
+        assert (robot["name"], robot["host"], robot["connected"]) == ("robot_7", "b", True)
+        status, out, _ = await run("topics", "--url", a.url)
+        assert "/robot_7/odometry" in out
+        twist = '{"linear": {"x": 0.2}}'
+        async with asyncio.TaskGroup() as tasks:
+            publishing = tasks.create_task(run("pub", "/robot_7/cmd_vel", twist, "--count", "5", "--url", a.url))
+            assert await device.velocity_other_than(STILL) == (0.2, 0.0)
+            status, _, error = await publishing
+            status, _, error = await publishing
+            assert status == 0, error
+        assert await device.velocity_other_than((0.2, 0.0)) == STILL
+
+
+async def test_keys_drive_a_robot_of_another_daemon() -> None:
+    async with (
+        fleet("a", "b") as (a, b),
+        fake_device(b.tcp, robot_topics("robot_7")) as device,
+        screen() as terminal,
+    ):
+        await shown(a, "robot_7")
+        await terminal.keys(f"{HOSTLINK} teleop robot_7 --url {a.url}", "Enter")
+        await terminal.shows("hostlink teleop   robot_7   connected")
+        await terminal.keys("w")
+        linear, _ = await device.velocity_other_than(STILL)
+        assert linear > 0
+        while await device.velocity() != STILL:
+            pass
