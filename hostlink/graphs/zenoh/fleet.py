@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable
 
 import structlog
+from structlog.contextvars import bound_contextvars
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import BadPayload
@@ -29,11 +30,12 @@ from hostlink.graphs.zenoh.fleet_topics import FleetTopics
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample, Session, Token
 from hostlink.hub.hub import Hub
-from hostlink.logs import printable
+from hostlink.logs import of_peer, printable
 
 log = structlog.get_logger()
 
 TICK_S = 0.1
+FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
 class Fleet:
@@ -52,6 +54,8 @@ class Fleet:
             hub, self._post, self._roster, self._requests, self._topics, receive=self._receive_motions
         )
         self._declarations: list[Declaration] = []
+        self._tokens: Declaration | None = None
+        self._dropped, self._find_again_at_s = 0, 0.0
         self._has_ended = False
 
     # -- its life -----------------------------------------------------------------------------------------------------
@@ -60,15 +64,15 @@ class Fleet:
         """Be a part of the fleet from now on."""
         post, fleet, zid = self._post, self._post.keys.fleet, self._post.me.zid
         self._declarations += [
-            self._subscribe(f"{fleet}/stop/*/*", self._drivers.receive_stop, MAX_REQUEST_BYTES),
-            self._subscribe(f"{fleet}/drive/{zid}/*/*", self._drivers.receive, MAX_REQUEST_BYTES),
-            self._subscribe(f"{fleet}/answer/{zid}/*/*", self._receive_answer, MAX_STATE_BYTES),
-            self._subscribe(f"{fleet}/publish/{zid}/*/*/**", self._topics.exports.receive, MAX_MESSAGE_BYTES),
-            self._subscribe(f"{fleet}/state/*/*", self._receive_state, MAX_STATE_BYTES),
+            self._subscribe(f"{fleet}/stop/*/*", self._drivers.receive_stop, MAX_REQUEST_BYTES, 64),
+            self._subscribe(f"{fleet}/drive/{zid}/*/*", self._drivers.receive, MAX_REQUEST_BYTES, 64),
+            self._subscribe(f"{fleet}/answer/{zid}/*/*", self._receive_answer, MAX_STATE_BYTES, 64),
+            self._subscribe(f"{fleet}/publish/{zid}/*/*/**", self._topics.exports.receive, MAX_MESSAGE_BYTES, 64),
+            self._subscribe(f"{fleet}/state/*/*", self._receive_state, MAX_STATE_BYTES, 4),
             post.session.serve(post.keys.key("topics", post.me), self._topics.exports.answer),
-            post.session.subscribe_tokens(f"{fleet}/alive/*/*", self._receive_token),
             post.session.declare_token(post.keys.key("alive", post.me)),
         ]
+        self._find_tokens()
         self._topics.begin()
         self._hub.gates.elsewhere = self._requests
 
@@ -82,18 +86,31 @@ class Fleet:
     def end(self) -> None:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended, self._hub.gates.elsewhere = True, None
-        for declaration in self._declarations:
+        for declaration in (*self._declarations, *filter(None, [self._tokens])):
             declaration.close()
         self._topics.end()
         self._robots.end()
         self._states.close()
         self._drivers.leave_all()
 
-    def _subscribe(self, keys: str, receive: Callable[[Sample], None], max_bytes: int) -> Declaration:
-        """What others send to this daemon (with its id in the key), or to all."""
+    def _subscribe(self, keys: str, receive: Callable[[Sample], None], max_bytes: int, max_waiting: int) -> Declaration:
+        """What others send to this daemon (with its id in the key), or to all: a queue for each daemon."""
         is_addressed = self._post.me.zid in keys
-        source = self._post.source_of_addressed if is_addressed else self._post.source
-        return self._post.session.subscribe(keys, receive, source_of=source, max_bytes=max_bytes)
+
+        def source(key: str) -> str:
+            sender = self._post.keys.sender(key, is_addressed=is_addressed)
+            return "" if sender is None or self._roster.find(sender) is None else sender.zid
+
+        session = self._post.session
+        return session.subscribe(keys, receive, source_of=source, max_bytes=max_bytes, max_waiting=max_waiting)
+
+    def _find_tokens(self) -> None:
+        """Learn of all daemons that live, and follow who comes and goes; again after something was dropped."""
+        if self._tokens is not None:
+            self._tokens.close()
+        self._dropped = self._post.session.counts["dropped"]
+        self._tokens = self._post.session.subscribe_tokens(f"{self._post.keys.fleet}/alive/*/*", self._receive_token)
+        self._find_again_at_s = _now_s() + FIND_INTERVAL_S
 
     def _tick(self) -> None:
         now_s = _now_s()
@@ -102,6 +119,8 @@ class Fleet:
         self._requests.tick()
         self._robots.apply(self._roster.watch(now_s) | self._roster.forget(now_s) | self._names_here())
         self._robots.follow(now_s)
+        if self._dropped != self._post.session.counts["dropped"] and now_s >= self._find_again_at_s:
+            self._find_tokens()
 
     def _names_here(self) -> set[str]:
         """Robots here that have a namesake elsewhere: one of them may have come or left."""
@@ -113,11 +132,12 @@ class Fleet:
         sender = self._post.keys.sender(token.key)
         if sender is None or sender == self._post.me:
             return
-        if not token.is_alive:
-            self._lose(sender)
-        elif self._roster.appear(sender, _now_s()):
-            self._states.greet()
-            log.info("fleet.daemon_appeared", host=printable(sender.name), zid=printable(sender.zid))
+        with bound_contextvars(**of_peer("fleet")):
+            if not token.is_alive:
+                self._lose(sender)
+            elif self._roster.appear(sender, _now_s()):
+                self._states.greet()
+                log.info("fleet.daemon_appeared", host=printable(sender.name), zid=printable(sender.zid))
 
     def _lose(self, sender: Sender) -> None:
         neighbour = self._roster.find(sender)

@@ -18,11 +18,3 @@ class Post:
     me: Sender
     counts: Counter[str]
     may_drive: tuple[str, ...] = ("*",)  # patterns of the names of daemons whose programs may drive robots here
-
-    def source(self, key: str) -> str:
-        """Who has sent on a key, as the one in whose queue it waits."""
-        return str(self.keys.sender(key))
-
-    def source_of_addressed(self, key: str) -> str:
-        """The same for a key with an addressee."""
-        return str(self.keys.sender(key, is_addressed=True))

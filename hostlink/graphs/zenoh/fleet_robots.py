@@ -111,7 +111,6 @@ class FleetRobots:
                 self._live[zid] = self._post.session.subscribe(
                     self._post.keys.key("live", neighbour.sender),
                     self._receive,
-                    source_of=self._post.source,
                     max_bytes=MAX_STATE_BYTES,
                     max_waiting=MAX_WAITING,
                 )

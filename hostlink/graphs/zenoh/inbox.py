@@ -13,6 +13,7 @@ Item = TypeVar("Item")
 
 MAX_WAITING = 256  # items of one source; the oldest goes
 MAX_SOURCES = 512  # with items that wait; an item of one more is dropped
+MAX_WAITING_BYTES = 16 * 1024 * 1024  # of all sources; an item that would be more is dropped
 SLICE_S = 0.0005  # of one turn of the loop; a stop that comes by another way waits no longer
 
 
@@ -36,14 +37,16 @@ class Inbox(Generic[Item]):
         self._loop = asyncio.get_running_loop()
         self._lock = threading.Lock()  # Zenoh has threads of its own
         self._waiting: OrderedDict[str, deque[Item]] = OrderedDict()
+        self._bytes = 0
         self._is_due = False
         self._is_closed = False
 
     def put(self, source: str, item: Item) -> None:
         """Queue an item of this source."""
         with self._lock:
-            if self._is_closed or not self._has_room(source):
+            if self._is_closed or not self._has_room(source, _size_bytes(item)):
                 return
+            self._bytes += _size_bytes(item)
             self._waiting.setdefault(source, deque()).append(item)
             if self._is_due:
                 return
@@ -56,15 +59,17 @@ class Inbox(Generic[Item]):
         with self._lock:
             self._is_closed = True
             self._waiting.clear()
+            self._bytes = 0
 
-    def _has_room(self, source: str) -> bool:
+    def _has_room(self, source: str, size_bytes: int) -> bool:
         queue = self._waiting.get(source)
-        if queue is None and len(self._waiting) >= MAX_SOURCES:
+        if queue is not None and len(queue) >= self._max_waiting:
+            self._bytes -= _size_bytes(queue.popleft())
+            self._counts["dropped"] += 1
+        is_excess = queue is None and len(self._waiting) >= MAX_SOURCES
+        if is_excess or self._bytes + size_bytes > MAX_WAITING_BYTES:
             self._counts["dropped"] += 1
             return False
-        if queue is not None and len(queue) >= self._max_waiting:
-            queue.popleft()
-            self._counts["dropped"] += 1
         return True
 
     def _drain(self) -> None:
@@ -84,6 +89,12 @@ class Inbox(Generic[Item]):
                 return None
             source, queue = self._waiting.popitem(last=False)
             item = queue.popleft()
+            self._bytes -= _size_bytes(item)
             if queue:
                 self._waiting[source] = queue
             return (item,)
+
+
+def _size_bytes(item: object) -> int:
+    """Of what somebody else has chosen the size."""
+    return len(getattr(item, "payload", b""))

@@ -13,7 +13,8 @@ from hostlink.config import Config, ZenohConfig
 from hostlink.graphs.zenoh.fleet_messages import Drive, RobotState, State, Topics, TopicState, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, robot_topics
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.participants import subscribe
 from tests.support.process import free_port
 from tests.support.proxy import Line, Proxy, proxy
 from tests.support.waiting import expect
@@ -325,3 +326,35 @@ async def test_a_daemon_without_a_certificate_is_no_part_of_the_fleet(tmp_path: 
         await asyncio.sleep(1.5)
         assert b.hub.robots.remote == {}
         assert a.hub.robots.remote == {}
+
+
+# -- a router ---------------------------------------------------------------------------------------------------------
+
+
+async def test_a_router_carries_a_fleet_of_clients() -> None:
+    port = free_port()
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+
+    def client(name: str) -> Config:
+        there = (f"tcp/127.0.0.1:{port}",)
+        return Config(zenoh=ZenohConfig(name=name, mode="client", connect=there, multicast=False))
+
+    async with contextlib.AsyncExitStack() as stack:
+        router = await asyncio.to_thread(zenoh.open, config)
+        a, b = [await stack.enter_async_context(daemon(client(name))) for name in "ab"]
+        stack.push_async_callback(asyncio.to_thread, router.close)
+        device = await stack.enter_async_context(fake_device(b.tcp, robot_topics("robot_7")))
+        await shown(a, "robot_7")
+        received: list[bytes] = []
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
+        subscribe(a.hub, "/robot_7/odometry", lambda message: received.append(message.payload))
+        await expect(lambda: len(b.hub.topics.find("/robot_7/odometry").subscribers) == 2)
+        await device.send(pose(2.5))
+        await expect(lambda: received)
+        assert (await drive(a, "robot_7", 0.2))[0] == 200
+        assert await device.velocity_other_than(STILL) == MOVING
+        assert (await a.rest("POST", "/api/stop"))[0] == 200
+        assert await device.velocity_other_than(MOVING) == STILL

@@ -6,7 +6,8 @@ from collections import Counter
 
 import pytest
 
-from hostlink.graphs.zenoh.inbox import MAX_SOURCES, Inbox
+from hostlink.graphs.zenoh.inbox import MAX_SOURCES, MAX_WAITING_BYTES, Inbox
+from hostlink.graphs.zenoh.session import Sample
 from hostlink.hub.isolation import Isolation
 
 
@@ -57,6 +58,21 @@ async def test_the_number_of_sources_is_bounded() -> None:
     await settled()
     assert len(received) == MAX_SOURCES
     assert counts["dropped"] == 5
+
+
+async def test_the_bytes_that_wait_are_bounded() -> None:
+    received: list[Sample] = []
+    counts: Counter[str] = Counter()
+    inbox = Inbox(received.append, Isolation(), counts)
+    large = Sample("key", bytes(MAX_WAITING_BYTES // 4))
+    for number in range(6):
+        inbox.put(str(number), large)
+    assert counts["dropped"] == 2
+    await settled()
+    assert len(received) == 4
+    for number in range(6):
+        inbox.put(str(number), large)  # there is room again
+    assert counts["dropped"] == 4
 
 
 async def test_a_callback_that_fails_is_counted_and_the_next_item_comes() -> None:
