@@ -70,7 +70,8 @@ def robot_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
 
 def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
     odometry = robot["odometry"]
-    link = "gone" if robot["link"] is None else str(robot["link"])
+    host = robot.get("host")  # the daemon that has it, if not the one that sent this
+    link = "gone" if robot["link"] is None else f"at {host}" if host else str(robot["link"])
     who = "locked" if robot.get("locked") else robot["holder"] or "nobody"
     if odometry is None:
         return (robot["name"], link, who, *("-",) * 7)

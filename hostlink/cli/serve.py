@@ -25,7 +25,7 @@ from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
 from hostlink.cli.output import write, write_error
 from hostlink.cli.systemd import Notifier
-from hostlink.config import Config, UdpConfig, load
+from hostlink.config import Config, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError
 from hostlink.guardian.guardian import guarded
 from hostlink.hub.guard import Guard
@@ -172,6 +172,9 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     messages: Annotated[
         list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
     ] = None,
+    zenoh: Annotated[
+        bool, typer.Option("--zenoh", help="Show and drive the robots of other daemons in this network: docs/fleet.md.")
+    ] = False,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
     loop: Annotated[str, typer.Option(help="The event loop: asyncio, or uvloop for crowds of robots.")] = "asyncio",
     check_config: Annotated[
@@ -196,6 +199,8 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     settings = merge(
         load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
     )
+    if zenoh and settings.zenoh is None:
+        settings = dataclasses.replace(settings, zenoh=ZenohConfig())
     warnings = asyncio.run(check(settings, descriptors=limit()))
     if check_config is not None:
         write(*describe(settings))

@@ -84,7 +84,8 @@ async def test_commands_reach_a_robot_of_another_daemon() -> None:
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
         status, out, _ = await run("top", "--once", "--url", a.url)
         assert status == 0
-        assert "robot_7" in out
+        (line,) = (line for line in out.splitlines() if line.startswith("robot_7"))
+        assert "at b" in line
         status, out, _ = await run("top", "--once", "--json", "--url", a.url)
         (robot,) = json.loads(out)["robots"]
         assert (robot["name"], robot["host"], robot["connected"]) == ("robot_7", "b", True)
