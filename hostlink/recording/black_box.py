@@ -41,7 +41,7 @@ class BlackBox:
         self._hub, self._config = hub, config
         self._rules = IncidentRules()
         self._channels: dict[Channel, None] = {}
-        self._recorder = Recorder(hub, self, Selection(has_derived=False))
+        self._recorder = Recorder(hub, self, Selection(has_derived=False, has_remote=False))
         self._observer = hub.join_daemon()
 
     def start(self) -> None:
@@ -69,13 +69,13 @@ class BlackBox:
         """Save a robot's last minutes because somebody wants it.
 
         Raises:
-            UnknownTopic: there is no robot of that name.
+            UnknownTopic: there is no robot of that name here.
             RecordingBusy: the black box is turned off, or too many incidents are pending.
         """
-        self._hub.robots.find(robot)
+        found = self._hub.robots.find_here(robot.strip("/"))
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
-        incident = Incident(self._hub.robots.find(robot).name, "wish", reason[:MAX_DETAIL], time.time_ns())
+        incident = Incident(found.name, "wish", reason[:MAX_DETAIL], time.time_ns())
         if not self._begin(incident):
             raise RecordingBusy(f"{MAX_PENDING} incidents are being saved; try again in {self._config.after_s:g} s")
         return incident

@@ -27,6 +27,7 @@ class Selection:
 
     topics: tuple[str, ...] = ()  # names, or patterns with *; none: all
     robots: tuple[str, ...] = ()  # topics and events of these alone; none: of all, and of nobody
+    has_remote: bool = True  # also the topics of robots of other daemons, which then travel all the time
     has_derived: bool = True  # also what hostlink makes of other topics, as odom and tf
 
     def has(self, topic: str, robot: str) -> bool:
@@ -83,6 +84,8 @@ class Recorder:
     def _is_wanted(self, topic: GraphTopic) -> bool:
         if not topic.type_name or (topic.is_derived and not self._selection.has_derived):
             return False
+        if not self._selection.has_remote and self._is_remote(topic.name):
+            return False
         return self._selection.has(topic.name, self._robot_of(topic.name))
 
     def _subscribe(self, key: GraphTopic, topic: GraphTopic) -> None:
@@ -116,6 +119,10 @@ class Recorder:
         found = self._hub.topics.find_or_none(topic.name)
         is_device = found is not None and found.has_device_publisher
         return DEVICE if is_device else HOSTLINK if topic.is_derived else ""
+
+    def _is_remote(self, topic: str) -> bool:
+        name = topic.lstrip("/").partition("/")[0]
+        return name in self._hub.robots.remote and self._hub.robots.get_here(name) is None
 
     def _is_robot(self, name: str) -> bool:
         return any(robot.name == name for robot in self._hub.robots.all())

@@ -10,7 +10,7 @@ from hostlink.robot.velocity import TWIST_TYPE, Velocity
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.participants import subscribe
 from tests.support.rosbridge import client
-from tests.support.waiting import expect
+from tests.support.waiting import expect, expect_never
 from tests.support.zenoh_fleet import drive, fleet, joined, port_of, robot, shown
 
 STILL = (0.0, 0.0)
@@ -141,14 +141,15 @@ async def test_topics_of_a_robot_elsewhere_travel_while_somebody_subscribes() ->
         await shown(a, "robot_7")
         topic = b.hub.topics.find("/robot_7/odometry")
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
-        assert len(topic.subscribers) == 1  # the robot itself
+        await expect(lambda: len(topic.subscribers) == 2)  # the robot itself, and the black box here
+        await expect_never(lambda: len(topic.subscribers) > 2, for_s=0.5)  # and not the one over there
         received: list[bytes] = []
         subscription = subscribe(a.hub, "/robot_7/odometry", lambda message: received.append(message.payload))
-        await expect(lambda: len(topic.subscribers) == 2)
+        await expect(lambda: len(topic.subscribers) == 3)
         await device.send(pose(2.5))
         await expect(lambda: received)
         subscription.close()
-        await expect(lambda: len(topic.subscribers) == 1)
+        await expect(lambda: len(topic.subscribers) == 2)
 
 
 async def test_a_velocity_topic_of_a_robot_elsewhere_drives_it() -> None:
