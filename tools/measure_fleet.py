@@ -136,7 +136,7 @@ async def all_known(session: aiohttp.ClientSession, hosts: list[Process], count:
 
 
 async def until(session: aiohttp.ClientSession, host: Process, is_so: Callable[[list[dict[str, Any]]], bool]) -> None:
-    """Ask a daemon for its robots until they are as wanted."""
+    """Read a daemon's robots until they are as wanted."""
     async with asyncio.timeout(FLEET_TIMEOUT_S):
         for _ in itertools.count():
             if is_so(await robots_of(session, host)):

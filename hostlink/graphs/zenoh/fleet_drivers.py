@@ -87,7 +87,7 @@ class FleetDrivers:
         """What a program of another daemon publishes to a device here.
 
         Raises:
-            HostlinkError: it may not, or the device does not take it.
+            HostlinkError: it may not, or it does not fit the device.
         """
         self._check_role(neighbour, topic)
         self._participant(neighbour, _PUBLISHER, "programs").publish(topic, payload)
@@ -154,7 +154,7 @@ class FleetDrivers:
             raise DeviceGone(robot.name, "the daemons have just met; try again")
         late_s = neighbour.freshness.late_s(request.sent_s, _now_s())
         if late_s > robot.gate.lease_s:
-            raise BadRequest(f"{robot.name}: the command was {late_s:.1f} s on its way, longer than it holds")
+            raise BadRequest(f"{robot.name}: the command was {late_s:.1f} s on its way, longer than it is valid")
         participant = self._participant(neighbour, request.owner, request.owner_name)
         limited = participant.drive(robot, velocity, priority=request.priority, link=request.link)
         return Answer(number=request.number, velocity=limited)

@@ -34,7 +34,7 @@ class _Import:
 
 
 class FleetImports:
-    """A robot's topics are below its name, whatever the other daemon says: nobody else's name is taken."""
+    """A robot's topics are below its name, whatever the other daemon sends; no other name is used."""
 
     def __init__(self, hub: Hub, post: Post) -> None:
         self._hub, self._post = hub, post

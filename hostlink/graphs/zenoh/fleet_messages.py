@@ -1,6 +1,6 @@
 """What daemons of a fleet send to each other, as JSON; and the keys on which they do. Pure.
 
-The verb comes first in a key and the sender's name stands in it, so that Zenoh's access rules can say who may do what.
+The verb comes first in a key and the sender's name stands in it, so that Zenoh's access rules can name who may do what.
 """
 
 from typing import Annotated, NamedTuple, TypeVar

@@ -86,7 +86,7 @@ def fleet_name(robot: Robot, topic: str) -> str:
 
 
 def state_of(robot: Robot) -> RobotState:
-    """A robot as other daemons are to see it."""
+    """A robot as other daemons receive it."""
     gate, shown = robot.gate, robot.shown
     pose = robot.odometry.snapshot(_now_s())
     cause = robot.refusals.cause

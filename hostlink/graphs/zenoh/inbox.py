@@ -82,7 +82,7 @@ class Inbox(Generic[Item]):
                 return
 
     def _pop(self) -> tuple[Item] | None:
-        """The next item; sources take turns."""
+        """The next item, of the source that has waited the longest."""
         with self._lock:
             if not self._waiting:
                 self._is_due = False

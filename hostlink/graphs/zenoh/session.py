@@ -64,7 +64,7 @@ class Declaration:
         self._undeclare = undeclare
 
     def close(self) -> None:
-        """Take it back; it may be closed already."""
+        """Undeclare it; it may be closed already."""
         undeclare, self._undeclare = self._undeclare, ()
         for each in undeclare:
             each()
@@ -331,7 +331,7 @@ def _reason(error: Exception) -> str:
 
 
 def _settings(zenoh: Any, config: ZenohConfig) -> Any:
-    """The file's, and over them what [zenoh] says; this project's defaults where the file has Zenoh's."""
+    """Those of the file, and [zenoh] over them; this project's defaults where the file has Zenoh's."""
     usual = zenoh.Config()
     settings = zenoh.Config() if config.file is None else zenoh.Config.from_file(str(config.file))
     for key, value in DEFAULTS.items():

@@ -98,7 +98,7 @@ async def test_a_stop_that_nobody_answers_is_reported() -> None:
 
 
 class Liar:
-    """A peer that speaks the fleet's protocol, and says what it likes."""
+    """A peer that speaks the fleet's protocol, and sends what it likes."""
 
     def __init__(self, session: Any, name: str = "liar") -> None:
         self.session, self.name, self.zid = session, name, str(session.info.zid())
