@@ -104,7 +104,7 @@ class FleetExports:
                     name=name,
                     type=topic.type_name,
                     is_published=topic.is_published,
-                    is_subscribed=topic.is_subscribed,
+                    is_subscribed=bool(self._hub.topics.find(topic.name).devices),
                     is_velocity=topic.is_velocity,
                 )
                 found[name] = (state, topic.name)

@@ -15,6 +15,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import MAX_ADVERTISED, Participant
 from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.subscription import Subscription
 
 log = structlog.get_logger()
 
@@ -29,7 +30,9 @@ class _Import:
 
     neighbour: Neighbour
     participant: Participant
+    listed: list[TopicState] = field(default_factory=list)
     topics: dict[str, TopicState] = field(default_factory=dict)
+    to_device: dict[str, Subscription] = field(default_factory=dict)  # what programs here publish
     subscriptions: dict[str, Declaration] = field(default_factory=dict)  # at the other daemon
 
 
@@ -43,19 +46,25 @@ class FleetImports:
 
     def show(self, robot: RemoteRobot, neighbour: Neighbour, topics: list[TopicState]) -> None:
         """A robot's topics as its daemon lists them now."""
-        wanted = {topic.name: topic for topic in topics if topic.name.startswith(f"/{robot.name}/")}
-        self._post.counts["foreign_topics"] += len(topics) - len(wanted)
-        wanted = dict(list(wanted.items())[:MAX_ADVERTISED])
-        before = self._imports.get(robot.name)
-        if before is not None and before.neighbour is neighbour and before.topics == wanted:
+        shown = self._imports.get(robot.name)
+        if shown is None or shown.neighbour is not neighbour:
+            self.hide(robot.name)
+            participant = self._hub.join(f"{robot.name} at {neighbour.sender.name}", group=GROUP)
+            shown = self._imports[robot.name] = _Import(neighbour, participant)
+        if shown.listed is topics:
             return
-        self.hide(robot.name)
-        participant = self._hub.join(f"{robot.name} at {neighbour.sender.name}", group=GROUP)
-        shown = self._imports[robot.name] = _Import(neighbour, participant)
+        shown.listed = topics
+        own = {topic.name: topic for topic in topics if topic.name.startswith(f"/{robot.name}/")}
+        self._post.counts["foreign_topics"] += len(topics) - len(own)
+        wanted = dict(list(own.items())[:MAX_ADVERTISED])
         self._hub.remote_robots.offer(robot, [(each.name, each.type) for each in wanted.values() if each.is_velocity])
-        for topic in wanted.values():
-            self._show(shown, topic)
-        shown.topics = wanted
+        for name, topic in list(shown.topics.items()):
+            if wanted.get(name) != topic:
+                self._hide_topic(shown, name)
+        for name, topic in wanted.items():
+            if name not in shown.topics:
+                shown.topics[name] = topic
+                self._show_topic(shown, topic)
 
     def hide(self, robot: str) -> None:
         """It is gone, or known from another daemon."""
@@ -81,7 +90,15 @@ class FleetImports:
                 elif name in shown.subscriptions:
                     shown.subscriptions.pop(name).close()
 
-    def _show(self, shown: _Import, topic: TopicState) -> None:
+    def _hide_topic(self, shown: _Import, name: str) -> None:
+        del shown.topics[name]
+        shown.participant.unadvertise(name)
+        if name in shown.to_device:
+            shown.to_device.pop(name).close()
+        if name in shown.subscriptions:
+            shown.subscriptions.pop(name).close()
+
+    def _show_topic(self, shown: _Import, topic: TopicState) -> None:
         try:
             if topic.is_velocity:
                 return
@@ -89,7 +106,8 @@ class FleetImports:
                 shown.participant.advertise(topic.name, topic.type)
             if topic.is_subscribed:
                 publish = partial(self._publish, shown.neighbour)
-                shown.participant.subscribe(topic.name, publish, type_name=topic.type)
+                subscription = shown.participant.subscribe(topic.name, publish, type_name=topic.type)
+                shown.to_device[topic.name] = subscription
         except HostlinkError as error:
             self._post.counts["refused_topics"] += 1
             if topic.name not in self._logged and len(self._logged) < MAX_LOGGED:

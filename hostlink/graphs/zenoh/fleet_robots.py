@@ -1,10 +1,12 @@
 """FleetRobots: the robots of other daemons, as this one shows them."""
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Iterable
 
 import structlog
 
+from hostlink.errors import HostlinkError
 from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES, RobotState
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
@@ -13,6 +15,7 @@ from hostlink.graphs.zenoh.roster import Neighbour, Place, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample
 from hostlink.hub.hub import Hub
 from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import Robot
 from hostlink.logs import of_peer, printable
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.kinematics import Pose
@@ -42,6 +45,7 @@ class FleetRobots:
         self._hub, self._post, self._roster = hub, post, roster
         self._requests, self._topics, self._receive = requests, topics, receive
         self._live: dict[str, Declaration] = {}
+        self._known_links: dict[str, int] = {}  # of robots here that have a namesake elsewhere
 
     def apply(self, names: Iterable[str]) -> None:
         """Show the robots of these names as they are known now."""
@@ -95,6 +99,17 @@ class FleetRobots:
         if also_at and not robot.also_at:
             _log_twice(name, (self._post.me.name, *also_at))
         robot.also_at = also_at
+        if robot.link is not None and self._known_links.get(name) != robot.link.number:
+            self._known_links[name] = robot.link.number
+            self._lock_likewise(robot)
+
+    def _lock_likewise(self, robot: Robot) -> None:
+        """A robot that was locked at another daemon may have come here: its lock comes with it."""
+        for neighbour in self._roster.all():
+            state = neighbour.robots.get(robot.name)
+            if state is not None and state.lock_reason is not None and robot.gate.lock_reason is None:
+                with contextlib.suppress(HostlinkError):  # it is locked; a device that refuses a zero obeys nobody
+                    self._hub.emergency_stop.stop_here(robot, f"locked at {neighbour.sender.name}: {state.lock_reason}")
 
     def follow(self, now_s: float) -> None:
         """Subscribe the poses of those daemons of which somebody reads one."""

@@ -129,6 +129,35 @@ async def test_a_lock_holds_everywhere_until_it_is_released_from_anywhere() -> N
         assert (await drive(b, "robot_7", 0.3))[0] == 200
 
 
+async def test_a_lock_goes_with_a_robot_that_connects_to_another_daemon() -> None:
+    async with fleet("a", "b") as (a, b):
+        async with fake_device(a.tcp, robot_topics("robot_7")):
+            await shown(b, "robot_7")
+            assert (await b.rest("POST", "/api/robots/robot_7/lock", b'{"reason":"smoke"}'))[0] == 200
+        await expect(lambda: b.hub.robots.remote["robot_7"].link is None)
+        async with fake_device(b.tcp, robot_topics("robot_7")):
+            await expect(lambda: b.hub.robots.get_here("robot_7"))
+            await expect(lambda: b.hub.robots.find_here("robot_7").gate.lock_reason == "locked at a: smoke (b)")
+            assert (await drive(a, "robot_7", 0.2))[0] == 409
+            assert (await a.rest("POST", "/api/robots/robot_7/unlock"))[0] == 200
+            await expect_never(lambda: b.hub.robots.find_here("robot_7").gate.lock_reason, for_s=0.5)
+
+
+async def test_a_program_that_subscribes_where_the_robot_is_interrupts_nobody_elsewhere() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/odometry"))
+        received: list[float] = []
+        subscribe(a.hub, "/robot_7/odometry", lambda _: received.append(0.0))
+        await expect(lambda: len(b.hub.topics.find("/robot_7/odometry").subscribers) == 3)
+        for number in range(10):
+            subscription = subscribe(b.hub, "/robot_7/odometry", lambda _: None)
+            await device.send(pose(number))
+            await asyncio.sleep(0.06)  # the graph's changes are noticed
+            subscription.close()
+        await expect(lambda: len(received) == 10)
+
+
 async def test_a_lock_by_the_service_of_ros_reaches_the_other_daemon() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")), client(a) as program:
         await shown(a, "robot_7")
