@@ -26,6 +26,7 @@ from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
 from hostlink.graphs.zenoh.fleet_robots import FleetRobots
 from hostlink.graphs.zenoh.fleet_states import FleetStates
+from hostlink.graphs.zenoh.fleet_tokens import FleetTokens
 from hostlink.graphs.zenoh.fleet_topics import FleetTopics
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample, Session, Token
@@ -35,7 +36,6 @@ from hostlink.logs import of_peer, printable
 log = structlog.get_logger()
 
 TICK_S = 0.1
-FIND_INTERVAL_S = 5.0  # between two searches for daemons whose tokens may have been dropped
 
 
 class Fleet:
@@ -54,8 +54,7 @@ class Fleet:
             hub, self._post, self._roster, self._requests, self._topics, receive=self._receive_motions
         )
         self._declarations: list[Declaration] = []
-        self._tokens: Declaration | None = None
-        self._dropped, self._find_again_at_s = 0, 0.0
+        self._tokens = FleetTokens(self._post, self._receive_token)
         self._has_ended = False
 
     # -- its life -----------------------------------------------------------------------------------------------------
@@ -72,7 +71,7 @@ class Fleet:
             post.session.serve(post.keys.key("topics", post.me), self._topics.exports.answer),
             post.session.declare_token(post.keys.key("alive", post.me)),
         ]
-        self._find_tokens()
+        self._tokens.find(_now_s())
         self._topics.begin()
         self._hub.gates.elsewhere = self._requests
 
@@ -86,7 +85,8 @@ class Fleet:
     def end(self) -> None:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
         self._has_ended, self._hub.gates.elsewhere = True, None
-        for declaration in (*self._declarations, *filter(None, [self._tokens])):
+        self._tokens.close()
+        for declaration in self._declarations:
             declaration.close()
         self._topics.end()
         self._robots.end()
@@ -104,14 +104,6 @@ class Fleet:
         session = self._post.session
         return session.subscribe(keys, receive, source_of=source, max_bytes=max_bytes, max_waiting=max_waiting)
 
-    def _find_tokens(self) -> None:
-        """Learn of all daemons that live, and follow who comes and goes; again after something was dropped."""
-        if self._tokens is not None:
-            self._tokens.close()
-        self._dropped = self._post.session.counts["dropped"]
-        self._tokens = self._post.session.subscribe_tokens(f"{self._post.keys.fleet}/alive/*/*", self._receive_token)
-        self._find_again_at_s = _now_s() + FIND_INTERVAL_S
-
     def _tick(self) -> None:
         now_s = _now_s()
         self._states.tick(self._topics.exports.number)
@@ -119,8 +111,7 @@ class Fleet:
         self._requests.tick()
         self._robots.apply(self._roster.watch(now_s) | self._roster.forget(now_s) | self._names_here())
         self._robots.follow(now_s)
-        if self._dropped != self._post.session.counts["dropped"] and now_s >= self._find_again_at_s:
-            self._find_tokens()
+        self._tokens.tick(now_s)
 
     def _names_here(self) -> set[str]:
         """Robots here that have a namesake elsewhere: one of them may have come or left."""
