@@ -54,6 +54,12 @@ async def drive(host: Daemon, name: str, linear: float, angular: float = 0.0) ->
     return await host.rest("PUT", f"/api/robots/{name}/velocity", b'{"linear":%f,"angular":%f}' % (linear, angular))
 
 
+async def subscriber_count(host: Daemon, topic: str) -> int:
+    """How many subscribe to a topic, with the black box if it is on."""
+    await asyncio.sleep(0.3)
+    return len(host.hub.topics.find(topic).subscribers)
+
+
 def port_of(host: Daemon) -> int:
     """Where its Zenoh session listens."""
     settings = host.hub.config.zenoh
