@@ -6,7 +6,6 @@ import dataclasses
 import difflib
 import ipaddress
 import re
-import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -323,10 +322,7 @@ def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
             _refuse_unknown_keys(value, hints[key], file, f"{prefix}{key}.")
         return
     inner = typing.get_args(wanted)
-    if typing.get_origin(wanted) in (typing.Union, types.UnionType):
-        for each in inner:
-            _refuse_unknown_keys(raw, each, file, prefix)
-    elif typing.get_origin(wanted) is dict and isinstance(raw, dict):
+    if typing.get_origin(wanted) is dict and isinstance(raw, dict):
         for key, value in raw.items():
             _refuse_unknown_keys(value, inner[1], file, f"{prefix}{key}.")
     elif typing.get_origin(wanted) is tuple and isinstance(raw, list):

@@ -12,6 +12,7 @@ from hostlink.api.replies import reply
 from hostlink.api.routes import Route
 from hostlink.api.views import PoseView
 from hostlink.hub.hub import Hub
+from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.recording.black_box import BlackBox
@@ -68,6 +69,8 @@ class HistoryRoutes:
 
     async def _history(self, request: web.Request) -> web.Response:
         robot = self._hub.robots.find(request.match_info["name"])
+        if isinstance(robot, RemoteRobot):  # its daemon has its past
+            return reply({"poses": [], "plot_data": [], "events": []})
         view = await asyncio.to_thread(self._view, robot, *self._collect(robot))
         return reply(view)
 

@@ -73,7 +73,7 @@ class DiagnosticsTopic:
         yield self._daemon
         now_s = asyncio.get_running_loop().time()
         absent: dict[str, Diagnosis] = {each.robot: each for each in self._diagnoses.ended if each.robot}
-        for robot in self._robots.all():
+        for robot in self._robots.here():
             diagnosis = None if robot.link is None else self._diagnoses.find(robot.link.number)
             if diagnosis is None:
                 yield partial(_absent, robot, absent.get(robot.name), now_s)
@@ -90,7 +90,7 @@ class DiagnosticsTopic:
             yield partial(port_status, port, found)
 
     def _daemon(self) -> Status:
-        robots = self._robots.all()
+        robots = self._robots.here()
         counts = {
             "links": len(self._diagnoses.live()),
             "robots": len(robots),
