@@ -1,0 +1,291 @@
+"""Types of ROS 2: the names, hashes and payloads there of what the catalog knows by its ROS 1 definition.
+
+A distribution's own definition goes before the catalog's: its fields may be others (Range has one more). A type that it
+does not have, as a user's own, has the catalog's fields there, with names in lower case as ROS 2 demands.
+"""
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.serde.utils import SIZEMAP
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.base import normalize_fieldname
+
+from hostlink.errors import BadPayload
+from hostlink.messages.catalog import Catalog
+from hostlink.messages.fields import FLOATS, SCALAR, SIZES, VARIABLE, Field
+from hostlink.messages.message_type import MessageType
+
+Distribution = Literal["humble", "iron", "jazzy", "kilted", "lyrical"]
+
+NO_HASH: Final = "TypeHashNotSupported"  # what Humble has instead of hashes
+SEQUENCE_MAX: Final = 1024 * 1024  # elements of one field
+
+_STORES: Final[Mapping[Distribution, Stores]] = {
+    "humble": Stores.ROS2_HUMBLE,
+    "iron": Stores.ROS2_IRON,
+    "jazzy": Stores.ROS2_JAZZY,
+    "kilted": Stores.ROS2_KILTED,
+    "lyrical": Stores.LATEST,
+}
+_RENAMED: Final = {  # ROS 1's name -> ROS 2's, where it is not "pkg/msg/Type"
+    "tf/tfMessage": "tf2_msgs/msg/TFMessage",
+    "std_msgs/Time": "builtin_interfaces/msg/Time",
+    "std_msgs/Duration": "builtin_interfaces/msg/Duration",
+    "rosgraph_msgs/Log": "rcl_interfaces/msg/Log",
+}
+_ROS1_NAMES: Final = {ros2: ros1 for ros1, ros2 in _RENAMED.items() if ros2 != "tf2_msgs/msg/TFMessage"}
+_LOG: Final = "rcl_interfaces/msg/Log"
+_LOG_LEVELS: Final = {1: 10, 2: 20, 4: 30, 8: 40, 16: 50}  # ROS 1's are bits
+_NESTED: Final = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+_EMPTY: Final = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
+_SIZES: Final = {str(name): size_bytes for name, size_bytes in SIZEMAP.items()}
+_NUMPY: Final = {"bool": "bool", "byte": "uint8", "char": "uint8"}
+_SHADOW: Final = "hostlink_ros1/msg/"  # the catalog's fields of a type that ROS 2 has with others
+_MALFORMED: Final = (SerdeError, ArithmeticError, AssertionError, LookupError, TypeError, ValueError, struct.error)
+
+Convert = Callable[[bytes], bytes]
+_Desc = Any  # rosbags' description of a field, a nested tuple
+
+
+def ros2_type(type_name: str, kind: Literal["msg", "srv"] = "msg") -> str:
+    """ "std_msgs/String" -> "std_msgs/msg/String"; some have other names in ROS 2."""
+    package, _, name = type_name.partition("/")
+    return _RENAMED.get(type_name, f"{package}/{kind}/{name}")
+
+
+def ros1_type(type_name: str) -> str:
+    """ "std_msgs/msg/String" -> "std_msgs/String"; also of services."""
+    package, _, rest = type_name.partition("/")
+    return _ROS1_NAMES.get(type_name, f"{package}/{rest.rpartition('/')[2]}")
+
+
+class Ros2Message:
+    """One message type, as ROS 2 has it."""
+
+    def __init__(self, name: str, type_hash: str, to_cdr: Convert, from_cdr: Convert, *, is_flat: bool) -> None:
+        """`to_cdr` and `from_cdr` may raise whatever a malformed payload leads to.
+
+        `is_flat`: it has no list of messages or texts, so that a long one costs little more than a short one.
+        """
+        self.name, self.type_hash, self.is_flat = name, type_hash, is_flat
+        self._to_cdr, self._from_cdr = to_cdr, from_cdr
+
+    def to_cdr(self, payload: bytes) -> bytes:
+        """A payload of ROS 1 and rosserial as one of ROS 2.
+
+        Raises:
+            BadPayload: it is no message of this type.
+        """
+        return self._converted(self._to_cdr, payload)
+
+    def from_cdr(self, data: bytes) -> bytes:
+        """A payload of ROS 2 as one of ROS 1; what only ROS 2 has is lost.
+
+        Raises:
+            BadPayload: it is no message of this type.
+        """
+        return self._converted(self._from_cdr, data)
+
+    def _converted(self, convert: Convert, data: bytes) -> bytes:
+        try:
+            return convert(data)
+        except _MALFORMED as error:
+            raise BadPayload(self.name, str(error) or type(error).__name__) from None
+
+
+class Ros2Service:
+    """One service type; its hash covers both messages."""
+
+    def __init__(self, name: str, type_hash: str, request: Ros2Message, response: Ros2Message) -> None:
+        self.name, self.type_hash = name, type_hash
+        self.request, self.response = request, response
+
+
+class Ros2Types:
+    """Types by their ROS 1 names, each built once."""
+
+    def __init__(self, catalog: Catalog, distribution: Distribution = "kilted") -> None:
+        """`distribution`: whose definitions and hashes are used; most types have the same in all."""
+        self._catalog = catalog
+        self._has_hashes = distribution != "humble"
+        self._store = get_typestore(_STORES[distribution])
+        self._store.max_sequence_length = SEQUENCE_MAX
+        for name, (constants, fields) in self._store.fielddefs.items():  # rosbags hashes a char as a char
+            self._store.fielddefs[name] = (constants, [(each, _without_char(desc)) for each, desc in fields])
+        self._messages: dict[str, Ros2Message | None] = {}
+        self._services: dict[str, Ros2Service | None] = {}
+
+    def message(self, name: str) -> Ros2Message | None:
+        """The message type of that ROS 1 name; None: it has no definition."""
+        if name not in self._messages:
+            known = self._catalog.message(name)
+            self._messages[name] = None if known is None else self._build(known, ros2_type(known.name))
+        return self._messages[name]
+
+    def service(self, name: str) -> Ros2Service | None:
+        """The service type of that ROS 1 name; None: it has no definition."""
+        if name not in self._services:
+            self._services[name] = self._build_service(name)
+        return self._services[name]
+
+    # -- building -----------------------------------------------------------------------------------------------------
+
+    def _build(self, known: MessageType, name: str) -> Ros2Message:
+        store = self._store
+        if name not in store.fielddefs:
+            self._register(known, name)
+        type_hash = store.hash_rihs01(name) if self._has_hashes else NO_HASH
+        if self._is_same_on_wire(known, name):
+            return Ros2Message(
+                name,
+                type_hash,
+                lambda payload: bytes(store.ros1_to_cdr(payload, name)),
+                lambda data: bytes(store.cdr_to_ros1(data, name)),
+                is_flat=_is_flat(known),
+            )
+        shadow = f"{_SHADOW}{known.name.replace('/', '_')}"
+        if shadow not in store.fielddefs:
+            self._register(known, shadow)
+        return Ros2Message(
+            name,
+            type_hash,
+            lambda payload: self._to_other(payload, shadow, name),
+            lambda data: self._from_other(data, name, shadow),
+            is_flat=_is_flat(known),
+        )
+
+    def _build_service(self, name: str) -> Ros2Service | None:
+        known = self._catalog.service(name)
+        if known is None:
+            return None
+        full_name = ros2_type(known.name, "srv")
+        request = self._build(known.request, f"{full_name}_Request")
+        response = self._build(known.response, f"{full_name}_Response")
+        one = [(Nodetype.SEQUENCE, ((Nodetype.NAME, each.name), 1)) for each in (request, response)]
+        info = (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo")
+        event = f"{full_name}_Event"
+        parts = (("request", request.name), ("response", response.name), ("event", event))
+        whole = [(f"{part}_message", (Nodetype.NAME, type_name)) for part, type_name in parts]
+        type_hash = NO_HASH
+        if self._has_hashes:
+            self._add(event, [("info", info), ("request", one[0]), ("response", one[1])])
+            self._add(full_name, whole)
+            type_hash = self._store.hash_rihs01(full_name)
+        return Ros2Service(full_name, type_hash, request, response)
+
+    def _register(self, known: MessageType, name: str) -> None:
+        """Add a type to the store, with those in it."""
+        fields = []
+        for field in known.fields:
+            nested = known.nested.get(field.type)
+            inner = _NESTED.get(field.type) if nested is None else ros2_type(nested.name)
+            if nested is not None and inner not in self._store.fielddefs:
+                self._register(nested, str(inner))
+            fields.append((field.name.lower(), _described(field, inner)))
+        self._add(name, fields or [_EMPTY])
+
+    def _add(self, name: str, fields: list[tuple[str, _Desc]]) -> None:
+        self._store.register({name: ([], fields)})
+
+    def _is_same_on_wire(self, known: MessageType, name: str) -> bool:
+        """Whether the fields of both are the same, whatever their names."""
+        if name == "std_msgs/msg/Header":
+            return known.name == "std_msgs/Header"
+        if name in _NESTED.values():
+            return known.name in _RENAMED  # std_msgs/Time is a message around the time that it is in ROS 2
+        descs = [desc for field, desc in self._store.fielddefs[name][1] if field != _EMPTY[0]]
+        return len(descs) == len(known.fields) and all(
+            self._is_same_field(known, field, desc) for field, desc in zip(known.fields, descs, strict=True)
+        )
+
+    def _is_same_field(self, known: MessageType, field: Field, desc: _Desc) -> bool:
+        kind, inner = desc[0], desc
+        length = SCALAR
+        if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            inner, bound = desc[1]
+            length = bound if kind == Nodetype.ARRAY else VARIABLE
+        return field.array_length == length and self._is_same_element(known, field.type, inner)
+
+    def _is_same_element(self, known: MessageType, type_name: str, desc: _Desc) -> bool:
+        if desc[0] == Nodetype.BASE:
+            base: str = desc[1][0]
+            if base == "string":
+                return type_name == base
+            return (type_name in FLOATS, SIZES.get(type_name)) == (base in FLOATS, _SIZES.get(base))
+        name: str = desc[1]
+        nested = known.nested.get(type_name)
+        if nested is None:
+            return _NESTED.get(type_name) == name
+        return self._is_same_on_wire(nested, name)
+
+    # -- types with other fields --------------------------------------------------------------------------------------
+
+    def _to_other(self, payload: bytes, shadow: str, name: str) -> bytes:
+        source: Any = self._store.deserialize_cdr(self._store.ros1_to_cdr(payload, shadow), shadow)
+        made = self._copied(source, name)
+        if name == _LOG:
+            made.level = _LOG_LEVELS.get(source.level, 0)
+            made.stamp = source.header.stamp
+        return bytes(self._store.serialize_cdr(made, name, little_endian=True))
+
+    def _from_other(self, data: bytes, name: str, shadow: str) -> bytes:
+        made = self._copied(self._store.deserialize_cdr(data, name), shadow)
+        return bytes(self._store.cdr_to_ros1(self._store.serialize_cdr(made, shadow, little_endian=True), shadow))
+
+    def _copied(self, source: object, name: str) -> Any:
+        """A message of that type with the fields of the source that it has; the others are zero."""
+        values = {
+            key: self._value(getattr(source, key, None), desc)
+            for key, desc in ((normalize_fieldname(each), desc) for each, desc in self._store.fielddefs[name][1])
+        }
+        return self._store.types[name](**values)
+
+    def _value(self, value: Any, desc: _Desc) -> Any:
+        if desc[0] == Nodetype.NAME:
+            return self._copied(value, desc[1])
+        if desc[0] == Nodetype.BASE:
+            return _zero(desc[1][0]) if value is None else value
+        (kind, inner), length = desc[1]
+        count = length if desc[0] == Nodetype.ARRAY else 0
+        if kind == Nodetype.NAME:
+            return [self._copied(each, inner) for each in (value if value is not None else [None] * count)]
+        if value is not None:
+            return value
+        return [""] * count if inner[0] == "string" else np.zeros(count, dtype=_NUMPY.get(inner[0], inner[0]))
+
+
+def _without_char(desc: _Desc) -> _Desc:
+    """A char of ROS 2 is a uint8, in the type's hash too."""
+    if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return desc[0], (_without_char(desc[1][0]), desc[1][1])
+    return (Nodetype.BASE, ("uint8", 0)) if desc == (Nodetype.BASE, ("char", 0)) else desc
+
+
+def _described(field: Field, nested: str | None) -> _Desc:
+    """A field of the catalog as rosbags describes one."""
+    inner = _without_char((Nodetype.BASE, (field.type, 0))) if nested is None else (Nodetype.NAME, nested)
+    if field.array_length == SCALAR:
+        return inner
+    return (Nodetype.ARRAY if field.array_length else Nodetype.SEQUENCE, (inner, field.array_length))
+
+
+def _is_flat(known: MessageType) -> bool:
+    nested = known.nested.values()
+    has_lists = any(
+        field.array_length == VARIABLE and (field.type in known.nested or field.type == "string")
+        for field in known.fields
+    )
+    return not has_lists and all(map(_is_flat, nested))
+
+
+def _zero(base: str) -> object:
+    if base == "string":
+        return ""
+    if base == "bool":
+        return False
+    return 0.0 if base.startswith("float") else 0
