@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import json
 import re
 from collections import Counter
@@ -14,6 +15,8 @@ import structlog
 
 from hostlink.config import ZenohConfig
 from hostlink.errors import ConfigError
+from hostlink.graphs.zenoh.background import Background
+from hostlink.graphs.zenoh.history import declare_history_subscriber, declare_keeping_publisher
 from hostlink.graphs.zenoh.inbox import MAX_WAITING, Inbox
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
@@ -26,6 +29,7 @@ DEFAULTS: dict[str, object] = {
     "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
 }
 CLOSE_TIMEOUT_S = 1.0
+BLOCKED_US = 20_000  # a neighbour for whom a declaration or a query has to wait longer is cut off
 MAX_PAYLOAD_BYTES = 1024 * 1024
 MAX_KEY_CHARS = 512
 MAX_ANSWERS = 1024  # to one query
@@ -116,6 +120,7 @@ class Session:
         self.zid = str(session.info.zid())
         self._zenoh, self._session, self._isolation = zenoh, session, isolation
         self._is_closed = False
+        self._background = Background(self.guarded)
 
     # -- what is sent -------------------------------------------------------------------------------------------------
 
@@ -124,15 +129,18 @@ class Session:
         with self.guarded("put"):
             self._session.put(key, payload, attachment=attachment, **self._quality(is_urgent=is_urgent))
 
-    def declare_publisher(self, key: str, *, is_urgent: bool = False) -> Publisher:
-        """Publish on a key again and again.
+    def declare_publisher(self, key: str, *, is_urgent: bool = False, kept: int = 0) -> Publisher:
+        """Publish on a key again and again. `kept`: as many of the newest are sent to those who subscribe later.
 
         Raises:
             ConfigError: the session is closed, or the key is none.
         """
-        return Publisher(
-            self, self._declare(self._session.declare_publisher, key, **self._quality(is_urgent=is_urgent))
+        declare = (
+            functools.partial(declare_keeping_publisher, self._session, kept)
+            if kept
+            else self._session.declare_publisher
         )
+        return Publisher(self, self._declare(declare, key, **self._quality(is_urgent=is_urgent)))
 
     def declare_token(self, key: str) -> Declaration:
         """Show that this daemon lives, or has something, until the declaration or the session is closed.
@@ -151,12 +159,15 @@ class Session:
         receive: Callable[[Sample], None],
         *,
         source_of: Callable[[str], str] = lambda _: "",
+        signer_of: Callable[[bytes], str] = lambda _: "",
         max_bytes: int = MAX_PAYLOAD_BYTES,
         max_waiting: int = MAX_WAITING,
+        has_history: bool = False,
     ) -> Declaration:
         """Call `receive` for each sample of others that fits in `max_bytes`; not for those of this session.
 
-        `source_of`: of a key, whose queue its sample waits in; `max_waiting`: samples in each queue, the oldest goes.
+        `source_of`: of a key, and `signer_of`: of an attachment, whose queue its sample waits in, called in a thread;
+        `max_waiting`: samples in each queue, the oldest goes; `has_history`: what publishers keep comes first.
 
         Raises:
             ConfigError: the session is closed, or the key expression is none.
@@ -167,11 +178,13 @@ class Session:
             with self.guarded("receive"):
                 key = str(sample.key_expr)
                 if self._fits(key, len(sample.payload), max_bytes) and sample.kind == self._zenoh.SampleKind.PUT:
-                    inbox.put(source_of(key), Sample(key, sample.payload.to_bytes(), _bytes(sample.attachment)))
+                    received = Sample(key, sample.payload.to_bytes(), _bytes(sample.attachment))
+                    inbox.put(source_of(key) + signer_of(received.attachment), received)
 
-        subscriber = self._declare(
-            self._session.declare_subscriber, key_expr, self._callback(put), allowed_origin=self._zenoh.Locality.REMOTE
-        )
+        declare = self._session.declare_subscriber
+        if has_history:
+            declare = functools.partial(declare_history_subscriber, self._session)
+        subscriber = self._declare(declare, key_expr, self._callback(put), allowed_origin=self._zenoh.Locality.REMOTE)
         return Declaration(inbox.close, lambda: self._undeclare(subscriber))
 
     def subscribe_tokens(self, key_expr: str, receive: Callable[[Token], None]) -> Declaration:
@@ -205,7 +218,7 @@ class Session:
             with self.guarded("receive"):
                 key, payload = str(query.key_expr), _bytes(query.payload)
                 if self._fits(key, len(payload), MAX_PAYLOAD_BYTES):
-                    reply, close = _replies(self, query)
+                    reply, close = self._background.replies(query)
                     inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
 
         queryable = self._declare(self._session.declare_queryable, key_expr, self._callback(put), complete=is_complete)
@@ -247,6 +260,7 @@ class Session:
     async def aclose(self) -> None:
         """End the session: tokens and declarations go, for everybody at once. It waits for a second at most."""
         self._is_closed = True
+        self._background.close()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
                 await asyncio.to_thread(self._close)
@@ -294,7 +308,12 @@ class Session:
 
     def _quality(self, *, is_urgent: bool) -> dict[str, Any]:
         priority = self._zenoh.Priority.REAL_TIME if is_urgent else self._zenoh.Priority.DATA
-        return {"congestion_control": self._zenoh.CongestionControl.DROP, "priority": priority, "express": is_urgent}
+        return {
+            "congestion_control": self._zenoh.CongestionControl.DROP,
+            "priority": priority,
+            "express": is_urgent,
+            "allowed_destination": self._zenoh.Locality.REMOTE,  # nothing in this session receives from it
+        }
 
 
 @contextlib.asynccontextmanager
@@ -343,7 +362,14 @@ def _settings(zenoh: Any, config: ZenohConfig) -> Any:
 
 
 def _values(config: ZenohConfig) -> dict[str, Any]:
-    values: dict[str, Any] = {"mode": config.mode, "connect/exit_on_failure": False}
+    values: dict[str, Any] = {
+        "mode": config.mode,
+        "connect/exit_on_failure": False,
+        "timestamping/enabled": True,  # what is kept for later subscribers needs it
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,  # the loop waits for no neighbour
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCKED_US,
+    }
     if config.connect:
         values["connect/endpoints"] = list(config.connect)
     if config.listen:
@@ -365,15 +391,3 @@ def _values(config: ZenohConfig) -> dict[str, Any]:
 
 def _bytes(payload: Any) -> bytes:
     return b"" if payload is None else bytes(payload.to_bytes())
-
-
-def _replies(session: Session, query: Any) -> tuple[Callable[..., None], Callable[[], None]]:
-    def reply(payload: bytes, *, key: str = "", attachment: bytes | None = None) -> None:
-        with session.guarded("reply"):
-            query.reply(key or str(query.key_expr), payload, attachment=attachment)
-
-    def close() -> None:
-        with session.guarded("reply"):
-            query.drop()
-
-    return reply, close
