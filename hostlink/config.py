@@ -18,6 +18,7 @@ from hostlink.errors import ConfigError
 MAX_PORT = 0xFFFF
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
+MAX_ROS_DOMAIN_ID = 232
 ZENOH_NAME = r"[A-Za-z0-9_.-]{1,64}"  # a part of a key
 
 ParameterScalar = bool | int | float | str
@@ -223,6 +224,7 @@ class ZenohConfig:
     fleet: bool = True  # show and drive the robots of other daemons, and show them those of this one
     ros2: bool = False  # be a part of a ROS 2 graph whose nodes use rmw_zenoh
     ros_domain_id: int = 0
+    ros_distribution: Literal["humble", "iron", "jazzy", "kilted", "lyrical"] = "kilted"  # of those nodes
     name: str = ""  # of this daemon in the fleet; empty: the computer's name
     fleet_name: str = "hostlink"  # the first part of every key: daemons with another one are another fleet
     drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive the robots here; others may read, and stop
@@ -241,6 +243,8 @@ class ZenohConfig:
                 raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
         if (self.certificate is None) != (self.key is None):
             raise ValueError("zenoh.certificate and zenoh.key belong together")
+        if not 0 <= self.ros_domain_id <= MAX_ROS_DOMAIN_ID:
+            raise ValueError(f"zenoh.ros_domain_id must be 0 to {MAX_ROS_DOMAIN_ID}")
         if not self.fleet_name:
             raise ValueError("zenoh.fleet_name must not be empty")
 

@@ -16,6 +16,8 @@ Recordings       recording.started, recording.stopped, recording.failed, inciden
 Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone, fleet.name_twice,
                  fleet.unanswered, fleet.topic_refused, graph.crashed
+ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
+                 ros2.type_unknown, ros2.type_differs
 The log itself   log.lines_left_out, log.lines_lost
 """
 

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 from hostlink.config import ZenohConfig
+from hostlink.errors import ConfigError
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.session import opened
 from hostlink.hub.hub import Hub
@@ -20,4 +21,10 @@ async def zenoh_running(hub: Hub, config: ZenohConfig) -> AsyncIterator[None]:
         hub.graph_counts["zenoh"] = session.counts
         if config.fleet:
             await parts.enter_async_context(fleet_running(hub, session, config))
+        if config.ros2:
+            try:
+                from hostlink.graphs.zenoh.rmw_bridge import ros2_bridged  # noqa: PLC0415 - a fleet without it is lighter
+            except ImportError as error:
+                raise ConfigError("zenoh.ros2", "needs xxhash: pip install 'hostlink[zenoh]'") from error
+            await parts.enter_async_context(ros2_bridged(hub, session, config))
         yield

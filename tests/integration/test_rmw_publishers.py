@@ -1,0 +1,206 @@
+"""Publishers of ROS 2 as drivers, in virtual time and without a network."""
+
+import asyncio
+import struct
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import cast
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.graphs.ros2_types import Ros2Types
+from hostlink.graphs.zenoh import rmw_publishers
+from hostlink.graphs.zenoh.rmw_attachment import Attachment
+from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
+from hostlink.graphs.zenoh.rmw_node import RmwNode
+from hostlink.graphs.zenoh.rmw_once import MAX_LINES, Once
+from hostlink.graphs.zenoh.rmw_publishers import Publishers
+from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
+from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of
+from hostlink.graphs.zenoh.session import Session
+from hostlink.hub.hub import Hub
+from hostlink.robot.velocity import Velocity
+from tests.support.fake_device import CATALOG
+from tests.support.participants import ROBOT, Scene, play
+
+CMD_VEL, TWIST = f"/{ROBOT}/cmd_vel", "geometry_msgs/msg/Twist"
+NO_SESSION = cast("Session", None)  # publishers send nothing
+
+
+@dataclass
+class Remote:
+    """ROS 2 as the bridge knows it."""
+
+    hub: Hub
+    counts: Counter[str] = field(default_factory=Counter)
+    sent: int = 0
+
+    def __post_init__(self) -> None:
+        node = RmwNode(self.hub, NO_SESSION, Ros2Types(CATALOG), NodeToken(0, "ff", 0, "/", "hostlink"), self.counts)
+        self.graph = RemoteGraph(0, self.counts)
+        self.publishers = Publishers(node, self.graph, Once(self.counts))
+
+    def come(self, session: str, *, topic: str = CMD_VEL, type_name: str = TWIST) -> str:
+        key = EndpointToken(
+            Kind.PUBLISHER,
+            NodeToken(0, session, 0, "/", f"driver_{session}"),
+            1,
+            topic,
+            type_name,
+            "RIHS01_0",
+            TELEMETRY,
+        ).encode()
+        token = self.graph.add(key)
+        assert isinstance(token, EndpointToken)
+        self.publishers.add(token, key)
+        return key
+
+    def go(self, key: str) -> None:
+        removed = self.graph.remove(key)
+        assert removed is not None
+        self.publishers.remove(removed)
+
+    def drive(self, gid: bytes, speed_m_s: float, *, source_s: float | None = None) -> None:
+        self.sent += 1
+        source_s = asyncio.get_running_loop().time() if source_s is None else source_s
+        attachment = Attachment(self.sent, int(source_s * 1e9), gid)
+        payload = struct.pack("<6d", speed_m_s, 0, 0, 0, 0, 0)
+        self.publishers.publish(attachment, (CMD_VEL, TWIST), payload, topic=CMD_VEL, is_velocity=True)
+
+    def owner(self) -> str | None:
+        return self.hub.robots.find(ROBOT).gate.owner_name
+
+
+def test_each_publisher_is_a_driver_of_its_own_and_leaves_with_its_token() -> None:
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        first, second = remote.come("aa"), remote.come("bb")
+        remote.drive(gid_of(first), 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
+        remote.go(second)
+        assert remote.owner() == "ros2 /driver_aa"
+        remote.go(first)
+        assert remote.owner() is None
+        await asyncio.sleep(0.1)
+        assert scene.speeds()[-1] == 0
+        remote.drive(gid_of(first), 0.3)
+        assert remote.counts["unidentified"] == 1
+        assert remote.owner() is None
+        await scene.neighbour_works()
+
+    play(test)
+
+
+def test_a_driver_that_drew_its_gid_stops_with_any_of_its_kind() -> None:
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        keys = [remote.come(session) for session in ("aa", "bb")]
+        remote.drive(b"1" * 16, 0.3)
+        remote.drive(b"2" * 16, 0.0)
+        assert remote.owner() == "ros2 /driver_aa"
+        remote.go(keys[1])  # of those two it may be the one that drives
+        assert remote.owner() is None
+        remote.drive(b"1" * 16, 0.2)
+        assert remote.owner() == "ros2 /driver_aa"
+        await asyncio.sleep(0.6)
+        assert remote.owner() is None
+
+    play(test)
+
+
+def test_what_waited_for_a_lease_moves_nothing() -> None:
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        gid = gid_of(remote.come("aa"))
+        for _ in range(5):
+            remote.drive(gid, 0.0)
+            await asyncio.sleep(0.1)
+        at_s = asyncio.get_running_loop().time()
+        remote.drive(gid, 0.3, source_s=at_s - 0.2)
+        assert remote.owner() is not None
+        await asyncio.sleep(2)
+        remote.drive(gid, 0.3, source_s=at_s + 1)
+        assert remote.owner() is None
+        assert remote.counts["late"] == 1
+
+    play(test)
+
+
+def test_a_clock_that_is_set_back_by_an_hour_drives_on() -> None:
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        gid = gid_of(remote.come("aa"))
+        for number in range(20):
+            at_s = asyncio.get_running_loop().time() + (7200 if number < 10 else 3600)
+            remote.drive(gid, 0.3, source_s=at_s)
+            assert remote.owner() is not None
+            await asyncio.sleep(0.1)
+        assert not remote.counts["late"]
+
+    play(test)
+
+
+def test_a_refused_velocity_is_counted_and_logged_now_and_then() -> None:
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        gid = gid_of(remote.come("aa"))
+        teleop = scene.hub.join("teleop", priority=60)
+        with capture_logs() as logs:
+            for _ in range(150):
+                teleop.drive(scene.hub.robots.find(ROBOT), Velocity(0.1))
+                remote.drive(gid, 0.3)
+                await asyncio.sleep(0.1)
+        assert remote.counts["refused"] == 150
+        refused = [log for log in logs if log["event"] == "ros2.refused"]
+        assert len(refused) == 2
+        assert refused[0]["count"] == 1
+        assert 99 <= refused[1]["count"] <= 101
+        assert "teleop" in refused[0]["cause"]
+
+    play(test)
+
+
+def test_publishers_of_one_process_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rmw_publishers, "MAX_PUBLISHERS_OF_SESSION", 3)
+
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        keys = [remote.come("aa", topic=f"/topic_{number}") for number in range(5)]
+        driver = remote.come("bb")
+        assert remote.counts["crowded_publishers"] == 2
+        remote.drive(gid_of(driver), 0.2)
+        assert remote.owner() == "ros2 /driver_bb"
+        for key in keys:
+            remote.go(key)
+        remote.come("aa", topic="/again")
+        assert remote.counts["crowded_publishers"] == 2
+
+    play(test)
+
+
+def test_what_every_node_publishes_for_its_tools_is_left_out() -> None:
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        with capture_logs() as logs:
+            remote.come("aa", topic="/parameter_events", type_name="rcl_interfaces/msg/ParameterEvent")
+            remote.come("aa", topic="/rosout", type_name="rcl_interfaces/msg/Log")
+            remote.come("aa", topic="/drive/_action/feedback", type_name="x/msg/Y")
+        assert logs == []
+        assert scene.hub.topics.find_or_none("/parameter_events") is None
+
+    play(test)
+
+
+def test_names_of_others_cause_a_bounded_number_of_lines() -> None:
+    counts: Counter[str] = Counter()
+    once = Once(counts)
+    with capture_logs() as logs:
+        for number in range(2 * MAX_LINES):
+            once.log("ros2.topic_refused", f"/topic\x1b_{number // 2}", reason="x" * 1000)
+    assert len(logs) == MAX_LINES
+    assert counts["unlogged"] == 0
+    assert "\x1b" not in str(logs)
+    assert max(len(str(log)) for log in logs) < 400
+    once.log("ros2.topic_refused", "/one_more")
+    assert counts["unlogged"] == 1

@@ -1,0 +1,561 @@
+"""ROS 2 by rmw_zenoh's protocol: checked against zenoh-ros2-sdk, and a node that is written after the documents."""
+
+import asyncio
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, ZenohConfig
+from hostlink.errors import ServiceFailed
+from hostlink.graphs.ros2_types import Ros2Types
+from hostlink.graphs.zenoh.rmw_token import parse_token
+from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
+from hostlink.hub.message import Message
+from tests.support.daemon import daemon
+from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics
+from tests.support.participants import text
+from tests.support.process import free_port
+from tests.support.proxy import Line, proxy
+from tests.support.rmw import (
+    STRING,
+    STRING_KEY,
+    TWIST,
+    TWIST_KEY,
+    Bridged,
+    Talker,
+    bridged,
+    ros2_peer,
+    router,
+    twist,
+    zenoh_session,
+)
+from tests.support.waiting import expect, expect_never
+
+LEASE_S = 0.5
+STOP_S = LEASE_S + 0.15  # the gate's clock ticks every 50 ms
+HASHED = (
+    "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage",
+    "geometry_msgs/msg/Pose2D", "sensor_msgs/msg/JointState", "sensor_msgs/msg/Range", "sensor_msgs/msg/BatteryState",
+    "sensor_msgs/msg/Imu", "sensor_msgs/msg/LaserScan", "std_msgs/msg/Bool", "std_msgs/msg/Empty",
+    "std_msgs/msg/Float32MultiArray", "std_msgs/msg/String", "diagnostic_msgs/msg/DiagnosticArray",
+)  # fmt: skip
+
+
+async def zero(device: FakeDevice) -> float:
+    """Wait for a velocity of zero; returns the seconds that it took."""
+    began_s = time.monotonic()
+    while (await device.velocity())[0] != 0:
+        pass
+    return time.monotonic() - began_s
+
+
+def heard(world: Bridged, topic: str, type_name: str = "") -> list[bytes]:
+    """What a program receives on a topic from now on."""
+    received = list[bytes]()
+
+    def receive(message: Message) -> None:
+        received.append(message.payload)
+
+    world.daemon.hub.join("listener").subscribe(topic, receive, type_name=type_name)
+    return received
+
+
+async def test_ros_2_lists_a_robots_topics() -> None:
+    async with bridged() as world, fake_device(world.daemon.tcp, robot_topics()), ros2_peer(world.address) as peer:
+        topics = await peer.request("topics", "topics")
+        assert topics["/robot_0/odom"] == ["nav_msgs/msg/Odometry"]
+        assert set(topics["/robot_0/cmd_vel"]) == {"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"}
+        assert topics["/tf"] == ["tf2_msgs/msg/TFMessage"]
+        assert topics["/rosout"] == ["rcl_interfaces/msg/Log"]
+        tokens = await peer.request("tokens", "tokens")
+        assert any("/NN/" in token and token.endswith("/hostlink_test_host") for token in tokens)
+        assert any("/SS/" in token and "%robot_0%lock" in token for token in tokens)
+        for token in tokens:
+            parsed = parse_token(token)
+            assert parsed is not None, token
+            assert parsed.encode() == token
+
+
+async def test_a_robot_that_leaves_is_not_listed_any_more() -> None:
+    async with bridged() as world, ros2_peer(world.address) as peer:
+        async with fake_device(world.daemon.tcp, robot_topics()):
+            await expect(world.daemon.hub.robots.all)
+            await asyncio.sleep(0.1)
+            assert "/robot_0/odom" in await peer.request("topics", "topics")
+        await expect(lambda: world.daemon.hub.links() == [])
+        await asyncio.sleep(0.1)
+        assert "/robot_0/odom" not in await peer.request("topics", "topics")
+
+
+async def test_odometry_reaches_ros_2() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        ros2_peer(world.address) as peer,
+    ):
+        await peer.request("echo", "subscribed", topic="/robot_0/odom", type="nav_msgs/msg/Odometry")
+        await asyncio.sleep(0.2)
+        await device.send(pose(0.25))
+        message = await peer.read("message")
+        assert message["pose"]["pose"]["position"]["x"] == 0.25
+        assert message["header"]["frame_id"] == "odom"
+        assert abs(message["header"]["stamp"]["sec"] - time.time()) < 5
+
+
+async def test_nothing_is_converted_while_nobody_in_ros_2_subscribes() -> None:
+    async with bridged() as world, fake_device(world.daemon.tcp, robot_topics()) as device:
+        odom = world.daemon.hub.topics.find("/robot_0/odom")
+        await device.send(pose(0.25))
+        await expect(lambda: odom.messages or not odom.has_subscribers)
+        assert not odom.has_subscribers
+        async with ros2_peer(world.address) as peer:
+            await peer.request("echo", "subscribed", topic="/robot_0/odom", type="nav_msgs/msg/Odometry")
+            await expect(lambda: odom.has_subscribers)
+        await expect(lambda: not odom.has_subscribers)
+        assert world.bridge.counts["to_ros2"] == 0
+
+
+async def test_messages_of_ros_2_reach_programs_and_the_topic_is_shown() -> None:
+    async with bridged() as world, ros2_peer(world.address) as peer:
+        await peer.request("advertise", "advertised", topic="/chatter", type=STRING)
+        await expect(lambda: world.daemon.hub.topics.find("/chatter").type_name == "std_msgs/String")
+        received = heard(world, "/chatter")
+        await asyncio.sleep(0.2)
+        for number in range(20):
+            await peer.send("publish", topic="/chatter", type=STRING, fields={"data": f"from ros 2: {number}"})
+        await expect(lambda: len(received) == 20)
+        assert received == [text(f"from ros 2: {number}") for number in range(20)]
+
+
+async def test_a_topic_of_both_is_not_echoed() -> None:
+    async with bridged() as world, ros2_peer(world.address) as peer:
+        received = heard(world, "/chatter", "std_msgs/String")
+        program = world.daemon.hub.join("program")
+        program.advertise("/chatter", "std_msgs/String")
+        await peer.request("echo", "subscribed", topic="/chatter", type=STRING)
+        await peer.request("advertise", "advertised", topic="/chatter", type=STRING)
+        await asyncio.sleep(0.3)
+        await peer.send("publish", topic="/chatter", type=STRING, fields={"data": "theirs"})
+        await expect(lambda: received == [text("theirs")])
+        program.publish("/chatter", text("ours"))
+        own = await peer.read("message")
+        assert own["data"] == "theirs"  # the node's own subscription, in its own process
+        assert (await peer.read("message"))["data"] == "ours"
+        await expect_never(lambda: len(received) > 2, for_s=0.3)
+        assert received == [text("theirs"), text("ours")]
+
+
+@pytest.mark.parametrize("type_name", [TWIST, "geometry_msgs/msg/TwistStamped"])
+async def test_both_kinds_of_twist_drive_by_one_name(type_name: str) -> None:
+    fields: dict[str, Any] = {"linear": {"x": 0.2}, "angular": {"z": 0.5}}
+    if type_name != TWIST:
+        fields = {"twist": fields, "header": {"frame_id": "base_link"}}
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        ros2_peer(world.address) as peer,
+    ):
+        await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=type_name, fields=fields, hz=20)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
+        assert str(world.daemon.hub.robots.find("robot_0").gate.owner_name).startswith("ros2 /zenoh_publisher")
+
+
+async def test_hashes_are_those_of_the_other_implementation() -> None:
+    types = Ros2Types(CATALOG)
+    async with bridged() as world, ros2_peer(world.address) as peer:
+        hashes = await peer.request("hashes", "hashes", types=list(HASHED))
+    for name in HASHED:
+        package, _, base = name.split("/")
+        message = types.message(f"{package}/{base}")
+        assert message is not None
+        assert (message.name, message.type_hash) == (name, hashes[name])
+    service = types.service("std_srvs/SetBool")
+    assert service is not None
+    assert service.type_hash == hashes["std_srvs/srv/SetBool"]
+
+
+async def test_ros_2_calls_a_service_of_the_hub() -> None:
+    async def answer(request: Mapping[str, object]) -> Mapping[str, object]:
+        if not request["data"]:
+            raise ServiceFailed("/switch", "it is stuck")
+        return {"success": True, "message": f"switched to {request['data']}"}
+
+    async with bridged() as world, ros2_peer(world.address) as peer:
+        world.daemon.hub.join("program").provide("/switch", "std_srvs/SetBool", answer)
+        await asyncio.sleep(0.2)
+        arguments = {"service": "/switch", "type": "std_srvs/srv/SetBool"}
+        good = await peer.request("call", "answer", **arguments, fields={"data": True})
+        assert (good["success"], good["message"]) == (True, "switched to True")
+        bad = await peer.request("call", "answer", **arguments, fields={"data": False})
+        assert bad["success"] is False
+        assert "stuck" in bad["message"]
+
+
+async def test_calls_of_one_client_are_bounded_and_those_of_another_are_answered() -> None:
+    gate, answered = asyncio.Event(), 0
+
+    async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
+        nonlocal answered
+        await gate.wait()
+        answered += 1
+        return {"success": True, "message": ""}
+
+    async with bridged() as world, zenoh_session(world.address) as session:
+        world.daemon.hub.join("program").provide("/switch", "std_srvs/SetBool", answer)
+        await asyncio.sleep(0.2)
+        type_ = Ros2Types(CATALOG).service("std_srvs/SetBool")
+        assert type_ is not None
+        key, replies = f"0/switch/std_srvs::srv::dds_::SetBool_/{type_.type_hash}", list[Any]()
+        for number in range(22):
+            signed = struct.pack("<qqB", number, time.time_ns(), 16) + (b"a" if number < 20 else b"b") * 16
+            session.get(
+                key, replies.append, payload=b"\0\1\0\0\1", attachment=signed, target=zenoh.QueryTarget.ALL_COMPLETE
+            )
+        await expect(lambda: world.bridge.counts["crowded_calls"] == 12)
+        gate.set()
+        await expect(lambda: answered == 10 and len([reply for reply in replies if reply.ok]) == 10)
+        numbers = [struct.unpack("<q", reply.ok.attachment.to_bytes()[:8])[0] for reply in replies if reply.ok]
+        assert sorted(numbers) == [*range(8), 20, 21]
+
+
+async def test_the_hub_calls_a_service_of_ros_2() -> None:
+    async with bridged() as world, ros2_peer(world.address) as peer:
+        await peer.request("serve", "serving", service="/lamp")
+        await expect(lambda: world.daemon.hub.services.is_offered("/lamp"))
+        program = world.daemon.hub.join("program")
+        assert await program.call("/lamp", {"data": True}) == {"success": True, "message": "from ros 2"}
+        assert await program.call("/lamp", {"data": False}) == {"success": False, "message": "from ros 2"}
+        peer.process.kill()
+        await expect(lambda: not world.daemon.hub.services.is_offered("/lamp"))
+
+
+async def test_what_is_latched_reaches_those_who_come_later() -> None:
+    async with bridged() as world:
+        program = world.daemon.hub.join("program")
+        program.advertise("/map_name", "std_msgs/String", is_latched=True)
+        await asyncio.sleep(0.2)
+        program.publish("/map_name", text("hall 3"))
+        async with ros2_peer(world.address) as peer:
+            await peer.send("echo", topic="/map_name", type=STRING, is_latched=True)
+            assert (await peer.read("message"))["data"] == "hall 3"
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+async def test_what_ros_2_has_latched_reaches_programs_that_come_later(is_first: bool) -> None:
+    """Whether the program or the node is there first."""
+    async with bridged() as world, zenoh_session(world.address) as session:
+        received = heard(world, "/map_name", "std_msgs/String") if is_first else []
+        talker = Talker(session, "/map_name", STRING_KEY, is_latched=True)
+        talker.put(b"\0\1\0\0" + struct.pack("<I", 3) + b"ok\0")
+        await expect(lambda: world.daemon.hub.topics.find("/map_name").publishers)
+        if not is_first:
+            await asyncio.sleep(0.2)
+            received = heard(world, "/map_name")
+        await expect(lambda: received == [text("ok")])
+
+
+async def test_messages_that_are_not_what_they_should_be_are_counted() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()),
+        zenoh_session(world.address) as session,
+    ):
+        received = heard(world, "/chatter", "std_msgs/String")
+        talker = Talker(session, "/chatter", STRING_KEY)
+        good = b"\0\1\0\0" + struct.pack("<I", 3) + b"ok\0"
+        await asyncio.sleep(0.2)
+        talker.put(good)
+        await expect(lambda: received == [text("ok")])
+        talker.put(good, attachment=b"")
+        talker.put(good, attachment=bytes(33))
+        talker.put(good, attachment=struct.pack("<qqB", 1, 1, 16) + b"\7" * 16)
+        talker.put(b"")
+        talker.put(b"\0\0\0\0" + good[4:])
+        talker.put(good[:-1])
+        talker.put(b"\0\1\0\0" + struct.pack("<I", 2**31) + b"x")
+        talker.put(bytes(MAX_PAYLOAD_BYTES + 1))
+        counts = world.bridge.counts
+        await expect(lambda: counts["malformed_from_ros2"] == 4 and world.session.counts["oversized"] == 1)
+        assert (counts["unsigned"], counts["unidentified"]) == (2, 1)
+        talker.put(good)
+        await expect(lambda: received == [text("ok"), text("ok")])
+        assert not world.daemon.hub.isolation.crashes
+
+
+async def test_a_velocity_that_waited_on_its_way_moves_nothing() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        zenoh_session(world.address) as session,
+    ):
+        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
+        await asyncio.sleep(0.2)
+        talker.drive(0.2)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        await zero(device)
+        await asyncio.sleep(0.5)
+        talker.drive(0.3, age_s=0.8)
+        await expect(lambda: world.bridge.counts["late"] == 1)
+        talker.drive(0.1)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+
+
+async def test_a_publisher_that_is_killed_stops_its_robot_at_once() -> None:
+    async with bridged() as world, fake_device(world.daemon.tcp, robot_topics()) as device:
+        async with ros2_peer(world.address) as peer:
+            fields = {"linear": {"x": 0.2}}
+            await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+            peer.process.kill()
+            assert await zero(device) < STOP_S
+        assert world.daemon.hub.robots.find("robot_0").gate.owner is None
+
+
+async def test_a_publisher_whose_token_goes_stops_its_robot_at_once() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        zenoh_session(world.address) as session,
+    ):
+        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
+        await asyncio.sleep(0.2)
+        talker.drive(0.2)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        talker.close()
+        assert await zero(device) < LEASE_S / 2
+        talker.drive(0.2)
+        await expect(lambda: world.bridge.counts["unidentified"] == 1)
+        assert world.daemon.hub.robots.find("robot_0").gate.owner is None
+
+
+async def test_of_two_publishers_the_one_that_is_killed_stops_its_own_robot_alone() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics("robot_0")) as device,
+        fake_device(world.daemon.tcp, robot_topics("robot_1")) as other,
+        ros2_peer(world.address) as peer,
+    ):
+        fields = {"linear": {"x": 0.1}}
+        await peer.request("stream", "streaming", topic="/robot_1/cmd_vel", type=TWIST, fields=fields, hz=20)
+        assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+        async with ros2_peer(world.address) as killed:
+            await killed.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+            killed.process.kill()
+            assert await zero(device) < STOP_S
+        gate = world.daemon.hub.robots.find("robot_1").gate
+        await expect_never(lambda: gate.owner is None, for_s=0.6)
+
+
+async def test_a_publisher_that_falls_silent_ends_with_its_lease() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        zenoh_session(world.address) as session,
+    ):
+        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
+        await asyncio.sleep(0.2)
+        talker.drive(0.2)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        assert LEASE_S - 0.1 < await zero(device) < STOP_S
+
+
+@pytest.mark.parametrize("line", [Line.SWALLOWS, Line.STALLS])
+async def test_a_cut_network_ends_the_lease(line: Line) -> None:
+    async with bridged() as world, fake_device(world.daemon.tcp, robot_topics()) as device:
+        host, _, port = world.address.rpartition(":")
+        async with proxy((host, int(port))) as between, ros2_peer(between.url.removeprefix("http://")) as peer:
+            fields = {"linear": {"x": 0.2}}
+            await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+            between.set_line(line)
+            assert await zero(device) < STOP_S
+            await expect_never(lambda: world.daemon.hub.robots.find("robot_0").gate.owner, for_s=0.7)
+
+
+async def test_commands_that_a_network_held_back_move_nothing_when_it_works_again(tmp_path: Path) -> None:
+    file = tmp_path / "zenoh.json5"
+    file.write_text("{transport: {link: {tx: {lease: 10000}}}}")  # with hostlink's the node would connect again
+    async with bridged(file=file) as world, fake_device(world.daemon.tcp, robot_topics()) as device:
+        host, _, port = world.address.rpartition(":")
+        async with proxy((host, int(port))) as between, ros2_peer(between.url.removeprefix("http://")) as peer:
+            fields = {"linear": {"x": 0.2}}
+            await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+            between.set_line(Line.STALLS)
+            await zero(device)
+            await peer.request("end_stream", "ended", topic="/robot_0/cmd_vel")
+            await asyncio.sleep(LEASE_S)
+            between.set_line(Line.WORKS)
+            await expect(lambda: world.bridge.counts["late"])
+            await expect_never(lambda: world.daemon.hub.robots.find("robot_0").gate.owner, for_s=0.5)
+
+
+def publishers(world: Bridged) -> list[str]:
+    """Of the robot's velocity, in the hub."""
+    found = world.daemon.hub.topics.find_or_none("/robot_0/cmd_vel")
+    return [] if found is None else [str(each) for each in found.publishers if str(each).startswith("ros2")]
+
+
+async def test_a_router_that_is_killed_ends_what_came_through_it_until_it_is_back() -> None:
+    async with (
+        router() as (address, process),
+        bridged(connect=(f"tcp/{address}",), mode="client", listen=()) as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        ros2_peer(address, mode="client") as peer,
+    ):
+        await asyncio.sleep(0.5)
+        fields = {"linear": {"x": 0.2}}
+        await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        process.kill()
+        assert await zero(device) < STOP_S
+        await expect(lambda: not publishers(world))
+        await process.wait()
+        async with router(address):  # a node that is still there drives again, by itself
+            while await device.velocity() != (0.2, 0.0):
+                pass
+
+
+async def test_hostlink_can_be_the_router_of_ros_2() -> None:
+    """Nodes that know its address alone hear each other through it."""
+    async with (
+        bridged(mode="router") as world,
+        ros2_peer(world.address, mode="client") as talker,
+        ros2_peer(world.address, mode="client") as listener,
+    ):
+        await listener.request("echo", "subscribed", topic="/chatter", type=STRING)
+        await talker.request("stream", "streaming", topic="/chatter", type=STRING, fields={"data": "hello"}, hz=20)
+        assert (await listener.read("message"))["data"] == "hello"
+
+
+async def test_the_end_of_the_bridge_stops_what_ros_2_drives() -> None:
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        zenoh_session(world.address) as session,
+    ):
+        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
+        await asyncio.sleep(0.2)
+        talker.drive(0.2)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        world.bridge.close()
+        assert await zero(device) < LEASE_S / 2
+
+
+@pytest.mark.quiet
+@pytest.mark.parametrize("flooded", ["/chatter", "/robot_0/cmd_vel"])
+async def test_a_stop_comes_in_time_beside_a_publisher_that_floods(flooded: str) -> None:
+    type_name, fields = (STRING, {"data": "x" * 100}) if flooded == "/chatter" else (TWIST, {})
+    async with (
+        bridged() as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        ros2_peer(world.address) as flood,
+    ):
+        received = heard(world, "/chatter", "std_msgs/String")
+        await flood.request("stream", "streaming", topic=flooded, type=type_name, fields=fields, hz=0)
+        await asyncio.sleep(1.0)
+        async with ros2_peer(world.address) as peer:
+            driven = {"linear": {"x": 0.2}}
+            await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=driven, hz=20)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+            peer.process.kill()
+            assert await zero(device) < STOP_S
+        assert len(received) > 100 or flooded != "/chatter"
+        began_s = time.monotonic()
+        assert (await world.daemon.rest("POST", "/api/stop"))[0] == 200
+        assert time.monotonic() - began_s < 0.3
+
+
+async def test_two_domains_do_not_hear_each_other() -> None:
+    async with (
+        bridged(ros_domain_id=7) as world,
+        fake_device(world.daemon.tcp, robot_topics()) as device,
+        ros2_peer(world.address) as elsewhere,
+        ros2_peer(world.address, domain=7) as peer,
+    ):
+        assert await elsewhere.request("topics", "topics") == {}
+        assert "/robot_0/odom" in await peer.request("topics", "topics")
+        fields = {"linear": {"x": 0.2}}
+        await elsewhere.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+        await expect_never(lambda: publishers(world), for_s=0.3)
+        await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+async def test_a_type_that_is_not_known_here_is_logged_once() -> None:
+    with capture_logs() as logs:
+        async with bridged() as world, zenoh_session(world.address) as session:
+            for number in range(3):
+                key = "turtlesim::msg::dds_::Pose_/RIHS01_00"
+                talkers = [Talker(session, f"/turtle{number}/pose", key, number=number)]
+                talkers.append(Talker(session, "/other", STRING_KEY.replace("df66", "0000"), number=10 + number))
+            await expect(lambda: [log for log in logs if log["event"] == "ros2.type_differs"])
+            await asyncio.sleep(0.2)
+            assert talkers
+    unknown = [log for log in logs if log["event"] == "ros2.type_unknown"]
+    assert [log["name"] for log in unknown] == ["turtlesim/msg/Pose"]
+    assert [log["name"] for log in logs if log["event"] == "ros2.type_differs"] == [STRING]
+
+
+async def test_two_hosts_of_hostlink_do_not_take_each_others_robots_for_those_of_ros_2() -> None:
+    async with (
+        bridged() as world,
+        bridged(connect=(f"tcp/{world.address}",), name="other-host") as other,
+        fake_device(world.daemon.tcp, robot_topics()),
+    ):
+        tokens = list[Token]()
+        other.session.subscribe_tokens("@ros2_lv/0/**", tokens.append)
+        await expect(lambda: [token for token in tokens if world.session.zid in token.key and "odom/" in token.key])
+        await asyncio.sleep(0.1)
+        assert other.daemon.hub.topics.find_or_none("/robot_0/odom") is None
+
+
+async def test_a_robot_of_a_fleet_is_shown_in_ros_2_by_its_own_daemon_alone() -> None:
+    address, other = (f"127.0.0.1:{free_port()}" for _ in range(2))
+    settings = ZenohConfig(ros2=True, multicast=False, listen=(f"tcp/{address}",), name="a")
+    beside = replace(settings, listen=(f"tcp/{other}",), connect=(f"tcp/{address}",), name="b")
+    async with (
+        daemon(Config(zenoh=settings)) as first,
+        daemon(Config(zenoh=beside)) as second,
+        fake_device(first.tcp, robot_topics()) as device,
+        zenoh_session(address, other) as session,
+    ):
+        await expect(lambda: second.hub.robots.find("robot_0").link)
+        await expect(lambda: second.hub.services.is_offered("/robot_0/lock"))
+        await asyncio.sleep(0.3)
+        tokens = await asyncio.to_thread(tokens_of, session)
+        assert len({token.split("/")[2] for token in tokens}) == 2
+        assert len([token for token in tokens if "/MP/" in token and "%robot_0%odom/" in token]) == 1
+        assert len([token for token in tokens if "/SS/" in token and "%robot_0%lock/" in token]) == 1
+        talker = Talker(session, "/robot_0/cmd_vel", TWIST_KEY)
+        await asyncio.sleep(0.2)
+        talker.drive(0.2)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+def tokens_of(session: Any) -> list[str]:
+    """Of all nodes of the domain 0."""
+    replies = session.liveliness().get("@ros2_lv/0/**", timeout=2.0)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+
+def test_a_daemon_without_zenoh_imports_nothing_of_it() -> None:
+    text = "import sys, hostlink.cli.serve; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, check=True, text=True)
+    loaded = {name for name in done.stdout.split() if name.partition(".")[0] in ("zenoh", "xxhash")}
+    assert not loaded
+    assert not [name for name in done.stdout.split() if name.startswith("hostlink.graphs.")]
+
+
+def test_a_twist_is_52_bytes_in_ros_2() -> None:
+    assert len(twist(0.1)) == 52
