@@ -394,7 +394,7 @@ async def test_commands_that_a_network_held_back_move_nothing_when_it_works_agai
             between.set_line(Line.STALLS)
             await zero(device)
             await peer.request("end_stream", "ended", topic="/robot_0/cmd_vel")
-            await asyncio.sleep(LEASE_S)
+            await asyncio.sleep(LEASE_S + 0.3)
             between.set_line(Line.WORKS)
             await expect(lambda: world.bridge.counts["late"])
             await expect_never(lambda: world.daemon.hub.robots.find("robot_0").gate.owner, for_s=0.5)

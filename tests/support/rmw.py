@@ -19,7 +19,7 @@ import xxhash
 import zenoh
 import zenoh.ext
 
-from hostlink.config import Config, ZenohConfig
+from hostlink.config import Config, LinkConfig, ZenohConfig
 from hostlink.graphs.zenoh.rmw_bridge import RmwBridge, ros2_bridged
 from hostlink.graphs.zenoh.session import Session, opened
 from tests.support.daemon import Daemon, daemon
@@ -44,14 +44,14 @@ class Bridged:
 
 
 @contextlib.asynccontextmanager
-async def bridged(config: Config | None = None, **settings: Any) -> AsyncIterator[Bridged]:
-    """A daemon with ROS 2; other daemons and nodes find it by its address alone."""
+async def bridged(**settings: Any) -> AsyncIterator[Bridged]:
+    """A daemon with ROS 2 that waits for silent devices; other daemons and nodes find it by its address alone."""
     address = f"127.0.0.1:{free_port()}"
     zenoh_config = replace(
         ZenohConfig(ros2=True, listen=(f"tcp/{address}",), multicast=False, name="test-host"), **settings
     )
     async with (
-        daemon(config) as running,
+        daemon(Config(link=LinkConfig(silence_timeout_s=None, idle_timeout_s=None))) as running,
         opened(zenoh_config, running.hub.isolation) as session,
         ros2_bridged(running.hub, session, zenoh_config) as bridge,
     ):

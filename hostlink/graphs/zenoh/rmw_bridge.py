@@ -5,14 +5,15 @@ import contextlib
 import re
 import socket
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable
-from typing import Final, Protocol, TypeVar
+from collections.abc import AsyncIterator, Container
+from typing import Final
 
 import structlog
 
 from hostlink.config import ZenohConfig
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2_types import Ros2Message, Ros2Types, ros1_type
+from hostlink.graphs.zenoh.rmw_declared import Declared
 from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
 from hostlink.graphs.zenoh.rmw_names import is_hidden, is_name
 from hostlink.graphs.zenoh.rmw_node import GROUP, RmwNode
@@ -23,12 +24,13 @@ from hostlink.graphs.zenoh.rmw_service import CalledService, Offered, OfferedSer
 from hostlink.graphs.zenoh.rmw_subscription import Subscription, Wanted
 from hostlink.graphs.zenoh.rmw_token import OWN_ENCLAVE, SPACE, EndpointToken, Kind, NodeToken
 from hostlink.graphs.zenoh.session import Session, Token
-from hostlink.hub.graph import Graph, GraphService, GraphTopic
+from hostlink.hub.graph import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.robot.velocity import TWIST_TYPE
 
 MAX_CALLED_SERVICES: Final = 256
 TROUBLE_INTERVAL_S: Final = 10.0
+STEP_S: Final = 0.003  # of declarations, and then for others
 TROUBLE: Final = frozenset(  # counts of what was lost, by cause
     {
         "crowded_calls", "crowded_publishers", "crowded_services", "crowded_tokens", "failed_calls", "late",
@@ -39,16 +41,6 @@ STAMPED_TYPE: Final = "geometry_msgs/TwistStamped"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
 log = structlog.get_logger()
-
-Key = TypeVar("Key")
-Value = TypeVar("Value", bound="Closing")
-
-
-class Closing(Protocol):
-    """What is declared until it is closed."""
-
-    def close(self) -> None:
-        """Withdraw it."""
 
 
 class RmwBridge:
@@ -65,9 +57,11 @@ class RmwBridge:
         self._once = Once(self.counts)
         self._remote = RemoteGraph(token.domain, self.counts)
         self._publishers = Publishers(self._node, self._remote, self._once)
-        self._publications: dict[Published, Publication] = {}
-        self._subscriptions: dict[Wanted, Subscription] = {}
-        self._offered: dict[Offered, OfferedService] = {}
+        node, publishers = self._node, self._publishers
+        self._subscriptions = Declared[Wanted, Subscription](lambda each: Subscription(node, each, publishers))
+        self._publications = Declared[Published, Publication](lambda each: Publication(node, each))
+        self._offered = Declared[Offered, OfferedService](lambda each: OfferedService(node, each))
+        self._next: asyncio.TimerHandle | None = None  # the next step of what is declared
         self._called: dict[EndpointToken, CalledService] = {}
         self._participant = hub.join("ros2", group=GROUP)
         self._declared = [
@@ -80,10 +74,13 @@ class RmwBridge:
         """Leave both graphs: what ROS 2 drives stops."""
         self._publishers.clear()
         self._participant.leave()
-        _close_all(self._subscriptions)
-        _close_all(self._publications)
-        _close_all(self._offered)
-        _close_all(self._called)
+        if self._next is not None:
+            self._next.cancel()
+        self._subscriptions.close()
+        self._publications.close()
+        self._offered.close()
+        while self._called:
+            self._called.popitem()[1].close()
         for each in self._declared:
             each.close()
         self._remote.clear()
@@ -146,29 +143,33 @@ class RmwBridge:
         """The hub's graph has changed: declare what is new, withdraw what is gone."""
         graph = self._participant.graph()
         topics = [(topic, type_) for topic in graph.topics if (type_ := self._type(topic)) is not None]
-        _follow(
-            self._publications,
-            [
-                Published(topic.name, topic.type_name, type_, topic.is_latched)
-                for topic, type_ in topics
-                if topic.is_published and not topic.is_velocity
-            ],
-            lambda each: Publication(self._node, each),
+        stamped = {each.name for each in graph.topics if each.is_velocity and each.type_name == STAMPED_TYPE}
+        self._subscriptions.follow(
+            each for topic, type_ in topics if topic.is_subscribed for each in self._wanted(topic, type_, stamped)
         )
-        _follow(
-            self._subscriptions,
-            [each for topic, type_ in topics if topic.is_subscribed for each in self._wanted(topic, type_, graph)],
-            lambda each: Subscription(self._node, each, self._publishers),
+        self._publications.follow(
+            Published(topic.name, topic.type_name, type_, topic.is_latched)
+            for topic, type_ in topics
+            if topic.is_published and not topic.is_velocity
         )
-        _follow(
-            self._offered,
-            [each for service in graph.services if (each := self._service(service)) is not None],
-            lambda each: OfferedService(self._node, each),
-        )
+        self._offered.follow(each for service in graph.services if (each := self._service(service)) is not None)
+        if self._next is None:
+            self._step()
         self._publishers.advertise_all()
 
-    def _wanted(self, topic: GraphTopic, type_: Ros2Message, graph: Graph) -> list[Wanted]:
-        """A robot's velocity is received as a Twist and as a TwistStamped, by the same name."""
+    def _step(self) -> None:
+        """Declare for some milliseconds, and go on after as many."""
+        loop = asyncio.get_running_loop()
+        until_s = loop.time() + STEP_S
+        parts = (self._subscriptions, self._publications, self._offered)
+        is_unfinished = any(part.step(until_s) for part in parts)
+        self._next = loop.call_later(STEP_S, self._step) if is_unfinished else None
+
+    def _wanted(self, topic: GraphTopic, type_: Ros2Message, stamped_topics: Container[str]) -> list[Wanted]:
+        """A robot's velocity is received as a Twist and as a TwistStamped, by the same name.
+
+        `stamped_topics`: velocities whose type is TwistStamped in the hub.
+        """
         if not topic.is_velocity:
             has_history = any(
                 each.token.qos.is_transient_local for each in self._remote.publishers((topic.name, type_.name))
@@ -178,9 +179,7 @@ class RmwBridge:
         stamped = self._node.types.message(STAMPED_TYPE)
         if topic.type_name == TWIST_TYPE and stamped is not None:
             beside = f"{topic.name}_stamped"  # the robot's own topic of that type, which checks the age of commands
-            is_there = any(
-                (each.name, each.type_name) == (beside, STAMPED_TYPE) and each.is_velocity for each in graph.topics
-            )
+            is_there = beside in stamped_topics
             target = beside if is_there else topic.name
             wanted.append(Wanted(topic.name, stamped, target, is_velocity=True, is_stripped=not is_there))
         return wanted
@@ -250,19 +249,3 @@ async def _log_trouble(counts: Counter[str]) -> None:
         before = Counter(counts)
         if any(lost.values()):
             log.warning("ros2.trouble", **{cause: count for cause, count in lost.items() if count})
-
-
-def _close_all(present: dict[Key, Value]) -> None:
-    while present:
-        present.popitem()[1].close()
-
-
-def _follow(present: dict[Key, Value], wanted: Iterable[Key], make: Callable[[Key], Value]) -> None:
-    """Close what is not wanted any more, make what is new."""
-    keys = dict.fromkeys(wanted)
-    for key in [key for key in present if key not in keys]:
-        present.pop(key).close()
-    for key in keys:
-        if key not in present:
-            with contextlib.suppress(ConfigError):  # the session is closed; the bridge ends with it
-                present[key] = make(key)
