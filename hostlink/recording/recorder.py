@@ -13,6 +13,7 @@ from hostlink.errors import WrongType
 from hostlink.hub.graph import GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
+from hostlink.hub.node import Node
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.subscription import Subscription
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, LOG, PARAMETERS, VELOCITY, Channel, Sink, ros_channel
@@ -27,7 +28,7 @@ class Selection:
 
     topics: tuple[str, ...] = ()  # names, or patterns with *; none: all
     robots: tuple[str, ...] = ()  # topics and events of these alone; none: of all, and of nobody
-    has_remote: bool = True  # also the topics of robots of other daemons, which then travel all the time
+    has_remote: bool = True  # also what other daemons and graphs publish, which then travels all the time
     has_derived: bool = True  # also what hostlink makes of other topics, as odom and tf
 
     def has(self, topic: str, robot: str) -> bool:
@@ -121,7 +122,11 @@ class Recorder:
         return DEVICE if is_device else HOSTLINK if topic.is_derived else ""
 
     def _is_remote(self, topic: str) -> bool:
+        """Whether it comes from another graph alone, and no device uses it; or from another daemon."""
         name = topic.lstrip("/").partition("/")[0]
+        found = self._hub.topics.find_or_none(topic)
+        if found is not None and found.publishers and not found.devices and all(map(_is_of_graph, found.publishers)):
+            return True
         return name in self._hub.robots.remote and self._hub.robots.get_here(name) is None
 
     def _is_robot(self, name: str) -> bool:
@@ -151,3 +156,8 @@ def _fixed(topic: GraphTopic) -> GraphTopic:
 
 def _fact(value: object) -> object:
     return value._asdict() if isinstance(value, Velocity) else value
+
+
+def _is_of_graph(key: Hashable) -> bool:
+    """Whether it stands for another graph."""
+    return isinstance(key, Node) and bool(key.group)

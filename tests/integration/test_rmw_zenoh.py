@@ -20,8 +20,9 @@ from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.rmw_token import parse_token
 from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
 from hostlink.hub.message import Message
+from hostlink.protocol.frame import Id
 from tests.support.daemon import daemon
-from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics
+from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.participants import text
 from tests.support.process import free_port
 from tests.support.proxy import Line, proxy
@@ -134,6 +135,25 @@ async def test_messages_of_ros_2_reach_programs_and_the_topic_is_shown() -> None
             await peer.send("publish", topic="/chatter", type=STRING, fields={"data": f"from ros 2: {number}"})
         await expect(lambda: len(received) == 20)
         assert received == [text(f"from ros 2: {number}") for number in range(20)]
+
+
+async def test_the_black_box_does_not_make_the_whole_graph_of_ros_2_come_here() -> None:
+    async with (
+        bridged() as world,
+        fake_device(
+            world.daemon.tcp, [*robot_topics(), topic(Id.SUBSCRIBER, 102, "/led", "std_msgs/String")]
+        ) as device,
+        zenoh_session(world.address) as session,
+    ):
+        camera, led = Talker(session, "/camera", STRING_KEY), Talker(session, "/led", STRING_KEY, number=2)
+        await expect(lambda: world.daemon.hub.topics.find("/camera").publishers)
+        await expect(lambda: world.daemon.hub.topics.find("/led").publishers)
+        await asyncio.sleep(0.3)
+        for talker in (camera, led):
+            talker.put(b"\0\1\0\0" + struct.pack("<I", 3) + b"on\0")
+        assert await device.frame(102) == text("on")
+        assert not world.daemon.hub.topics.find("/camera").has_subscribers
+        assert world.bridge.counts["from_ros2"] == 1
 
 
 async def test_a_topic_of_both_is_not_echoed() -> None:
