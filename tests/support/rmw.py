@@ -133,7 +133,7 @@ class Talker:
                 sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
             )
             if is_latched
-            else session.declare_publisher(self.key)
+            else session.declare_publisher(self.key, congestion_control=zenoh.CongestionControl.BLOCK)
         )
         self._token = session.liveliness().declare_token(token)
 
