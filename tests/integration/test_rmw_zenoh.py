@@ -5,7 +5,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import pytest
 import zenoh
 from structlog.testing import capture_logs
 
+from hostlink.cli.serve import SWITCH_INTERVAL_S
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import ServiceFailed
 from hostlink.graphs.ros2_types import Ros2Types
@@ -472,9 +473,18 @@ async def test_the_end_of_the_bridge_stops_what_ros_2_drives() -> None:
         assert await zero(device) < LEASE_S / 2
 
 
+@pytest.fixture
+def as_served() -> Iterator[None]:
+    """Threads give the interpreter back as often as in `hostlink serve`."""
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    yield
+    sys.setswitchinterval(before_s)
+
+
 @pytest.mark.quiet
 @pytest.mark.parametrize("flooded", ["/chatter", "/robot_0/cmd_vel"])
-async def test_a_stop_comes_in_time_beside_a_publisher_that_floods(flooded: str) -> None:
+async def test_a_stop_comes_in_time_beside_a_publisher_that_floods(flooded: str, as_served: None) -> None:
     type_name, fields = (STRING, {"data": "x" * 100}) if flooded == "/chatter" else (TWIST, {})
     async with (
         bridged() as world,
@@ -493,7 +503,7 @@ async def test_a_stop_comes_in_time_beside_a_publisher_that_floods(flooded: str)
         assert len(received) > 100 or flooded != "/chatter"
         began_s = time.monotonic()
         assert (await world.daemon.rest("POST", "/api/stop"))[0] == 200
-        assert time.monotonic() - began_s < 0.3
+        assert time.monotonic() - began_s < LEASE_S
 
 
 async def test_two_domains_do_not_hear_each_other() -> None:

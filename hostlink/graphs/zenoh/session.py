@@ -29,7 +29,7 @@ DEFAULTS: dict[str, object] = {
     "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
 }
 CLOSE_TIMEOUT_S = 1.0
-BLOCKED_US = 20_000  # a neighbour for whom a declaration or a query has to wait longer is cut off
+BLOCKED_US = 100_000  # a neighbour for whom a declaration or a query has to wait longer is cut off; a fifth of a lease
 MAX_PAYLOAD_BYTES = 1024 * 1024
 MAX_KEY_CHARS = 512
 MAX_ANSWERS = 1024  # to one query
