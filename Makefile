@@ -24,7 +24,7 @@ WORKERS ?= $(shell echo $$((2 * $(CORES))))# of make test: half of its time is w
 QUIET_WORKERS ?= $(CORES)# of the tests that a busy machine disturbs
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns format clean
+.PHONY: help demo test test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -34,6 +34,7 @@ help:
 	@echo "make mutants  change the core at places that a seed draws: what no test notices (MUTANTS=20 MUTANTS_SEED=7)"
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
+	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make world   build the firmware in its world for Python, in virtual time (hostlink/sim/firmware_world.py)"
 	@echo "make lab     drive the paper's measurements again: causes, tables, fit, claims and pictures, into build/lab"
@@ -64,6 +65,20 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 demo: $(VENV)/.hostlink
 	@exec $(BIN)/hostlink demo
 
+# rclpy and its messages from PyPI, 240 MB, in a venv of their own: no other test may depend on them.
+ROS2_VENV := build/ros2-venv
+ROS2_PACKAGES := 'ros-rclpy[fastrtps]' ros-std-msgs ros-std-srvs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs ros-diagnostic-msgs
+
+$(ROS2_VENV)/.installed: pyproject.toml
+	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }
+	@echo "installing rclpy and hostlink into $(ROS2_VENV) ..."
+	@$(PYTHON) -m venv --clear $(ROS2_VENV)
+	@$(ROS2_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -e . $(ROS2_PACKAGES) \
+	  || { echo "rclpy cannot be installed from PyPI: the tests of hostlink ros2 (tests/system/ros2) need it"; exit 1; }
+	@touch $@
+
+ros2-venv: $(ROS2_VENV)/.installed
+
 CLIENTS := tests/clients/node_modules/.package-lock.json
 
 $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
@@ -72,7 +87,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@cd tests/clients && npm ci --ignore-scripts --no-progress --loglevel=error
 	@touch $@
 
-test: $(VENV)/.dev $(CLIENTS)
+test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed
 	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
 	$(BIN)/coverage run -m pytest -n $(CORES) tests/unit
 	$(BIN)/coverage combine --quiet
@@ -105,12 +120,13 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/.dev
+bench: $(VENV)/.dev $(ROS2_VENV)/.installed
 	$(BIN)/python tools/bench_link.py
 	$(BIN)/python tools/bench_api.py
 	$(BIN)/python tools/bench_crowd.py
 	$(BIN)/python tools/bench_messages.py
 	$(BIN)/python tools/bench_recording.py
+	$(BIN)/python tools/bench_ros2.py
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto tests/property

@@ -1,12 +1,14 @@
 """RosbridgeClient: one client that speaks rosbridge v2. JSON comes in, JSON and calls of the hub go out; no socket."""
 
 import asyncio
+import base64
 import time
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import structlog
 
+from hostlink.api.client_graph import ClientGraph
 from hostlink.api.client_services import ClientServices
 from hostlink.api.client_subscriptions import ClientSubscriptions
 from hostlink.api.client_topics import ClientTopics
@@ -21,12 +23,12 @@ from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.logs import printable
-from hostlink.messages.message_type import ServiceType
+from hostlink.messages.message_type import MessageType, ServiceType
 
 log = structlog.get_logger()
 
 MAX_UNKNOWN_OPS = 8  # that are logged; a client may send any number
-_ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment"})
+_ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph"})
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client receives `status`
 
 
@@ -41,9 +43,10 @@ class RosbridgeClient:
         *,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
         role: Role = Role.DRIVE,
+        group: str = "",
     ) -> None:
-        """`spawn` runs a service call as a child of the client's connection."""
-        self.participant = hub.join(name, role=role, on_end=queue.close)
+        """`spawn` runs a service call as a child of the client's connection; `group`: the graph for which it stands."""
+        self.participant = hub.join(name, role=role, group=group, on_end=queue.close)
         self._topics = ClientTopics(self.participant)
         services = ClientServices(self.participant, hub.catalog, queue, self._warn)
         subscriptions = ClientSubscriptions(self.participant, queue, self._warn)
@@ -66,6 +69,7 @@ class RosbridgeClient:
             "unadvertise_service": services.unadvertise,
             "service_response": services.respond,
             "set_level": self._set_level,
+            "watch_graph": ClientGraph(self.participant, hub.robots, queue).watch,
             "auth": _accept,
             "fragment": self._add_fragment,
             "drive": lambda request: self._drive.receive(request.fields),
@@ -102,7 +106,7 @@ class RosbridgeClient:
         priority = request.whole("priority", PROGRAM_PRIORITY, MAX_PRIORITY)
         self._topics.publish(request)
         type_ = self.participant.message_type(topic, type_name)
-        payload = type_.encode(fill_stamps(type_, message, time.time_ns()))
+        payload = _raw_payload(request, type_) or type_.encode(fill_stamps(type_, message, time.time_ns()))
         self.participant.publish(topic, payload, priority=priority)
 
     def _call_service(self, request: Request) -> None:
@@ -182,6 +186,24 @@ def _accept(request: Request) -> None:
 
 def _refuse_action(request: Request) -> None:
     raise BadRequest(f"{request.op}: no actions here")
+
+
+def _raw_payload(request: Request, type_: MessageType) -> bytes:
+    """The serialised message in base64, as `cbor-raw` has it; empty: the request has its fields instead.
+
+    Raises:
+        BadRequest: it is no base64.
+        BadPayload: it is no message of the type.
+    """
+    raw = request.fields.get("raw")
+    if raw is None:
+        return b""
+    try:
+        payload = base64.b64decode(raw, validate=True)
+    except (TypeError, ValueError):  # binascii.Error is one
+        raise BadRequest("publish: raw must be base64") from None
+    type_.decode(payload)
+    return payload
 
 
 def _arguments(request: Request, type_: ServiceType | None) -> Mapping[str, object]:

@@ -55,6 +55,7 @@ FLOOD_GAP_S = 0.003  # from one message of a client to the next: whoever drives 
 DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
 SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
+MAX_GROUP = 64  # characters of the name of a foreign graph
 SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
 PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
 PAGE_HEADERS = {
@@ -200,7 +201,7 @@ class ApiServer:
                 _bound_buffers(request)
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
-                await self._serve_socket(socket, client, queue)
+                await self._serve_socket(socket, client, queue, group=request.query.get("group", "")[:MAX_GROUP])
             except* OSError as broken:
                 log.debug("client.broken", reason=str(broken.exceptions[0]))
             finally:
@@ -213,7 +214,9 @@ class ApiServer:
         raise_if_cancelled()
         return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # it broke off before
 
-    async def _serve_socket(self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue) -> None:
+    async def _serve_socket(
+        self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue, *, group: str
+    ) -> None:
         loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as tasks:
             rosbridge = RosbridgeClient(
@@ -222,6 +225,7 @@ class ApiServer:
                 queue,
                 spawn=tasks.create_task,
                 role=client.grant.role,
+                group=group,
             )
             sender = tasks.create_task(self._send(socket, client, rosbridge, queue), name=f"{client.name} sender")
             try:

@@ -20,6 +20,7 @@ PANELS = {
         "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
         "demo": "Run the daemon with a simulated robot.",
         "sim": "Run simulated robots that connect to a host.",
+        "ros2": "Show the robots in ROS 2, and let ROS 2 drive them.",
         "setup": "Ask ten questions and write a configuration.",
     },
     "Robots": {
@@ -87,7 +88,14 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
         app.add_typer(module.app, name=name, short_help=text, rich_help_panel=panel)
     else:
         function = module.command if is_wanted else _name_only
-        app.command(name=name, short_help=text, help=function.__doc__ or text, rich_help_panel=panel)(function)
+        context = getattr(module, "CONTEXT", None)
+        app.command(
+            name=name,
+            short_help=text,
+            help=function.__doc__ or text,
+            rich_help_panel=panel,
+            context_settings=context,
+        )(function)
 
 
 def main() -> None:

@@ -42,7 +42,7 @@ class Connection:
     | lost      | `send`, `request`                   | lost      | HostlinkError                                    |
     """
 
-    def __init__(self, http: HttpClient, *, reconnects: bool) -> None:
+    def __init__(self, http: HttpClient, *, reconnects: bool, group: str = "") -> None:
         self.is_connected = False
         self.handlers: defaultdict[str, list[Callable[[Message], None]]] = defaultdict(
             list
@@ -50,7 +50,7 @@ class Connection:
         self.on_open: list[Callable[[], Awaitable[None]]] = []
         self.on_lost: list[Callable[[HostlinkError], None]] = []
         self._http = http
-        self._reconnects = reconnects
+        self._reconnects, self._group = reconnects, group
         self._socket: aiohttp.ClientWebSocketResponse | None = None
         self._reason = "not open yet"
         self._numbers = itertools.count(1)
@@ -63,7 +63,7 @@ class Connection:
         Raises:
             HostlinkError: that cannot be done.
         """
-        self._socket = await self._http.open_socket()
+        self._socket = await self._http.open_socket(self._group)
         self.is_connected = True
         for restore in self.on_open:
             await restore()

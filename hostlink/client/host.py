@@ -9,9 +9,11 @@ from typing import Any, cast
 
 from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
+from hostlink.client.graph_watch import Graphs, GraphWatch
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, HttpClient
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
+from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RawSubscription, Subscription, Topics
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
@@ -26,19 +28,21 @@ async def connect(
     token: str | None = None,
     ssl: ssl.SSLContext | None = None,
     reconnect: bool = True,
+    group: str = "",
 ) -> AsyncIterator["Host"]:
     """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
 
     `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
     `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
-    and advertisements too, velocities never; without it, whatever waits for a message raises.
+    and advertisements too, velocities never; without it, whatever waits for a message raises. `group`: the name of a
+    foreign graph, for a bridge: it receives nothing that a connection of the same group has published.
 
     Raises:
         HostlinkError: there is no hostlink at `url`, or it refuses.
     """
     http = HttpClient(url, token, ssl)
     try:
-        host = Host(http, reconnect=reconnect)
+        host = Host(http, reconnect=reconnect, group=group)
         async with host.running():
             yield host
     finally:
@@ -48,13 +52,15 @@ async def connect(
 class Host:
     """A running hostlink. Get one from `connect`."""
 
-    def __init__(self, http: HttpClient, *, reconnect: bool) -> None:
+    def __init__(self, http: HttpClient, *, reconnect: bool, group: str = "") -> None:
         self.url = http.url
         self._http = http
-        self._connection = Connection(http, reconnects=reconnect)
+        self._connection = Connection(http, reconnects=reconnect, group=group)
         self._connection.on_open.append(self._set_level)
         self._connection.on_lost.append(self._lose)
         self._topics = Topics(self._connection)
+        self._services = ProvidedServices(self._connection)
+        self._graph = GraphWatch(self._connection)
         self._driver = Driver(self._connection)
         self._connection.on_open.append(self._report_return)
         self._ends_when_lost = not reconnect
@@ -67,12 +73,14 @@ class Host:
         await self._connection.open()
         try:
             async with asyncio.TaskGroup() as tasks:
+                self._services.begin(tasks)
                 reader = tasks.create_task(self._connection.run(), name="reader")
                 repeater = tasks.create_task(self._driver.repeat(), name="repeater")
                 try:
                     yield
                 finally:
                     repeater.cancel()
+                    self._services.end()
                     await self._leave()
                     reader.cancel()
         except BaseExceptionGroup as group:  # what went wrong in the caller's block is the caller's own error
@@ -125,17 +133,29 @@ class Host:
         """
         await self._topics.publish(topic, message, type_name, priority)
 
+    async def publish_raw(self, topic: str, payload: bytes, *, type_name: str = "", priority: int = PRIORITY) -> None:
+        """Send one serialised message, as rosserial and ROS 1 have it.
+
+        Raises:
+            HostlinkError: there is no connection, or an earlier message on this topic was refused.
+        """
+        await self._topics.publish_raw(topic, payload, type_name, priority)
+
     def pop_refusal(self, topic: str) -> str:
         """Why a message that was published on the topic was refused since the last call; empty if none was."""
         return self._topics.pop_refusal(topic)
 
-    def advertise(self, topic: str, type_name: str) -> contextlib.AbstractAsyncContextManager[None]:
+    def advertise(
+        self, topic: str, type_name: str, *, is_latched: bool = False
+    ) -> contextlib.AbstractAsyncContextManager[None]:
         """Be a publisher of the topic for the length of the block, across losses of the connection too.
+
+        With `is_latched` the last message goes to programs that subscribe later.
 
         Raises:
             HostlinkError: when it begins, there is no connection. An unknown type is raised by the next `publish`.
         """
-        return self._topics.advertise(topic, type_name)
+        return self._topics.advertise(topic, type_name, is_latched=is_latched)
 
     def subscribe(
         self, topic: str, *, type_name: str = "", throttle_rate_ms: int = 0, queue_length: int = 0
@@ -151,7 +171,9 @@ class Host:
         """
         return self._topics.subscribe(topic, type_name, throttle_rate_ms, queue_length)
 
-    def subscribe_raw(self, topic: str) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
+    def subscribe_raw(
+        self, topic: str, *, type_name: str = ""
+    ) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, with the time at which each reached the daemon; else as `subscribe`.
 
         Not beside a `subscribe` of the same topic on one connection: the daemon sends each message once, in one form.
@@ -159,7 +181,28 @@ class Host:
         Raises:
             HostlinkError: there is no connection when it begins; in the iteration: the subscription was refused.
         """
-        return self._topics.subscribe_raw(topic)
+        return self._topics.subscribe_raw(topic, type_name)
+
+    async def watch_graph(self) -> Graphs:
+        """The topics, services and robots of all who are not of this connection's group: now, and after every change.
+
+        docs/api.md has their fields. It lasts as long as the reader keeps what this returns, across losses of the
+        connection too.
+
+        Raises:
+            HostlinkError: there is no connection when it begins.
+        """
+        return await self._graph.watch()
+
+    def provide(self, service: str, type_name: str, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
+        """Answer the calls of a service for the length of the block, across losses of the connection too.
+
+        `answer` receives the request and returns the response, both as dicts; a HostlinkError fails the call.
+
+        Raises:
+            HostlinkError: there is no connection when it begins.
+        """
+        return self._services.provide(service, type_name, answer)
 
     async def call(self, service: str, arguments: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Any:
         """Call a service; returns its response.

@@ -57,15 +57,21 @@ class HttpClient:
         for response in list(self._streams):
             response.close()
 
-    async def open_socket(self) -> aiohttp.ClientWebSocketResponse:
-        """A new WebSocket; its pings and pongs are the caller's.
+    async def open_socket(self, group: str = "") -> aiohttp.ClientWebSocketResponse:
+        """A new WebSocket; its pings and pongs are the caller's. `group`: the foreign graph for which it stands.
 
         Raises:
             HostlinkError: it is refused, or nobody answers.
         """
         timeout = aiohttp.ClientWSTimeout(ws_close=CLOSE_TIMEOUT_S)
         try:
-            return await self._session.ws_connect(f"{self.url}/", autoping=False, timeout=timeout, max_msg_size=0)
+            return await self._session.ws_connect(
+                f"{self.url}/",
+                params={"group": group} if group else None,
+                autoping=False,
+                timeout=timeout,
+                max_msg_size=0,
+            )
         except aiohttp.WSServerHandshakeError as error:
             raise HostlinkError(f"hostlink at {self.url} refuses: {_advise(error.status)}") from error
         except (aiohttp.ClientError, OSError, ValueError) as error:

@@ -1,5 +1,6 @@
 """Topics: what this client has subscribed and advertised; made again after each loss of the connection."""
 
+import base64
 import contextlib
 import itertools
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -32,7 +33,7 @@ class Topics:
         self._connection = connection
         self._numbers = itertools.count(1)
         self._subscribed: dict[str, _Subscribed] = {}
-        self._advertised: dict[str, str] = {}
+        self._advertised: dict[str, Mapping[str, Any]] = {}
         self._refusals: dict[str, str] = {}
         connection.handlers["publish"].append(self._deliver)
         connection.handlers["status"].append(self._receive_refusal)
@@ -50,20 +51,34 @@ class Topics:
         request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "msg": message, "priority": priority}
         await self._connection.send(request | _typed(type_name))
 
+    async def publish_raw(self, topic: str, payload: bytes, type_name: str, priority: int) -> None:
+        """Send one serialised message.
+
+        Raises:
+            HostlinkError: there is no connection, or an earlier message on this topic was refused.
+        """
+        refusal = self.pop_refusal(topic)
+        if refusal:
+            raise HostlinkError(refusal)
+        raw = base64.b64encode(payload).decode()
+        request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "raw": raw, "priority": priority}
+        await self._connection.send(request | _typed(type_name))
+
     def pop_refusal(self, topic: str) -> str:
         """Why a message that was published on the topic was refused since the last call; empty if none was."""
         return self._refusals.pop(topic, "")
 
     @contextlib.asynccontextmanager
-    async def advertise(self, topic: str, type_name: str) -> AsyncIterator[None]:
+    async def advertise(self, topic: str, type_name: str, *, is_latched: bool) -> AsyncIterator[None]:
         """Be a publisher of the topic for the length of the block.
 
         Raises:
             HostlinkError: there is no connection.
         """
-        request = {"op": "advertise", "id": f"publish:{topic}", "topic": topic, "type": type_name}
+        latch = {"latch": True} if is_latched else {}
+        request = {"op": "advertise", "id": f"publish:{topic}", "topic": topic, "type": type_name, **latch}
         await self._connection.send(request)
-        self._advertised[topic] = type_name
+        self._advertised[topic] = request
         try:
             yield
         finally:
@@ -82,13 +97,13 @@ class Topics:
         limits = {"throttle_rate": throttle_rate_ms, "queue_length": queue_length}
         return self._subscribe(topic, {**limits, **_typed(type_name)}, lambda message: message)
 
-    def subscribe_raw(self, topic: str) -> contextlib.AbstractAsyncContextManager[RawSubscription]:
+    def subscribe_raw(self, topic: str, type_name: str = "") -> contextlib.AbstractAsyncContextManager[RawSubscription]:
         """The messages of a topic as bytes, from now on, for the length of the block.
 
         Raises:
             HostlinkError: there is no connection.
         """
-        return self._subscribe(topic, _RAW, _read_raw)
+        return self._subscribe(topic, {**_RAW, **_typed(type_name)}, _read_raw)
 
     @contextlib.asynccontextmanager
     async def _subscribe(
@@ -111,8 +126,8 @@ class Topics:
             subscribed.mailbox.put(error)
 
     async def _restore(self) -> None:
-        for topic, type_name in self._advertised.items():
-            await self._connection.send({"op": "advertise", "topic": topic, "type": type_name})
+        for request in list(self._advertised.values()):
+            await self._connection.send(request)
         for subscribed in list(self._subscribed.values()):
             await self._connection.send(subscribed.request)
 

@@ -9,6 +9,7 @@ from hostlink.hub.topic import Topic
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.message_type import MessageType
 
+OBSERVERS = "recording"  # a group that receives what there is: no reason to bring a topic from another graph
 ROSAPI = "/rosapi/"  # answers about this daemon's graph to clients of rosbridge; another graph has its own
 
 
@@ -57,12 +58,13 @@ def graph_of(topics: TopicGraph, services: Services, group: str) -> Graph:
 
 def _graph_topic(topic: Topic, group: str) -> GraphTopic:
     publishers = [key for key in topic.publishers if not _is_of(key, group)]
+    subscribers = [each.key for each in topic.subscribers if not _is_of(each.key, OBSERVERS)]
     return GraphTopic(
         topic.name,
         topic.type_name,
         topic.type,
         is_published=bool(publishers),
-        is_subscribed=bool(topic.devices) or any(not _is_of(each.key, group) for each in topic.subscribers),
+        is_subscribed=bool(topic.devices) or any(not _is_of(key, group) for key in subscribers),
         is_latched=any(key in topic.latched for key in publishers),
         is_velocity=topic.is_gated,
         is_derived=bool(topic.publishers) and all(isinstance(key, Node) and key.is_daemon for key in topic.publishers),

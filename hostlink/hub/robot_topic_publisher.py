@@ -114,7 +114,7 @@ class RobotTopicPublisher:
 
     def _open(self, robot: Robot) -> None:
         offer = self._offers[robot.name] = _Offer(robot, self._frames_of(robot))
-        offer.wanted = frozenset(resolve(name) for name in (_odom(robot), *_command_topics(robot)) if name)
+        offer.wanted = frozenset(resolve(name) for name in (_odom(robot), *command_topics(robot)) if name)
         for name in offer.wanted:
             self._candidates[name][robot.name] = None
         offer.odom = self._advertise(_odom(robot), ODOMETRY_TYPE, robot.shown.odometry)
@@ -122,7 +122,7 @@ class RobotTopicPublisher:
         if offer.publishes_tf and self._tf is None:
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
         robot.followers[self] = functools.partial(self._relay, offer)
-        for topic, type_name in _command_topics(robot).items():
+        for topic, type_name in command_topics(robot).items():
             if self._subscribe(robot, topic, type_name):
                 offer.commands.append(resolve(topic))
                 self._commands.add(resolve(topic))
@@ -215,7 +215,8 @@ def _odom(robot: Robot) -> str:
     return _chosen(robot.config.odom_topic, f"{robot.name}/odom")
 
 
-def _command_topics(robot: Robot) -> dict[str, str]:
+def command_topics(robot: Robot) -> dict[str, str]:
+    """The names that its velocity topic has beside its own, with their types; empty: that one is switched off."""
     return {
         _chosen(robot.config.cmd_vel_topic, f"{robot.name}/cmd_vel"): TWIST_TYPE,
         _chosen(robot.config.cmd_vel_stamped_topic, f"{robot.name}/cmd_vel_stamped"): TWIST_STAMPED_TYPE,

@@ -10,7 +10,7 @@ import msgspec
 
 from hostlink import logs
 from hostlink.errors import WrongType
-from hostlink.hub.graph import GraphTopic
+from hostlink.hub.graph import OBSERVERS, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
@@ -19,7 +19,7 @@ from hostlink.hub.subscription import Subscription
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, LOG, PARAMETERS, VELOCITY, Channel, Sink, ros_channel
 from hostlink.robot.velocity import Velocity
 
-GROUP = "recording"  # what recorders subscribe to is not worth recording for that alone
+GROUP = OBSERVERS  # what recorders subscribe to is not worth recording for that alone
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import pytest
 
 from hostlink.errors import BadRequest
-from hostlink.hub.graph import Graph, GraphTopic
+from hostlink.hub.graph import OBSERVERS, Graph, GraphTopic
 from hostlink.hub.graph_changes import NOTIFY_AFTER_S
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
@@ -223,5 +223,19 @@ def test_a_watcher_that_fails_ends_its_participant_alone() -> None:
         assert failing.has_left
         assert graphs
         await made.neighbour_works()
+
+    play(test)
+
+
+def test_a_recorder_is_no_reason_to_bring_a_topic_from_another_graph() -> None:
+    async def test(made: Scene) -> None:
+        ours, other = made.hub.join("outwards", group=ROS), made.hub.join("program")
+        made.hub.join_daemon(group=OBSERVERS).subscribe(TEXT, lambda _: None)
+        ours.advertise(TEXT, TEXT_TYPE)
+        assert topic_of(ours.graph(), TEXT) is None
+        other.subscribe(TEXT, lambda _: None)
+        found = topic_of(ours.graph(), TEXT)
+        assert found is not None
+        assert found.is_subscribed
 
     play(test)

@@ -1,0 +1,65 @@
+"""`hostlink ros2`: robots in a ROS 2 graph, by a process beside the daemon."""
+
+import asyncio
+import sys
+from collections.abc import Coroutine
+from typing import Annotated, Any
+
+import typer
+
+from hostlink.cli.arguments import Token, Url
+from hostlink.cli.ending import stop_signals
+from hostlink.cli.output import write_error
+from hostlink.client import DEFAULT_URL, PRIORITY
+from hostlink.errors import ConfigError, HostlinkError
+
+CONTEXT = {"ignore_unknown_options": True, "allow_extra_args": True}  # what is behind --ros-args is ROS 2's
+ROS_ARGS = "--ros-args"
+SWITCH_INTERVAL_S = 0.0005  # rclpy's thread is in Python for a millisecond a message; the event loop would wait for it
+
+
+def command(
+    context: typer.Context,
+    *,
+    priority: Annotated[int, typer.Option(min=0, max=100, help="Of velocities; teleop is 60.")] = PRIORITY,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+) -> None:
+    """Show the daemon's robots in ROS 2, and let ROS 2 drive them.
+
+    It needs rclpy: a ROS 2 installation that is sourced, or its packages from PyPI. What is behind --ros-args goes to
+    rclpy: --ros-args -r __ns:=/site -p use_sim_time:=true. docs/ros2.md has the rest.
+    """
+    if context.args and context.args[0] != ROS_ARGS:
+        raise ConfigError(context.args[0], f"is no option of hostlink ros2; ROS 2's own stand behind {ROS_ARGS}")
+    try:
+        from hostlink.graphs.ros2.bridge import BridgeConfig, run_bridge  # noqa: PLC0415 - rclpy may not be there
+    except ImportError as error:
+        raise HostlinkError(
+            f"rclpy cannot be imported ({error}): source a ROS 2 installation (. /opt/ros/DISTRO/setup.sh), or run "
+            "pip install 'ros-rclpy[fastrtps]' ros-geometry-msgs ros-nav-msgs ros-sensor-msgs ros-std-srvs"
+        ) from error
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    config = BridgeConfig(url=url, token=token, priority=priority, ros_arguments=context.args)
+    try:
+        asyncio.run(_until_signal(run_bridge(config, _report)))
+    except BaseExceptionGroup as group:
+        raise _first(group) from None
+
+
+async def _until_signal(bridge: Coroutine[Any, Any, None]) -> None:
+    with stop_signals() as ending:
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(bridge)
+            waiting = tasks.create_task(ending.wait())
+            await asyncio.wait((running, waiting), return_when=asyncio.FIRST_COMPLETED)
+            running.cancel()
+            waiting.cancel()
+
+
+def _first(error: BaseException) -> BaseException:
+    return _first(error.exceptions[0]) if isinstance(error, BaseExceptionGroup) else error
+
+
+def _report(text: str) -> None:
+    write_error(f"hostlink ros2: {text}")

@@ -1,0 +1,81 @@
+"""ProvidedServices: the services that this client answers; offered again after each loss of the connection."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from typing import Any
+
+from hostlink.client.connection import Connection, Message
+from hostlink.errors import HostlinkError
+
+Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+MAX_CALLS = 64  # under way at once; the daemon has as many for one program
+
+
+class ProvidedServices:
+    """Calls come from the connection's reader, and each is answered by a task of its own."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._answers: dict[str, tuple[str, Answer]] = {}  # by service: its type, and who answers
+        self._tasks: asyncio.TaskGroup | None = None
+        self._calls: set[asyncio.Task[None]] = set()
+        connection.handlers["call_service"].append(self._receive)
+        connection.on_open.append(self._restore)
+
+    def begin(self, tasks: asyncio.TaskGroup) -> None:
+        """Calls are answered from now on, each by a task of this group."""
+        self._tasks = tasks
+
+    def end(self) -> None:
+        """Calls that are under way are given up."""
+        self._tasks = None
+        for call in self._calls:
+            call.cancel()
+
+    @contextlib.asynccontextmanager
+    async def provide(self, service: str, type_name: str, answer: Answer) -> AsyncIterator[None]:
+        """Answer the calls of a service for the length of the block.
+
+        Raises:
+            HostlinkError: there is no connection.
+        """
+        await self._offer(service, type_name)
+        self._answers[service] = (type_name, answer)
+        try:
+            yield
+        finally:
+            del self._answers[service]
+            with contextlib.suppress(HostlinkError):  # with the connection gone, so is the service
+                await self._connection.send({"op": "unadvertise_service", "service": service})
+
+    async def _offer(self, service: str, type_name: str) -> None:
+        request = {"op": "advertise_service", "id": f"provide:{service}", "service": service, "type": type_name}
+        await self._connection.send(request)
+
+    async def _restore(self) -> None:
+        for service, (type_name, _) in list(self._answers.items()):
+            await self._offer(service, type_name)
+
+    def _receive(self, call: Message) -> None:
+        if self._tasks is not None:
+            task = self._tasks.create_task(self._answer(call))
+            self._calls.add(task)
+            task.add_done_callback(self._calls.discard)
+
+    async def _answer(self, call: Message) -> None:
+        values, is_right = await self._values(call)
+        response = {"op": "service_response", "id": call["id"], "service": call["service"], "values": values}
+        with contextlib.suppress(HostlinkError):  # nobody waits for the answer of a connection that is gone
+            await self._connection.send(response | {"result": is_right})
+
+    async def _values(self, call: Message) -> tuple[Mapping[str, Any] | str, bool]:
+        _, answer = self._answers.get(str(call["service"]), ("", None))
+        if answer is None:
+            return "it is not offered any more", False
+        if len(self._calls) > MAX_CALLS:
+            return f"more than {MAX_CALLS} calls under way", False
+        try:
+            return await answer(call["args"]), True
+        except HostlinkError as error:
+            return str(error), False

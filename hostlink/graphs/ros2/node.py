@@ -1,0 +1,221 @@
+"""Ros2Node: an rclpy node whose executor runs in a thread of its own. Nodes' ends are made and ended in that thread."""
+
+import asyncio
+import contextlib
+import importlib
+import threading
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.graphs.ros2.names import ros2_name
+from hostlink.graphs.ros2.plan import Publisher, Ros2Graph
+from hostlink.graphs.ros2.qos import Qos
+
+NODE_NAME = "hostlink"
+END_TIMEOUT_S = 2.0  # of the executor's thread
+Result = TypeVar("Result")
+
+
+class Ros2Node:
+    """Get one from `ros2_node`."""
+
+    def __init__(self, node: Any, executor: Any) -> None:
+        self.node = node
+        self._executor = executor
+        self._loop = asyncio.get_running_loop()
+        self._published: dict[str, Any] = {}  # rclpy's publishers by the daemon's topic
+        self._served: set[str] = set()  # full names of services
+
+    async def run(self, function: Callable[[], Result]) -> Result:
+        """Call a function in rclpy's thread; what it raises is raised here."""
+        done: asyncio.Future[Result] = self._loop.create_future()
+
+        def call() -> None:
+            try:
+                result = function()
+            except Exception as error:  # noqa: BLE001 - it is the caller's, in the other thread
+                self.post(_settle, done, None, error)
+            else:
+                self.post(_settle, done, result, None)
+
+        self._executor.create_task(call)
+        return await done
+
+    def post(self, function: Callable[..., None], *arguments: object) -> None:
+        """Call a function in the event loop, from rclpy's thread; nothing happens when the loop has ended."""
+        with contextlib.suppress(RuntimeError):  # it is closed
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    # -- the node's ends ----------------------------------------------------------------------------------------------
+
+    @contextlib.asynccontextmanager
+    async def publisher(self, topic: str, cls: Any, qos: Qos) -> AsyncIterator[Any]:
+        """A publisher for the length of the block; `publish` may be called in any thread."""
+        made = await self.run(lambda: self.node.create_publisher(cls, ros2_name(topic), profile(qos)))
+        self._published[topic] = made
+        try:
+            yield made
+        finally:
+            del self._published[topic]
+            self._executor.create_task(lambda: self.node.destroy_publisher(made))
+
+    @contextlib.asynccontextmanager
+    async def subscription(
+        self, topic: str, cls: Any, qos: Qos, receive: Callable[..., None], *, is_raw: bool
+    ) -> AsyncIterator[Any]:
+        """A subscription for the length of the block; `receive` is called in rclpy's thread."""
+        made = await self.run(
+            lambda: self.node.create_subscription(cls, ros2_name(topic), receive, profile(qos), raw=is_raw)
+        )
+        try:
+            yield made
+        finally:
+            self._executor.create_task(lambda: self.node.destroy_subscription(made))
+
+    @contextlib.asynccontextmanager
+    async def service(self, name: str, cls: Any, answer: Callable[[Any, Any], Any]) -> AsyncIterator[None]:
+        """A service for the length of the block; `answer` is a coroutine function of rclpy."""
+        full = self.node.resolve_service_name(ros2_name(name))
+        self._served.add(full)
+        try:
+            made = await self.run(lambda: self.node.create_service(cls, ros2_name(name), answer))
+            try:
+                yield
+            finally:
+                self._executor.create_task(lambda: self.node.destroy_service(made))
+        finally:
+            self._served.discard(full)
+
+    @contextlib.asynccontextmanager
+    async def client(self, name: str, cls: Any) -> AsyncIterator[Any]:
+        """A client of a service for the length of the block."""
+        made = await self.run(lambda: self.node.create_client(cls, ros2_name(name)))
+        try:
+            yield made
+        finally:
+            self._executor.create_task(lambda: self.node.destroy_client(made))
+
+    async def call(self, client: Any, request: Any) -> Any:
+        """Call a service; cancel it, and its answer is forgotten."""
+        done: asyncio.Future[Any] = self._loop.create_future()
+        pending = await self.run(lambda: client.call_async(request))
+        pending.add_done_callback(lambda future: self.post(_settle, done, future.result(), None))
+        try:
+            return await done
+        finally:
+            self._executor.create_task(lambda: client.remove_pending_request(pending))
+
+    def pending(self) -> Any:
+        """A future of rclpy, which a coroutine in its thread awaits and the event loop completes."""
+        return rclpy.task.Future(executor=self._executor)
+
+    # -- the graph ----------------------------------------------------------------------------------------------------
+
+    async def graph(self, topics: Iterable[str]) -> Ros2Graph:
+        """What other nodes have; the publishers of these topics alone."""
+        wanted = tuple(topics)
+        return await self.run(lambda: self._graph(wanted))
+
+    def _graph(self, topics: Iterable[str]) -> Ros2Graph:
+        readers = {topic for topic, made in self._published.items() if made.get_subscription_count()}
+        return Ros2Graph(
+            publishers={topic: tuple(self._publishers(topic)) for topic in topics},
+            readers=frozenset(readers),
+            services=self._services(),
+        )
+
+    def _publishers(self, topic: str) -> Iterator[Publisher]:
+        own = (self.node.get_name(), self.node.get_namespace())
+        for end in self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(ros2_name(topic))):
+            if (end.node_name, end.node_namespace) != own:
+                yield Publisher(end.topic_type, _offered(end.qos_profile), bytes(end.endpoint_gid))
+
+    def _services(self) -> dict[str, str]:
+        """By the names that the daemon would give them: those of the node's namespace, without it."""
+        prefix = self.node.get_namespace().rstrip("/") + "/"
+        return {
+            f"/{name.removeprefix(prefix)}": types[0]
+            for name, types in self.node.get_service_names_and_types()
+            if name.startswith(prefix) and name not in self._served
+        }
+
+
+@contextlib.asynccontextmanager
+async def ros2_node(arguments: list[str], fail: Callable[[BaseException], None]) -> AsyncIterator[Ros2Node]:
+    """A node for the length of the block. `arguments`: those behind `--ros-args`; `fail` is called when it crashes.
+
+    Raises:
+        ConfigError: the arguments are wrong.
+    """
+    context = Context()
+    try:
+        rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node(NODE_NAME, context=context)
+    except Exception as error:  # its errors have no common class that all releases export
+        raise ConfigError("--ros-args", str(error).splitlines()[0]) from error
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    made = Ros2Node(node, executor)
+    thread = threading.Thread(target=_spin, args=(executor, made, fail), name="rclpy", daemon=True)
+    thread.start()
+    try:
+        yield made
+    finally:
+        executor.shutdown(timeout_sec=END_TIMEOUT_S)
+        await asyncio.to_thread(thread.join, END_TIMEOUT_S)
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _spin(executor: Any, node: Ros2Node, fail: Callable[[BaseException], None]) -> None:
+    try:
+        executor.spin()
+    except Exception as error:  # noqa: BLE001 - the end of the thread is the end of the bridge
+        node.post(fail, error)
+
+
+def profile(qos: Qos) -> Any:
+    """As rclpy has it."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=qos.depth,
+        reliability=ReliabilityPolicy.RELIABLE if qos.is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.is_latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def load_type(type_name: str) -> Any:
+    """The class of a message or service, as `geometry_msgs/msg/Twist` names it.
+
+    Raises:
+        HostlinkError: it is not installed.
+    """
+    package, kind, name = type_name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError) as error:
+        apt = f"ros-$ROS_DISTRO-{package.replace('_', '-')}"
+        raise HostlinkError(
+            f"{type_name} is not installed here, so what is of this type stays out of ROS 2: install {apt}, "
+            "or build and source its package"
+        ) from error
+
+
+def _offered(found: Any) -> Qos:
+    return Qos(found.reliability == ReliabilityPolicy.RELIABLE, found.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def _settle(done: "asyncio.Future[Any]", result: object, error: Exception | None) -> None:
+    if done.done():
+        return
+    if error is None:
+        done.set_result(result)
+    else:
+        done.set_exception(error)

@@ -1,0 +1,196 @@
+"""Routes: what runs for each route of the plan, as long as the plan has it."""
+
+import asyncio
+import contextlib
+import functools
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any, assert_never
+
+from hostlink.client import Host
+from hostlink.errors import BadPayload, HostlinkError
+from hostlink.graphs.ros2.conversion import stamped
+from hostlink.graphs.ros2.echoes import Echoes
+from hostlink.graphs.ros2.inbox import Inbox
+from hostlink.graphs.ros2.names import ros1_type, ros2_type
+from hostlink.graphs.ros2.node import Ros2Node, load_type
+from hostlink.graphs.ros2.plan import (
+    TWIST_STAMPED,
+    Caller,
+    Feed,
+    Publication,
+    Reception,
+    Route,
+    Server,
+    VelocityInput,
+)
+from hostlink.graphs.ros2.qos import COMMAND, publisher_qos
+from hostlink.graphs.ros2.types import Types
+from hostlink.graphs.ros2.values import fill, to_json
+from hostlink.graphs.ros2.velocity import VelocityDriver
+
+INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
+COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
+CALL_TIMEOUT_S = 60.0  # of a service of ROS 2; as the daemon's for a program's
+
+
+class Routes:
+    """Runs one route at a time for whoever calls `run`; all share the node, the connection and the types."""
+
+    def __init__(self, node: Ros2Node, host: Host, velocity: VelocityDriver, *, stamp: Callable[[], bytes]) -> None:
+        """`stamp`: the time of ROS 2 where it is not this computer's; empty: it is."""
+        self._node, self._host, self._velocity, self._stamp = node, host, velocity, stamp
+        self._types = Types()
+        self._echoes: defaultdict[str, Echoes] = defaultdict(Echoes)
+        self._publishers: dict[Publication, asyncio.Future[Any]] = {}
+        self._tasks: asyncio.TaskGroup | None = None
+        self.malformed = 0  # messages that were none of their type
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Calls of services are answered for the length of the block."""
+        async with asyncio.TaskGroup() as self._tasks:
+            yield
+
+    async def run(self, route: Route) -> None:
+        """Run a route until it is cancelled.
+
+        Raises:
+            HostlinkError: a type is not installed or differs, or the daemon refuses.
+        """
+        match route:
+            case Publication():
+                await self._publish(route)
+            case Feed():
+                await self._feed(route.publication)
+            case Reception():
+                await self._receive(route)
+            case VelocityInput():
+                await self._drive(route)
+            case Server():
+                await self._serve(route)
+            case Caller():
+                await self._offer(route)
+            case _:
+                assert_never(route)
+
+    async def _publish(self, route: Publication) -> None:
+        cls = await self._types.message(self._host, route.type_name)
+        qos = publisher_qos(route.topic, is_latched=route.is_latched)
+        async with self._node.publisher(route.topic, cls, qos) as publisher:
+            self._publisher_of(route).set_result(publisher)
+            try:
+                await asyncio.Event().wait()
+            finally:
+                del self._publishers[route]
+
+    def _publisher_of(self, route: Publication) -> "asyncio.Future[Any]":
+        """Both routes of a topic begin together: the publisher may not be there yet."""
+        return self._publishers.setdefault(route, asyncio.get_running_loop().create_future())
+
+    async def _feed(self, route: Publication) -> None:
+        """Bytes of the daemon to ROS 2."""
+        publisher = await asyncio.shield(self._publisher_of(route))
+        type_name, conversion = ros2_type(route.type_name), self._types.conversion
+        has_header = conversion.begins_with_header(type_name)
+        echoes = self._echoes[route.topic]
+        async with self._host.subscribe_raw(route.topic, type_name=route.type_name) as messages:
+            async for message in messages:
+                try:
+                    data = conversion.to_cdr(message.payload, type_name)
+                except BadPayload:
+                    self.malformed += 1
+                    continue
+                if has_header and (stamp := self._stamp()):
+                    data = stamped(data, stamp)
+                echoes.publish(data)
+                publisher.publish(data)
+
+    async def _receive(self, route: Reception) -> None:
+        cls = await self._types.message(self._host, route.type_name, route.ros2_type)
+        inbox: Inbox[bytes] = Inbox(INBOX_DEPTH)
+        echoes = self._echoes[route.topic]
+        async with (
+            self._host.advertise(route.topic, route.type_name, is_latched=route.qos.is_latched),
+            self._node.subscription(route.topic, cls, route.qos, inbox.put, is_raw=True),
+        ):
+            async for data in inbox:
+                if not echoes.is_echo(data):
+                    await self._send(route, data)
+
+    async def _send(self, route: Reception, data: bytes) -> None:
+        try:
+            payload = self._types.conversion.to_ros1(data, route.ros2_type)
+        except BadPayload:
+            self.malformed += 1
+            return
+        await self._host.publish_raw(route.topic, payload, type_name=route.type_name)
+
+    async def _drive(self, route: VelocityInput) -> None:
+        cls, is_stamped = load_type(route.ros2_type), route.ros2_type == TWIST_STAMPED
+        inbox: Inbox[tuple[Any, Mapping[str, Any]]] = Inbox(COMMAND_INBOX_DEPTH)
+
+        def receive(message: Any, info: Mapping[str, Any]) -> None:
+            inbox.put((message, info))
+
+        with self._velocity.driving(route):
+            async with self._node.subscription(route.topic, cls, COMMAND, receive, is_raw=False):
+                async for message, info in inbox:
+                    twist = message.twist if is_stamped else message
+                    velocity = (float(twist.linear.x), float(twist.angular.z))
+                    is_first = info.get("publication_sequence_number") == 1
+                    self._velocity.receive(route, velocity, sender(route, info), is_first=is_first)
+
+    async def _serve(self, route: Server) -> None:
+        cls = load_type(ros2_type(route.type_name, "srv"))
+
+        async def answer(request: Any, response: Any) -> Any:
+            """In rclpy's thread."""
+            pending = self._node.pending()
+            self._node.post(self._call_daemon, route.service, to_json(request), pending)
+            values = await pending
+            _fill_response(response, values)
+            return response
+
+        async with self._node.service(route.service, cls, answer):
+            await asyncio.Event().wait()
+
+    def _call_daemon(self, service: str, request: Mapping[str, Any], pending: Any) -> None:
+        assert self._tasks is not None  # noqa: S101 - in `running`
+        self._tasks.create_task(self._finish_call(service, request, pending))
+
+    async def _finish_call(self, service: str, request: Mapping[str, Any], pending: Any) -> None:
+        values: Mapping[str, Any]
+        try:
+            values = await self._host.call(service, request, timeout_s=CALL_TIMEOUT_S)
+        except HostlinkError as error:  # ROS 2 has no word for a call that failed
+            values = {"success": False, "message": str(error)}
+        pending.set_result(values)
+
+    async def _offer(self, route: Caller) -> None:
+        cls = load_type(route.ros2_type)
+        async with self._node.client(route.service, cls) as client:
+            answer = functools.partial(self._call_ros2, route, cls, client)
+            async with self._host.provide(route.service, ros1_type(route.ros2_type), answer):
+                await asyncio.Event().wait()
+
+    async def _call_ros2(self, route: Caller, cls: Any, client: Any, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        request = cls.Request()
+        fill(request, values)
+        try:
+            async with asyncio.timeout(CALL_TIMEOUT_S):
+                return to_json(await self._node.call(client, request))
+        except TimeoutError:
+            raise HostlinkError(f"{route.service}: no answer from ROS 2 within {CALL_TIMEOUT_S:g} s") from None
+
+
+def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:
+    """Who has published a message: its gid where rclpy says it (since Kilted), else all of the topic are one."""
+    gid = info.get("publisher_gid")
+    return route.topic if gid is None else bytes(gid["data"])
+
+
+def _fill_response(response: Any, values: Mapping[str, Any]) -> None:
+    """What does not fit is left out: an error here would end rclpy's thread."""
+    with contextlib.suppress(HostlinkError):
+        fill(response, values)

@@ -1,0 +1,313 @@
+"""`hostlink ros2` beside the daemon: what an independent rclpy node finds in its graph, reads, calls and sets."""
+
+import asyncio
+import math
+import struct
+from collections.abc import Awaitable, Callable, Iterator
+
+import pytest
+
+from hostlink.client import Host, HostlinkError, connect
+from hostlink.config import Config
+from hostlink.protocol.frame import Id, encode
+from tests.support.daemon import daemon
+from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
+from tests.support.ros2 import DISCOVERY_S, Peer, bridge, domain, install, peer
+from tests.support.waiting import expect
+
+pytestmark = [pytest.mark.quiet, pytest.mark.timeout(300)]
+
+SCAN = topic(Id.PUBLISHER, 126, "/robot_0/scan", "sensor_msgs/LaserScan")
+SERVO = topic(Id.SUBSCRIBER, 110, "/robot_0/servo", "std_msgs/Float64")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _rclpy() -> None:
+    install()
+
+
+@pytest.fixture
+def environment() -> Iterator[dict[str, str]]:
+    with domain() as found:
+        yield found
+
+
+async def repeat_until(
+    is_so: Callable[[], object], act: Callable[[], Awaitable[object]], *, every_s: float = 0.05
+) -> None:
+    """Do it again and again until this is true."""
+    async with asyncio.timeout(DISCOVERY_S):
+        while not is_so():
+            await act()
+            await asyncio.sleep(every_s)
+
+
+async def drive(other: Peer, name: str, linear_m_s: float) -> None:
+    """Publish a Twist ten times a second."""
+    velocity = {"linear": {"x": linear_m_s}}
+    await other.do("publish", topic=name, type="geometry_msgs/msg/Twist", msg=velocity, rate_hz=10)
+
+
+async def until_called(host: Host, service: str, request: dict[str, object]) -> object:
+    """The answer of a service, as soon as it is there."""
+    async with asyncio.timeout(DISCOVERY_S):
+        while True:
+            try:
+                return await host.call(service, request)
+            except HostlinkError as error:
+                assert "no service named" in str(error)  # noqa: PT017 - any other error is one
+            await asyncio.sleep(0.1)
+
+
+async def test_the_topics_of_a_robot_are_read_by_rclpy_and_come_and_go_with_it(environment: dict[str, str]) -> None:
+    scan = CATALOG.message("sensor_msgs/LaserScan")
+    assert scan is not None
+    async with daemon() as server, bridge(environment, server.url), peer(environment) as other:
+        await other.do("subscribe", topic="/robot_0/odometry", type="geometry_msgs/msg/Pose2D")
+        await other.do("subscribe", topic="/robot_0/odom", type="nav_msgs/msg/Odometry", best_effort=True)
+        await other.do("subscribe", topic="/robot_0/scan", type="sensor_msgs/msg/LaserScan")
+        async with fake_device(server.tcp, [*robot_topics(), SCAN]) as device:
+            await other.until_graph(lambda graph: "/robot_0/odom" in graph["topics"])
+            await other.until_graph(lambda graph: "hostlink" in graph["nodes"])
+            graph = await other.until_graph(lambda graph: "/robot_0/lock" in graph["services"])
+            assert graph["topics"]["/robot_0/odom"] == "nav_msgs/msg/Odometry"
+            assert graph["topics"]["/robot_0/cmd_vel"] == "geometry_msgs/msg/Twist"
+            assert graph["topics"]["/robot_0/cmd_vel_stamped"] == "geometry_msgs/msg/TwistStamped"
+            fields = {"header": {"frame_id": "laser"}, "ranges": [0.5, math.inf], "angle_max": 1.0}
+            frames = pose(1.5, -2.0, 0.25) + encode(126, scan.encode(fields))
+            await repeat_until(
+                lambda: all(other.messages(f"/robot_0/{name}") for name in ("odometry", "odom", "scan")),
+                lambda: device.send(frames),
+            )
+            assert other.messages("/robot_0/odometry")[-1] == {"x": 1.5, "y": -2.0, "theta": 0.25}
+            odom = other.messages("/robot_0/odom")[-1]
+            assert odom["header"]["frame_id"] == "odom"
+            assert odom["child_frame_id"] == "base_link"
+            assert odom["header"]["stamp"]["sec"] > 1_600_000_000
+            assert len(odom["pose"]["covariance"]) == 36
+            read = other.messages("/robot_0/scan")[-1]
+            assert (read["header"]["frame_id"], read["ranges"], read["angle_max"]) == ("laser", [0.5, math.inf], 1.0)
+        await other.until_graph(lambda graph: "/robot_0/cmd_vel" not in graph["topics"])
+
+
+async def test_a_type_that_is_not_installed_is_reported_once_by_name_and_the_others_work(
+    environment: dict[str, str],
+) -> None:
+    async with daemon() as server, bridge(environment, server.url) as process, peer(environment) as other:
+        for name in ("robot_0", "robot_1"):
+            async with fake_device(server.tcp, robot_topics(name)):
+                await other.until_graph(lambda graph, name=name: f"/{name}/odom" in graph["topics"])
+                await expect(lambda: process.has_reported("tf2_msgs/msg/TFMessage is not installed"))
+        assert len([line for line in process.reports if "tf2_msgs" in line]) == 1
+
+
+async def test_what_rclpy_publishes_reaches_the_device_and_programs(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        fake_device(server.tcp, [*robot_topics(), SERVO]) as device,
+        connect(server.url) as program,
+        program.subscribe("/chat", type_name="std_msgs/String") as chat,
+    ):
+        fields = {"topic": "/robot_0/servo", "type": "std_msgs/msg/Float64", "msg": {"data": math.inf}, "rate_hz": 20}
+        await other.do("publish", **fields)
+        await other.do(
+            "publish", topic="/chat", type="std_msgs/msg/String", msg={"data": "hä"}, rate_hz=20, best_effort=True
+        )
+        async with asyncio.timeout(DISCOVERY_S):
+            while True:
+                frame = await device.next()
+                if frame.topic_id == SERVO.topic_id:
+                    break
+        assert frame.payload == struct.pack("<d", math.inf)
+        async with asyncio.timeout(DISCOVERY_S):
+            assert await anext(chat) == {"data": "hä"}
+
+
+async def test_a_latched_topic_is_there_for_who_comes_later_both_ways(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        connect(server.url) as me,
+        connect(server.url) as later,
+    ):
+        async with me.advertise("/here", "std_msgs/String", is_latched=True):
+            await me.publish("/here", {"data": "a"})
+            await other.until_graph(lambda graph: "/here" in graph["topics"])
+            await other.do("subscribe", topic="/here", type="std_msgs/msg/String", latched=True)
+            await expect(lambda: other.messages("/here") == [{"data": "a"}], timeout_s=DISCOVERY_S)
+        await other.do("publish", topic="/there", type="std_msgs/msg/String", msg={"data": "b"}, latched=True)
+        async with asyncio.timeout(DISCOVERY_S), me.subscribe("/there", type_name="std_msgs/String") as early:
+            assert await anext(early) == {"data": "b"}
+            async with later.subscribe("/there", type_name="std_msgs/String") as late:
+                assert await anext(late) == {"data": "b"}
+
+
+async def test_a_topic_that_both_publish_and_read_goes_round_no_circle(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        connect(server.url) as me,
+        me.advertise("/chat", "std_msgs/String"),
+        me.subscribe("/chat", type_name="std_msgs/String") as chat,
+    ):
+        await other.do("subscribe", topic="/chat", type="std_msgs/msg/String")
+        await other.do("publish", topic="/chat", type="std_msgs/msg/String", msg={"data": "there"}, rate_hz=5)
+        async with asyncio.timeout(DISCOVERY_S):
+            assert await anext(chat) == {"data": "there"}
+        await other.do("silence", topic="/chat")
+        await repeat_until(
+            lambda: other.messages("/chat").count({"data": "here"}) >= 3, lambda: me.publish("/chat", {"data": "here"})
+        )
+        await asyncio.sleep(1.0)
+        own = chat.pop_all().count({"data": "here"})
+        assert other.messages("/chat").count({"data": "here"}) <= own < 100  # a program reads its own, as in ROS
+
+
+async def test_qualities_that_do_not_match_are_reported_by_name(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url) as process,
+        peer(environment) as other,
+        fake_device(server.tcp, robot_topics()),
+    ):
+        await other.do("subscribe", topic="/robot_0/odometry", type="geometry_msgs/msg/Pose2D", latched=True)
+        await expect(
+            lambda: any("robot_0/odometry" in line and "DURABILITY" in line for line in process.reports),
+            timeout_s=DISCOVERY_S,
+        )
+        ends = await other.answer("ends", "ends", topic="/robot_0/odometry")
+        assert ["hostlink", "geometry_msgs/msg/Pose2D", "RELIABLE", "VOLATILE"] in ends["publishers"]
+        velocity = await other.answer("ends", "ends", topic="/robot_0/cmd_vel")
+        assert ["hostlink", "geometry_msgs/msg/Twist", "BEST_EFFORT", "VOLATILE"] in velocity["subscribers"]
+
+
+async def test_services_go_both_ways(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        fake_device(server.tcp, robot_topics()),
+        connect(server.url) as me,
+    ):
+        answer = await other.answer("call", "response", service="/robot_0/lock", type="std_srvs/srv/Trigger")
+        assert answer["msg"]["success"]
+        assert (await me.robot("robot_0").state())["locked"]
+        await other.do("serve", service="/lamp", type="std_srvs/srv/SetBool", msg={"success": True, "message": "on"})
+        assert await until_called(me, "/lamp", {"data": True}) == {"success": True, "message": "on"}
+        assert other.events("request")[0]["msg"] == {"data": True}
+        services = (await me.call("/rosapi/services", {}))["services"]
+        assert not [name for name in services if name.endswith("get_parameters")]
+
+
+async def test_a_call_that_the_daemon_refuses_is_answered_as_far_as_ros_2_can(environment: dict[str, str]) -> None:
+    async def fail(_: object) -> dict[str, object]:
+        raise HostlinkError("the lamp is broken")
+
+    async with (
+        daemon() as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        connect(server.url) as me,
+        me.provide("/lamp", "std_srvs/Trigger", fail),
+    ):
+        answer = await other.answer("call", "response", service="/lamp", type="std_srvs/srv/Trigger")
+        assert not answer["msg"]["success"]
+        assert "the lamp is broken" in answer["msg"]["message"]
+
+
+async def test_parameters_are_the_node_s_and_setting_one_there_sets_it_here(environment: dict[str, str]) -> None:
+    config = Config(parameters={"/robot_0/gain": 1.5, "name": "a", "/robot_0/pid": [1.0, 2.0]})
+    async with (
+        daemon(config) as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        connect(server.url) as me,
+    ):
+        names = ["robot_0.gain", "name", "robot_0.pid"]
+
+        async def until_read(gain: float) -> list[object]:
+            async with asyncio.timeout(DISCOVERY_S):
+                while True:
+                    read = await other.answer("get_parameters", "parameters", node="/hostlink", names=names)
+                    if read["values"][0] == gain:
+                        return list(read["values"])
+
+        assert await until_read(1.5) == [1.5, "a", [1.0, 2.0]]
+        done = await other.answer("set_parameter", "parameter_set", node="/hostlink", name="robot_0.gain", value=2.5)
+        assert done["is_right"]
+        await expect(lambda: server.hub.parameters["/robot_0/gain"] == 2.5)
+        await me.call("/rosapi/set_param", {"name": "/robot_0/gain", "value": "3.5"})
+        await until_read(3.5)
+
+
+async def test_two_domains_know_nothing_of_each_other(environment: dict[str, str]) -> None:
+    with domain() as elsewhere:
+        async with (
+            daemon() as one,
+            daemon() as two,
+            bridge(environment, one.url),
+            bridge(elsewhere, two.url),
+            peer(environment) as here,
+            peer(elsewhere) as there,
+            fake_device(one.tcp, robot_topics("a")),
+            fake_device(two.tcp, robot_topics("b")),
+        ):
+            first = await here.until_graph(lambda graph: "/a/odom" in graph["topics"])
+            second = await there.until_graph(lambda graph: "/b/odom" in graph["topics"])
+            assert "/b/odom" not in first["topics"]
+            assert "/a/odom" not in second["topics"]
+
+
+async def test_a_namespace_and_a_remap_are_those_of_rclpy(environment: dict[str, str]) -> None:
+    arguments = ("--ros-args", "-r", "__ns:=/site", "-r", "robot_0/odom:=/odom")
+    async with (
+        daemon() as server,
+        bridge(environment, server.url, *arguments),
+        peer(environment) as other,
+        fake_device(server.tcp, robot_topics()) as device,
+    ):
+        graph = await other.until_graph(lambda graph: "/odom" in graph["topics"])
+        assert "/site/robot_0/odometry" in graph["topics"]
+        assert "/site/robot_0/odom" not in graph["topics"]
+        await drive(other, "/site/robot_0/cmd_vel", 0.2)
+        assert (await device.velocity_other_than((0.0, 0.0)))[0] > 0
+
+
+async def test_use_sim_time_stamps_with_the_time_of_clock(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url, "--ros-args", "-p", "use_sim_time:=true"),
+        peer(environment) as other,
+        fake_device(server.tcp, robot_topics()) as device,
+    ):
+        await other.do("subscribe", topic="/robot_0/odom", type="nav_msgs/msg/Odometry")
+        clock = {"clock": {"sec": 77, "nanosec": 5}}
+        await other.do("publish", topic="/clock", type="rosgraph_msgs/msg/Clock", msg=clock, rate_hz=20)
+
+        def is_stamped() -> bool:
+            stamps = [message["header"]["stamp"] for message in other.messages("/robot_0/odom")]
+            return {"sec": 77, "nanosec": 5} in stamps
+
+        await repeat_until(is_stamped, lambda: device.send(pose(0.1)))
+
+
+async def test_a_device_s_log_lines_are_on_rosout(environment: dict[str, str]) -> None:
+    async with (
+        daemon() as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        fake_device(server.tcp, robot_topics()) as device,
+    ):
+        await other.do("subscribe", topic="/rosout", type="rcl_interfaces/msg/Log")
+        text = b"battery low"
+        line = encode(Id.LOG, b"\x02" + struct.pack("<I", len(text)) + text)
+
+        def lines() -> list[dict[str, object]]:
+            return [line for line in other.messages("/rosout") if line["msg"].endswith("battery low")]
+
+        await repeat_until(lines, lambda: device.send(line))
+        assert lines()[0]["level"] == 30

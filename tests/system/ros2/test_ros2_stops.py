@@ -1,0 +1,252 @@
+"""How the drivers of ROS 2 end: whatever of them dies or stands still, the robot gets a zero within the lease."""
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from hostlink.config import Config
+from hostlink.robot.velocity_gate import VelocityGate
+from tests.support.daemon import Daemon, daemon
+from tests.support.process import free_port, serve
+from tests.support.proxy import Line, proxy
+from tests.support.ros2 import DISCOVERY_S, Bridge, Peer, bridge, domain, install, peer
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect, expect_never
+
+pytestmark = [pytest.mark.quiet, pytest.mark.timeout(200)]
+
+TWIST = "geometry_msgs/msg/Twist"
+LEASE_S = 0.5
+LATE_S = 0.6  # a tick of the gate, and what a busy machine needs to notice
+CMD_VEL = "/robot_0/cmd_vel"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _rclpy() -> None:
+    install()
+
+
+@pytest.fixture
+def environment() -> Iterator[dict[str, str]]:
+    with domain() as found:
+        yield found
+
+
+@dataclass
+class World:
+    """A daemon, a robot that drives by a ROS 2 publisher, and the bridge between them."""
+
+    server: Daemon
+    bridge: Bridge
+    driver: Peer
+
+    @property
+    def gate(self) -> VelocityGate:
+        return self.server.hub.robots.find("robot_0").gate
+
+    async def until_stopped(self) -> float:
+        """Seconds until nobody drives, and the velocity that is commanded is a zero."""
+        loop = asyncio.get_running_loop()
+        begun_s = loop.time()
+        await expect(lambda: self.gate.owner is None or self.gate._target.is_zero, timeout_s=5.0)
+        return loop.time() - begun_s
+
+
+async def drive(other: Peer, topic: str = CMD_VEL, *, type_name: str = TWIST, linear_m_s: float = 0.2) -> None:
+    velocity: dict[str, Any] = {"linear": {"x": linear_m_s}}
+    message = {"twist": velocity} if type_name.endswith("Stamped") else velocity
+    await other.do("publish", topic=topic, type=type_name, msg=message, rate_hz=20, await_subscriber=True)
+
+
+@contextlib.asynccontextmanager
+async def driven(environment: dict[str, str]) -> AsyncIterator[World]:
+    """A robot that drives."""
+    async with (
+        daemon(Config()) as server,
+        simulated_robot(server.tcp),
+        bridge(environment, server.url) as process,
+        peer(environment, "driver") as driver,
+    ):
+        await expect(lambda: server.hub.robots.find("robot_0").link is not None)
+        await drive(driver)
+        world = World(server, process, driver)
+        await expect(lambda: world.gate.owner is not None, timeout_s=DISCOVERY_S)
+        yield world
+
+
+async def test_a_publisher_that_leaves_stops_the_robot(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        await world.driver.do("unpublish", topic=CMD_VEL)
+        assert await world.until_stopped() < LEASE_S + LATE_S
+
+
+async def test_a_publisher_that_is_killed_stops_the_robot(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        world.driver.child.kill()
+        assert await world.until_stopped() < LEASE_S + LATE_S
+
+
+async def test_a_publisher_that_stands_still_stops_the_robot_and_may_go_on(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        world.driver.child.send_signal(signal.SIGSTOP)
+        assert await world.until_stopped() < LEASE_S + LATE_S
+        world.driver.child.send_signal(signal.SIGCONT)
+        await expect(lambda: world.gate.owner is not None)
+
+
+async def test_a_bridge_that_is_killed_stops_the_robot(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        world.bridge.child.kill()
+        assert await world.until_stopped() < LEASE_S + LATE_S
+
+
+async def test_a_bridge_that_is_ended_stops_the_robot_and_ends_soon(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        world.bridge.child.terminate()
+        assert await world.until_stopped() < LEASE_S + LATE_S
+        async with asyncio.timeout(8):
+            assert await world.bridge.child.wait() == 0
+
+
+async def test_a_bridge_that_stands_still_stops_the_robot_and_what_it_held_does_not_drive(
+    environment: dict[str, str],
+) -> None:
+    async with driven(environment) as world:
+        world.bridge.child.send_signal(signal.SIGSTOP)
+        assert await world.until_stopped() < LEASE_S + LATE_S
+        world.driver.child.kill()  # nobody means these velocities any more
+        await asyncio.sleep(1.0)
+        world.bridge.child.send_signal(signal.SIGCONT)
+        await expect(lambda: world.bridge.has_reported("did not run"))
+        await expect_never(lambda: world.gate.owner is not None, for_s=1.0)
+
+
+async def test_a_stream_drives_on_after_a_zero_when_the_bridge_stood_still(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        world.bridge.child.send_signal(signal.SIGSTOP)
+        await world.until_stopped()
+        await asyncio.sleep(0.5)
+        world.bridge.child.send_signal(signal.SIGCONT)
+        await expect(lambda: world.bridge.has_reported("was interrupted"))
+        await expect_never(lambda: world.gate.owner is not None, for_s=0.5)
+        await world.driver.do("silence", topic=CMD_VEL)
+        await drive(world.driver, linear_m_s=0.0)
+        await asyncio.sleep(0.2)
+        await world.driver.do("silence", topic=CMD_VEL)
+        await drive(world.driver)
+        await expect(lambda: world.gate.owner is not None and not world.gate._target.is_zero)
+
+
+async def test_a_device_that_connects_again_is_not_driven_by_the_stream_of_before(environment: dict[str, str]) -> None:
+    async with (
+        daemon(Config()) as server,
+        bridge(environment, server.url) as process,
+        peer(environment, "driver") as driver,
+    ):
+        async with simulated_robot(server.tcp):
+            await expect(lambda: server.hub.robots.find("robot_0").link is not None)
+            await drive(driver)
+            await expect(lambda: server.hub.robots.find("robot_0").gate.owner is not None, timeout_s=DISCOVERY_S)
+        async with simulated_robot(server.tcp) as body:
+            await expect(lambda: server.hub.robots.find("robot_0").link is not None)
+            await expect(lambda: process.has_reported("robot_0 was interrupted"), timeout_s=DISCOVERY_S)
+            await expect_never(lambda: abs(body.speed_m_s) > 0.005, for_s=1.0)
+            await driver.do("silence", topic=CMD_VEL)
+            await asyncio.sleep(LEASE_S + 0.2)
+            await drive(driver)
+            await expect(lambda: body.speed_m_s > 0.02)
+
+
+async def test_a_daemon_that_is_killed_and_started_again_is_found_again_and_moves_nothing(
+    environment: dict[str, str],
+) -> None:
+    device_port, api_port = free_port(), free_port()
+    ports = ("--listen", f"127.0.0.1:{device_port}", "--api", f"127.0.0.1:{api_port}")
+    async with (
+        simulated_robot(("127.0.0.1", device_port)) as body,
+        peer(environment, "driver") as driver,
+        serve(*ports) as first,
+        bridge(environment, first.url) as process,
+    ):
+        await first.read_log("robot.appeared")
+        await drive(driver)
+        await expect(lambda: body.speed_m_s > 0.02, timeout_s=DISCOVERY_S)
+        first.child.kill()
+        await expect(lambda: process.has_reported("is lost"))
+        await expect(lambda: abs(body.speed_m_s) < 0.005)
+        async with serve(*ports) as second:
+            await second.read_log("robot.appeared")
+            await expect(lambda: process.has_reported(" again"), timeout_s=DISCOVERY_S)
+            await expect_never(lambda: abs(body.speed_m_s) > 0.005, for_s=1.5)
+            await driver.do("silence", topic=CMD_VEL)
+            await asyncio.sleep(LEASE_S + 0.2)
+            await drive(driver)
+            await expect(lambda: body.speed_m_s > 0.02, timeout_s=DISCOVERY_S)
+
+
+@pytest.mark.parametrize("line", [Line.SWALLOWS, Line.STALLS])
+async def test_a_network_that_is_cut_stops_the_robot(environment: dict[str, str], line: Line) -> None:
+    async with daemon(Config()) as server:
+        host, _, port = server.url.removeprefix("http://").rpartition(":")
+        async with (
+            simulated_robot(server.tcp),
+            proxy((host, int(port))) as between,
+            bridge(environment, between.url) as process,
+            peer(environment, "driver") as driver,
+        ):
+            gate = server.hub.robots.find("robot_0").gate
+            await drive(driver)
+            await expect(lambda: gate.owner is not None, timeout_s=DISCOVERY_S)
+            between.set_line(line)
+            await expect(lambda: gate.owner is None, timeout_s=LEASE_S + LATE_S)
+            await expect(lambda: process.has_reported("is lost"))
+            await asyncio.sleep(LEASE_S + 0.1)  # what is on its way is younger until then
+            between.set_line(Line.WORKS)
+            await expect(lambda: process.has_reported(" again"), timeout_s=DISCOVERY_S)
+            await expect_never(lambda: gate.owner is not None, for_s=1.0)
+
+
+async def test_a_bridge_that_is_started_before_the_daemon_waits_for_it(environment: dict[str, str]) -> None:
+    api_port = free_port()
+    url = f"http://127.0.0.1:{api_port}"
+
+    async with bridge(environment, url, until="it is tried again") as process:
+        async with serve("--api", f"127.0.0.1:{api_port}"):
+            await expect(lambda: process.has_reported("connected to hostlink"), timeout_s=DISCOVERY_S)
+        assert len([line for line in process.reports if "is tried again" in line]) == 1
+
+
+async def test_each_publisher_is_an_owner_of_its_own_so_that_an_idle_one_stops_nobody(
+    environment: dict[str, str],
+) -> None:
+    async with driven(environment) as world, peer(environment, "idle") as idle:
+        gate, owner = world.gate, world.gate.owner
+        await drive(idle, linear_m_s=0.0)
+        await expect_never(lambda: gate.owner not in (owner, None), for_s=1.5)
+        await expect_never(lambda: gate.owner == owner and gate._target.is_zero, for_s=1.0)
+        await expect(lambda: gate.owner == owner)
+
+
+async def test_cmd_vel_takes_stamped_velocities_where_ros_2_sends_them(environment: dict[str, str]) -> None:
+    async with (
+        daemon(Config()) as server,
+        simulated_robot(server.tcp) as body,
+        bridge(environment, server.url),
+        peer(environment, "driver") as driver,
+    ):
+        await expect(lambda: server.hub.robots.find("robot_0").link is not None)
+        await drive(driver, type_name="geometry_msgs/msg/TwistStamped")
+        await expect(lambda: body.speed_m_s > 0.02, timeout_s=DISCOVERY_S)
+
+
+async def test_a_locked_robot_is_not_driven_and_the_reason_is_reported_once(environment: dict[str, str]) -> None:
+    async with driven(environment) as world:
+        world.server.hub.emergency_stop.stop(world.server.hub.robots.find("robot_0"), "a person is near")
+        await expect(lambda: world.bridge.has_reported("a person is near"))
+        await asyncio.sleep(0.5)
+        assert len([line for line in world.bridge.reports if "a person is near" in line]) == 1
