@@ -10,6 +10,9 @@ BIN := $(VENV)/bin
 FIRMWARE_PACKAGES := cmake g++ clang clang-format clang-tidy cppcheck libclang-rt-14-dev gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm \
   gcc-avr avr-libc arduino-core-avr
 
+ROS1_PACKAGES := python3-roslaunch python3-rospy python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
+  python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs
+
 WEB := hostlink/api/web
 
 CHAOS_S ?= 600
@@ -33,7 +36,7 @@ help:
 	@echo "make coverage  which branches of the core no test takes; the pure packages must have none"
 	@echo "make mutants  change the core at places that a seed draws: what no test notices (MUTANTS=20 MUTANTS_SEED=7)"
 	@echo "make check   format, lint, types, import rules"
-	@echo "make bench   measure, write the figures to build/bench.json and build/bench_api.json"
+	@echo "make bench   measure, write the figures to build/bench*.json"
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make world   build the firmware in its world for Python, in virtual time (hostlink/sim/firmware_world.py)"
@@ -88,7 +91,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@touch $@
 
 test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed
-	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES)
+	@tools/require.sh tmux procps systemd chromium openssl $(FIRMWARE_PACKAGES) $(ROS1_PACKAGES)
 	$(BIN)/coverage run -m pytest -n $(CORES) tests/unit
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
@@ -126,7 +129,9 @@ bench: $(VENV)/.dev $(ROS2_VENV)/.installed
 	$(BIN)/python tools/bench_crowd.py
 	$(BIN)/python tools/bench_messages.py
 	$(BIN)/python tools/bench_recording.py
+	@tools/require.sh $(ROS1_PACKAGES)
 	$(BIN)/python tools/bench_ros2.py
+	$(BIN)/python tools/bench_ros1.py
 
 fuzz: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=fuzz $(BIN)/python -m pytest -n auto tests/property

@@ -7,6 +7,7 @@ import difflib
 import ipaddress
 import re
 import typing
+import urllib.parse
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -147,6 +148,35 @@ class ApiConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ros1Config:
+    """The daemon as a node of a ROS 1 graph."""
+
+    master: str = ""  # "http://localhost:11311"; empty: no node
+    name: str = "hostlink"  # of the node
+    namespace: str = "/"
+    host: str | None = None  # by which name or address other nodes reach this one; None: its address towards the master
+    port: int = 0  # of the slave API; 0: any free one
+    tcpros_port: int = 0
+    allow: tuple[str, ...] = ()  # networks from which nodes may connect; none named: all. ROS 1 has no passwords
+    max_connections: int = 256  # on each of the two ports, and to other nodes
+    max_message_bytes: int = 4 * 1024 * 1024  # of other nodes; a device's is a hundredth of it
+    remappings: dict[str, str] = field(default_factory=dict)  # of topics and services
+
+    def __post_init__(self) -> None:
+        for network in self.allow:
+            ipaddress.ip_network(network)  # its ValueError names it
+        url = urllib.parse.urlsplit(self.master)
+        if self.master and (url.scheme != "http" or not url.hostname):
+            raise ValueError(f"{self.master!r} is no master's address; they look like http://localhost:11311")
+        if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
+            raise ValueError(f"{self.name!r} is no name of a node: letters, digits and _, and a letter first")
+        if not re.fullmatch(r"/?([A-Za-z]\w*(/[A-Za-z]\w*)*)?/?", self.namespace, re.ASCII):
+            raise ValueError(f"{self.namespace!r} is no namespace; they look like /lab")
+        if min(self.max_connections, self.max_message_bytes) < 1:
+            raise ValueError("a bound must be at least 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationConfig:
     """How the true wheels of a robot differ from those that its device believes in; `hostlink calibrate` finds them."""
 
@@ -258,6 +288,7 @@ class Config:
     serial: tuple[SerialConfig, ...] = ()
     link: LinkConfig = field(default_factory=LinkConfig)
     api: ApiConfig = field(default_factory=ApiConfig)
+    ros1: Ros1Config = field(default_factory=Ros1Config)
     robots: dict[str, RobotConfig] = field(default_factory=dict)
     parameters: dict[str, ParameterValue] = field(default_factory=dict)
     message_folders: tuple[Path, ...] = ()

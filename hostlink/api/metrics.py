@@ -128,6 +128,11 @@ class _Graph(Collector):
         for cause, count in self._hub.refused.items():
             refused.add_metric([cause], count)
         yield refused
+        for graph, counters in self._hub.counters.items():
+            family = CounterMetricFamily(f"hostlink_{graph}", f"What of {graph} has happened", labels=["what"])
+            for what, count in counters().items():
+                family.add_metric([what], count)
+            yield family
         dropped = CounterMetricFamily("hostlink_datagrams_dropped", "Of UDP, either way, by cause", labels=["cause"])
         for cause, count in self._hub.datagrams_dropped.items():
             dropped.add_metric([cause], count)

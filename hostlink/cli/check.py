@@ -84,6 +84,9 @@ def describe(config: Config) -> list[str]:
         )
     lines += [f"a device on {_describe_port(port)}" for port in config.serial]
     lines.append(f"programs on {'http' if api.certificate is None else 'https'}://{api.host}:{api.port}")
+    if config.ros1.master:
+        node = "/".join(["", *filter(None, config.ros1.namespace.split("/")), config.ros1.name])
+        lines.append(f"node {node} of the ROS 1 master at {config.ros1.master}")
     lines += [f"robot {name}, {robot.address or 'known by its topics'}" for name, robot in config.robots.items()]
     if config.zenoh is not None:
         lines.append(_describe_zenoh(config.zenoh))
@@ -113,9 +116,10 @@ def _describe_port(port: SerialConfig) -> str:
 
 
 def _check_values(config: Config) -> None:
-    ports = [("tcp.port", config.tcp.port), ("api.port", config.api.port)]
-    ports += [] if config.udp is None else [("udp.port", config.udp.port)]
-    for where, port in ports:
+    ports = {"tcp.port": config.tcp.port, "api.port": config.api.port}
+    ports |= {} if config.udp is None else {"udp.port": config.udp.port}
+    ports |= {"ros1.port": config.ros1.port, "ros1.tcpros_port": config.ros1.tcpros_port}
+    for where, port in ports.items():
         if not 0 <= port <= MAX_PORT:
             raise ConfigError(where, f"{port} is no port; they go from 0 (any free one) to {MAX_PORT}")
     for where, number in _positive(config):

@@ -8,6 +8,7 @@ from hostlink.config import Config
 from hostlink.errors import ConfigError
 
 OWN = 64  # of the daemon itself: listening sockets, the loop, the log, files that are read
+NODE_SHARES = 3  # of nodes of ROS: those that connect to each of two ports, and those to which hostlink connects
 FEWEST = OWN + 4 * KEPT_FOR_REQUESTS
 
 
@@ -18,9 +19,9 @@ def limit() -> int:
 
 
 def fitted(config: Config, descriptors: int) -> Config:
-    """The bounds on connections such that neither devices nor programs can use up the others' descriptors.
+    """The bounds on connections such that devices, programs and nodes of ROS cannot use up each other's descriptors.
 
-    Where there are too few, both have their share of them by what they wanted.
+    Where there are too few, each has its share of them by what it wanted.
 
     Raises:
         ConfigError: there are fewer than FEWEST.
@@ -30,8 +31,13 @@ def fitted(config: Config, descriptors: int) -> Config:
     room = descriptors - OWN - len(config.serial)
     datagrams = 0 if config.udp is None else config.udp.max_connections
     devices, programs = config.tcp.max_connections + datagrams, config.api.max_connections
-    if devices + programs <= room:
+    nodes = config.ros1.max_connections * NODE_SHARES if config.ros1.master else 0
+    if devices + programs + nodes <= room:
         return config
+    if nodes:
+        nodes = room * nodes // (devices + programs + nodes)
+        ros1 = dataclasses.replace(config.ros1, max_connections=max(1, nodes // NODE_SHARES))
+        config, room = dataclasses.replace(config, ros1=ros1), room - nodes
     programs = max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs))
     datagrams = min(datagrams, max(2, (room - programs) * datagrams // devices)) if datagrams else 0
     return dataclasses.replace(

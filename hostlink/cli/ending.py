@@ -29,15 +29,15 @@ class Ending:
         """Returns when the daemon is to end."""
         await self._is_requested.wait()
 
-    def request(self, number: signal.Signals) -> None:
-        """A signal came. The first begins the end; one that comes while the robots are stopped changes nothing."""
+    def request(self, cause: str) -> None:
+        """A signal came, or another cause. The first begins the end; what comes while robots are stopped is ignored."""
         now_s = asyncio.get_running_loop().time()
         if not self._is_requested.is_set():
-            self.cause, self._requested_at_s = number.name, now_s
+            self.cause, self._requested_at_s = cause, now_s
             self._is_requested.set()
             _force_after(LONGEST_END_S)
         elif now_s > self._requested_at_s + SHUTDOWN_S:
-            _force(f"a second signal, {number.name}")
+            _force(f"a second signal, {cause}")
 
 
 @contextlib.contextmanager
@@ -46,7 +46,7 @@ def stop_signals() -> Iterator[Ending]:
     ending = Ending()
     loop = asyncio.get_running_loop()
     for number in STOP_SIGNALS:
-        loop.add_signal_handler(number, ending.request, number)
+        loop.add_signal_handler(number, ending.request, number.name)
     try:
         yield ending
     finally:

@@ -20,6 +20,7 @@ PANELS = {
         "serve": "Run the daemon: devices on TCP port 11411 and serial ports, programs on port 9090.",
         "demo": "Run the daemon with a simulated robot.",
         "sim": "Run simulated robots that connect to a host.",
+        "ros1": "Run the daemon as a node of ROS 1, started as rosserial_python is.",
         "ros2": "Show the robots in ROS 2, and let ROS 2 drive them.",
         "setup": "Ask ten questions and write a configuration.",
     },

@@ -25,7 +25,7 @@ from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
 from hostlink.cli.output import write, write_error
 from hostlink.cli.systemd import Notifier
-from hostlink.config import Config, UdpConfig, ZenohConfig, load
+from hostlink.config import Config, Ros1Config, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError
 from hostlink.guardian.guardian import guarded
 from hostlink.hub.guard import Guard
@@ -45,6 +45,9 @@ SWITCH_INTERVAL_S = 0.0005  # a tenth of the usual
 GC_THRESHOLDS = (100, 5, 100)  # often, so that each lasts a millisecond or two; the oldest after 50,000 objects
 
 
+OnGraphEnd = Callable[[str], None]
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class Addresses:
     """Where a running daemon listens; port 0 in the configuration is a real one here."""
@@ -55,10 +58,13 @@ class Addresses:
 
 
 @contextlib.asynccontextmanager
-async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterator[tuple[Hub, Addresses]]:
+async def running(
+    config: Config, *, guard: Guard | None = None, on_graph_end: OnGraphEnd = lambda _: None
+) -> AsyncIterator[tuple[Hub, Addresses]]:
     """The whole daemon for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
+    `on_graph_end` is called with the reason when this node of a foreign graph was shut down from there.
     """
     hub = Hub(config, Catalog(config.message_folders), guard=guard)
     try:
@@ -67,6 +73,7 @@ async def running(config: Config, *, guard: Guard | None = None) -> AsyncIterato
             _hub_running(hub),
             _recordings(hub) as recordings,
             _listening(hub, config, recordings) as addresses,
+            _graphs(hub, config, on_graph_end),
         ):
             udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, **udp)
@@ -144,6 +151,21 @@ async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[
 
 
 @contextlib.asynccontextmanager
+async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator[None]:
+    """The daemon as a node of foreign graphs; what one of them needs is imported with it."""
+    async with asyncio.TaskGroup() as tasks:
+        nodes = []
+        if config.ros1.master:
+            module = importlib.import_module("hostlink.graphs.ros1.node")
+            nodes.append(tasks.create_task(module.serve_ros1(hub, config.ros1, on_end), name="ROS 1"))
+        try:
+            yield
+        finally:
+            for node in nodes:
+                node.cancel()
+
+
+@contextlib.asynccontextmanager
 async def _serial_ports(hub: Hub, config: Config) -> AsyncIterator[None]:
     async with asyncio.TaskGroup() as tasks:
         ports = [tasks.create_task(serve_serial(hub, port), name=port.name) for port in config.serial]
@@ -175,6 +197,9 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     zenoh: Annotated[
         bool, typer.Option("--zenoh", help="Show and drive the robots of other daemons in this network: docs/fleet.md.")
     ] = False,
+    ros1: Annotated[
+        str | None, typer.Option(metavar="URL", help="Be a node of this ROS 1 master: http://localhost:11311.")
+    ] = None,
     log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
     loop: Annotated[str, typer.Option(help="The event loop: asyncio, or uvloop for crowds of robots.")] = "asyncio",
     check_config: Annotated[
@@ -201,6 +226,8 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     )
     if zenoh and settings.zenoh is None:
         settings = dataclasses.replace(settings, zenoh=ZenohConfig())
+    if ros1 is not None:
+        settings = dataclasses.replace(settings, ros1=with_master(settings.ros1, "--ros1", ros1))
     warnings = asyncio.run(check(settings, descriptors=limit()))
     if check_config is not None:
         write(*describe(settings))
@@ -209,7 +236,19 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     for warning in warnings:
         log.warning("config.suspicious", reason=warning)
     with asyncio.Runner(loop_factory=new_loop) as runner:
-        runner.run(_serve(fitted(settings, limit()), Notifier(os.environ)))
+        runner.run(serve(fitted(settings, limit())))
+
+
+def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
+    """The settings with this master.
+
+    Raises:
+        ConfigError: it is no address of one; `where` names it.
+    """
+    try:
+        return dataclasses.replace(config, master=url)
+    except ValueError as error:
+        raise ConfigError(where, str(error)) from error
 
 
 def loop_factory(name: str) -> Callable[[], asyncio.AbstractEventLoop] | None:
@@ -241,9 +280,16 @@ def shorten_pauses() -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
 
 
-async def _serve(config: Config, notifier: Notifier) -> None:
+async def serve(config: Config, *, ends_with_graph: bool = False) -> None:
+    """Run the daemon until a signal ends it; with `ends_with_graph` also when its node is shut down."""
+    notifier = Notifier(os.environ)
     with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian:
-        async with running(config, guard=guardian) as (hub, _):
+
+        def graph_ended(reason: str) -> None:
+            if ends_with_graph:
+                ending.request(reason)
+
+        async with running(config, guard=guardian, on_graph_end=graph_ended) as (hub, _):
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             hub.spawn(collect_while_idle(hub.robots), name="garbage collector")

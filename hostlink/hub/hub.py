@@ -4,8 +4,9 @@ import asyncio
 import contextlib
 import dataclasses
 import itertools
+import time
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import structlog
@@ -25,7 +26,7 @@ from hostlink.hub.identities import Affected, Identities
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
-from hostlink.hub.parameters import ParameterAnswers
+from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.participant import Participant, Parts
 from hostlink.hub.remote_robots import RemoteRobots
 from hostlink.hub.robot import Robot
@@ -65,6 +66,9 @@ class Hub:
         self.refused: Counter[str] = Counter()  # connections that were not served or were evicted, by cause
         self.datagrams_dropped: Counter[str] = Counter()  # of UDP, either way, by cause
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
+        self.parameter_source: ParameterSource | None = None  # of those that are not set here
+        self.wall_ns: Callable[[], int] = time.time_ns  # the time that devices are given
+        self.counters: dict[str, Callable[[], Mapping[str, int]]] = {}  # of a graph, for /metrics
         self.isolation = Isolation(reraises=reraises)
         self._numbers = itertools.count(1)
         changes = GraphChanges()
@@ -105,7 +109,7 @@ class Hub:
                 self._identities,
                 self.diagnoses,
                 self.device_calls,
-                ParameterAnswers(self.parameters),
+                ParameterAnswers(self.parameters, lambda: self.parameter_source, self.spawn),
                 Rosout(self.join_daemon()),
             )
         )
@@ -173,6 +177,7 @@ class Hub:
             number=self.new_number(),
             on_event=self._device_events.react,
             share=self._share,
+            wall_ns=self._read_wall_ns,
         )
         self._identities.devices[link.number] = Device(link, self._parts, self._node)
         self.diagnoses.begin(link)
@@ -222,6 +227,9 @@ class Hub:
     def late_answers(self) -> int:
         """Answers of devices' services that nobody waited for any more."""
         return self._device_events.late_answers
+
+    def _read_wall_ns(self) -> int:
+        return self.wall_ns()
 
     async def shutdown(self) -> None:
         """Stop every robot, request silence of every device, end every link; bounded by SHUTDOWN_TIMEOUT_S.

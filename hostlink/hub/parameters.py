@@ -2,7 +2,8 @@
 
 import contextlib
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
 
 import structlog
 
@@ -15,31 +16,71 @@ from hostlink.protocol.control import Parameter
 
 log = structlog.get_logger()
 
+MAX_WAITING = 64  # requests that wait for a source; one more is answered at once, as unknown
 MAX_UNKNOWN_NAMES = 256  # that are remembered; a name can be as long as a frame
 
 _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 
+class ParameterSource(Protocol):
+    """Where parameters are that are not set here, as in a foreign graph."""
+
+    async def get(self, name: str) -> ParameterValue | None:
+        """The parameter that a device names so, well within the second that it waits; None: there is none."""
+        ...
+
+
 class ParameterAnswers:
     """Answers every request: a device spins until it receives something."""
 
-    def __init__(self, settings: Mapping[str, ParameterValue]) -> None:
-        """`settings` may change at any time."""
+    def __init__(
+        self,
+        settings: Mapping[str, ParameterValue],
+        source: Callable[[], ParameterSource | None] = lambda: None,
+        spawn: Callable[..., None] | None = None,
+    ) -> None:
+        """`settings` may change at any time; `source` has what is not among them, and `spawn` waits for it."""
         self._settings = settings
+        self._source, self._spawn = source, spawn
+        self._waiting = 0  # for the source
         self._unknown: OrderedDict[str, None] = OrderedDict()  # names that were logged, the latest last
 
     def answer(self, link: Link, name: str, shown: str) -> None:
         """Answer with the parameter; an empty one where there is none. `shown`: the name under the robot's."""
-        parameter = None
+        source = self._source()
         try:
             parameter = self._find(name, shown)
-            link.session.answer_parameter(name, parameter or Parameter())
         except HostlinkError as error:
-            log.warning("parameter.refused", name=printable(name), reason=str(error))
-            with contextlib.suppress(HostlinkError):  # the queue is full of answers: the device receives one of those
-                link.session.answer_parameter(name, Parameter())
+            self._refuse(link, name, error)
+            return
+        if parameter is None and source is not None and self._spawn is not None and self._waiting < MAX_WAITING:
+            self._waiting += 1
+            self._spawn(self._answer_from(source, link, name), name=f"parameter of link {link.number}")
+        else:
+            self._answer(link, name, parameter)
+
+    async def _answer_from(self, source: ParameterSource, link: Link, name: str) -> None:
+        try:
+            value = await source.get(name)
+            self._answer(link, name, None if value is None else to_parameter(name, value))
+        except HostlinkError as error:
+            self._refuse(link, name, error)
+        finally:
+            self._waiting -= 1
+            link.wake()
+
+    def _answer(self, link: Link, name: str, parameter: Parameter | None) -> None:
         if parameter is None:
             self._note_unknown(name)
+        try:
+            link.session.answer_parameter(name, parameter or Parameter())
+        except HostlinkError as error:
+            self._refuse(link, name, error)
+
+    def _refuse(self, link: Link, name: str, error: HostlinkError) -> None:
+        log.warning("parameter.refused", name=printable(name), reason=str(error))
+        with contextlib.suppress(HostlinkError):  # the queue is full of answers: the device receives one of those
+            link.session.answer_parameter(name, Parameter())
 
     def _find(self, name: str, shown: str) -> Parameter | None:
         """That of the robot's name here precedes that of the name which all of its kind announce."""

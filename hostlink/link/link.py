@@ -72,8 +72,9 @@ class Link:
         number: int,
         on_event: Callable[["Link", Event], None],
         share: FairShare | None = None,
+        wall_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        """`share`: of the event loop, with all other links."""
+        """`share`: of the event loop, with all other links; `wall_ns`: the time that the device is given."""
         self.number = number
         self.kind, self.peer = transport.kind, transport.peer
         self.address = transport.address
@@ -84,7 +85,7 @@ class Link:
         self.opened_at_s = self.received_at_s = asyncio.get_running_loop().time()
         self._transport = transport
         self._config = config
-        self._on_event = on_event
+        self._on_event, self._wall_ns = on_event, wall_ns
         self._turns = Turns(FairShare() if share is None else share)
         self._is_drained = asyncio.Event()
         self._is_behind = asyncio.Event()  # nothing more may be written: not yet open, not keeping up, at an end
@@ -298,7 +299,7 @@ class Link:
         session = self.session
         session.begin_waiting(now_s)
         while not self._is_behind.is_set():
-            outgoing = session.pop_frame(now_s=now_s, wall_ns=time.time_ns())
+            outgoing = session.pop_frame(now_s=now_s, wall_ns=self._wall_ns())
             if outgoing is not None:
                 self._send(outgoing, now_s)
             elif session.deadline_s() <= now_s + SOON_S:

@@ -77,11 +77,11 @@ async def serve(
 
 
 @contextlib.asynccontextmanager
-async def serve_into(log: Path, *, program: tuple[str, ...] = (HOSTLINK,)) -> AsyncIterator[Process]:
+async def serve_into(log: Path, *arguments: str, program: tuple[str, ...] = (HOSTLINK,)) -> AsyncIterator[Process]:
     """`hostlink serve` whose log goes into a file."""
     with log.open("wb") as stderr:
         child = await asyncio.create_subprocess_exec(
-            *program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", stderr=stderr
+            *program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments, stderr=stderr
         )
     try:
         await expect(lambda: b"daemon.started" in log.read_bytes(), timeout_s=TIMEOUT_S)

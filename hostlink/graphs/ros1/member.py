@@ -1,0 +1,137 @@
+"""Member: this node in the graph: its parts, and what the master and other nodes may call of it."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any
+
+from hostlink.graphs.ros1 import counts as counting
+from hostlink.graphs.ros1.border import Border
+from hostlink.graphs.ros1.foreign_services import ForeignServices
+from hostlink.graphs.ros1.master_parameters import MasterParameters
+from hostlink.graphs.ros1.name_map import NameMap
+from hostlink.graphs.ros1.names import Names
+from hostlink.graphs.ros1.parts import GROUP, Parts
+from hostlink.graphs.ros1.registrar import Registrar
+from hostlink.graphs.ros1.sim_time import SimTime
+from hostlink.graphs.ros1.tcpros import ANY
+from hostlink.graphs.ros1.wire import Wire
+from hostlink.hub.graph import Graph
+
+HEADER_TIMEOUT_S = 5.0  # for whoever connects
+CRASHED = "a fault of hostlink"
+
+
+class Member:
+    """`ended` has the reason once somebody has shut it down."""
+
+    def __init__(self, parts: Parts, names: Names, tcpros_address: tuple[str, int], service_uri: str) -> None:
+        """`tcpros_address` and `service_uri`: where other nodes connect for topics and for services."""
+        self.tcpros_address = tcpros_address
+        self.ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._parts, self._names = parts, names
+        self._border = Border(parts)
+        self._parameters = MasterParameters(parts, names, self._follow_parameters)
+        self._services = ForeignServices(parts)
+        self._sim_time = SimTime(parts.hub)
+        self._registrar = Registrar(
+            parts,
+            self._border,
+            self._parameters,
+            service_uri,
+            on_services=lambda found: self._services.update(found, self._name_map()),
+            on_collision=self.shut_down,
+        )
+
+    @contextlib.asynccontextmanager
+    async def taking_part(self) -> AsyncIterator[None]:
+        """In the hub and in ROS, for the length of the block."""
+        hub = self._parts.hub
+        watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
+        watcher.watch_graph(lambda: self._update(watcher.graph()))
+        hub.parameter_source = self._parameters
+        hub.counters[GROUP] = lambda: counting.of(self._parts.counts)
+        try:
+            yield
+        finally:
+            hub.parameter_source = None
+            self._sim_time.update(is_wanted=False)
+            watcher.leave()
+            self._services.close()
+            self._border.close()
+            await self._registrar.end()
+
+    async def keep_registered(self) -> None:
+        """Until it is cancelled."""
+        try:
+            await self._registrar.run()
+        finally:
+            self.shut_down(CRASHED)  # where it ends by itself
+
+    def make_wire(self) -> Wire:
+        """For a node that connects; it is cut if it does not send its header."""
+
+        def receive(messages: list[bytes]) -> None:
+            self._border.accept(wire, messages)
+
+        def cut_silent() -> None:
+            if wire.receive is receive and not wire.is_closed:
+                self._parts.counts.refused_headers += 1
+                wire.close()
+
+        wire = Wire(self._parts.hub, receive)
+        asyncio.get_running_loop().call_later(HEADER_TIMEOUT_S, cut_silent)
+        return wire
+
+    def _update(self, graph: Graph) -> None:
+        """The hub has changed."""
+        self._border.update(graph, self._name_map())
+        self._registrar.note_change()
+
+    def _name_map(self) -> NameMap:
+        hub = self._parts.hub
+        announced = [(info.name, hub.shown_name(link, info.name)) for link in hub.links() for info in link.topics]
+        return NameMap(self._names, announced)
+
+    def _follow_parameters(self) -> None:
+        self._sim_time.update(is_wanted=self._parameters.is_sim_time)
+
+    # -- what others call ---------------------------------------------------------------------------------------------
+
+    @property
+    def master_uri(self) -> str:
+        return self._parts.master.uri
+
+    def shut_down(self, reason: str) -> None:
+        """End the node, and nothing else."""
+        if not self.ended.done():
+            self.ended.set_result(reason)
+
+    def publications(self) -> list[list[str]]:
+        """(topic, type) of each."""
+        return [[name, each.type.name] for name, each in self._border.publications.items()]
+
+    def subscriptions(self) -> list[list[str]]:
+        """(topic, type) of each."""
+        return [[name, each.topic.type_name or ANY] for name, each in self._border.subscriptions.items()]
+
+    def bus_info(self) -> list[list[object]]:
+        """Number, the other node, direction, protocol, topic, whether it is connected."""
+        found: list[tuple[str, str, str, bool]] = []
+        for name, publication in self._border.publications.items():
+            found += [(node, "o", name, True) for node in publication.subscribers.values()]
+        for name, subscription in self._border.subscriptions.items():
+            found += [(each.uri, "i", name, each.is_connected) for each in subscription.publishers.values()]
+        return [[number, other, way, "TCPROS", name, ok] for number, (other, way, name, ok) in enumerate(found)]
+
+    def has_publication(self, topic: str) -> bool:
+        """Whether this node publishes it."""
+        return topic in self._border.publications
+
+    def update_publishers(self, topic: str, uris: list[str]) -> None:
+        """The master names all who publish it."""
+        self._border.set_publishers(topic, uris, is_answer=False)
+
+    def update_parameter(self, key: str, value: Any) -> None:
+        """The master reports a change."""
+        self._parameters.update(key, value)

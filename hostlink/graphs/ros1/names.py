@@ -1,0 +1,102 @@
+"""Names of ROS 1: which name of the graph a name means to a node, and the arguments that change it. Pure."""
+
+import functools
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from hostlink.errors import ConfigError
+
+ASSIGNMENT = ":="
+MAX_REMEMBERED = 16384  # names, of which each is resolved again at every change of the graph
+_LEGAL = re.compile(r"[~/]?[A-Za-z][\w/]*\Z|[~/]\Z")
+
+
+@functools.lru_cache(MAX_REMEMBERED)
+def is_legal(name: str) -> bool:
+    """Whether the master accepts it as the name of a topic, a service or a node."""
+    return _LEGAL.match(name) is not None and "//" not in name
+
+
+@functools.lru_cache(MAX_REMEMBERED)
+def joined(namespace: str, name: str) -> str:
+    """The full name of a relative one, without doubled or trailing slashes."""
+    return "/" + "/".join(part for part in f"{namespace}/{name}".split("/") if part)
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What names mean to one node: `~` is its own, without a slash its namespace's, and remappings go before all."""
+
+    node: str = "/hostlink"
+    remappings: Mapping[str, str] = field(default_factory=dict)  # by full names
+
+    @property
+    def namespace(self) -> str:
+        """In which the node is."""
+        return self.node.rpartition("/")[0] or "/"
+
+    def resolve(self, name: str) -> str:
+        """The full name, after the remappings."""
+        full = self._full(name)
+        return self.remappings.get(full, full)
+
+    def _full(self, name: str) -> str:
+        if name.startswith("~"):
+            return joined(self.node, name[1:])
+        return joined("/" if name.startswith("/") else self.namespace, name)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeArguments:
+    """What roslaunch and rosrun give every node: `__name:=`, `_parameter:=`, `from:=to`; and what is left."""
+
+    specials: Mapping[str, str]  # name, ns, master, ip, hostname, log
+    parameters: Mapping[str, str]  # of the node's own
+    remappings: Mapping[str, str]  # as they were written
+    others: tuple[str, ...]
+
+    def names(self, default_node: str, default_namespace: str = "/") -> Names:
+        """The node's, with its remappings by full names.
+
+        Raises:
+            ConfigError: a name is none.
+        """
+        name = self.specials.get("name", default_node)
+        if not is_legal(name) or "/" in name.strip("/") or name.startswith("~"):
+            raise ConfigError(
+                "__name", f"{name!r} is no name of a node: letters, digits and _, no slash; __ns:= is for those"
+            )
+        namespace = self.specials.get("ns", default_namespace)
+        if namespace.strip("/") and not is_legal(namespace):
+            raise ConfigError("__ns", f"{namespace!r} is no namespace")
+        plain = Names(joined(namespace, name))
+        remappings = {plain.resolve(old): plain.resolve(new) for old, new in self.remappings.items()}
+        return Names(plain.node, remappings)
+
+
+def parse_arguments(words: Iterable[str]) -> NodeArguments:
+    """Sort the words of a node's command line.
+
+    Raises:
+        ConfigError: one of them assigns nothing, or to no name.
+    """
+    specials: dict[str, str] = {}
+    parameters: dict[str, str] = {}
+    remappings: dict[str, str] = {}
+    others: list[str] = []
+    for word in words:
+        name, assignment, value = word.partition(ASSIGNMENT)
+        if not assignment:
+            others.append(word)
+        elif not name or not value:
+            raise ConfigError(word, "an assignment needs a name and a value, as _port:=/dev/ttyACM0")
+        elif name.startswith("__"):
+            specials[name[2:]] = value
+        elif name.startswith("_"):
+            parameters[name[1:]] = value
+        elif is_legal(name) and is_legal(value):
+            remappings[name] = value
+        else:
+            raise ConfigError(word, "a remapping needs two names, as cmd_vel:=/robot_0/cmd_vel")
+    return NodeArguments(specials, parameters, remappings, tuple(others))

@@ -1,0 +1,217 @@
+"""Publisher: a node of ROS that publishes a topic for us; each is a participant of its own, as long as it is connected.
+
+So the robot that it drives stops when its connection ends, or the master names it no more.
+"""
+
+import asyncio
+from typing import Any
+
+from hostlink.errors import BadPayload, HostlinkError
+from hostlink.graphs.ros1.parts import TIMEOUT_S, Parts
+from hostlink.graphs.ros1.rpc import Unreachable
+from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header
+from hostlink.graphs.ros1.wire import Wire
+from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.hub.graph import GraphTopic
+from hostlink.hub.participant import Participant
+from hostlink.logs import printable
+from hostlink.messages.message_type import MessageType
+
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0
+MAX_REASON = 200  # characters in the log
+MAX_PORT = 0xFFFF
+_FAILURES = (Unreachable, Refused, BadHeader, HostlinkError, OSError)  # a TimeoutError is an OSError
+
+
+class Publisher:
+    """Connected again and again, until `run` is cancelled and it is closed."""
+
+    def __init__(self, parts: Parts, topic: GraphTopic, name: str, uri: str, *, is_new: bool) -> None:
+        """`name`: of the topic in ROS; `is_new`: it came after the subscription, so what it has latched is meant."""
+        self.uri = uri
+        self._parts, self._topic, self._name = parts, topic, name
+        self._is_latched_meant = is_new
+        self._connection: _Connection | None = None
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether its messages come."""
+        return self._connection is not None and self._connection.is_accepted
+
+    async def run(self) -> None:
+        """Receive; after a failure try again, later each time."""
+        retry_s = FIRST_RETRY_S
+        while True:
+            try:
+                await self._receive()
+                retry_s = FIRST_RETRY_S
+            except _FAILURES as error:
+                reason = printable(str(error) or type(error).__name__, MAX_REASON)
+                self._parts.log_once("ros1.publisher_failed", topic=self._name, uri=printable(self.uri), reason=reason)
+            await asyncio.sleep(retry_s)
+            retry_s = min(retry_s * 2, LONGEST_RETRY_S)
+
+    def close(self) -> None:
+        """What it drives stops."""
+        if self._connection is not None:
+            self._connection.wire.close()
+
+    async def _receive(self) -> None:
+        """One connection, from the request for it to its end."""
+        async with asyncio.timeout(TIMEOUT_S):
+            found = await self._parts.rpc.call(self.uri, "requestTopic", self._parts.node, self._name, [["TCPROS"]])
+            host, port = _address(found)
+        connection = _Connection(self._parts, self._topic, is_latched_meant=self._is_latched_meant)
+        self._connection, self._is_latched_meant = connection, False  # connected again, what it has latched is old
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                await asyncio.get_running_loop().create_connection(lambda: connection.wire, host, port)
+                connection.wire.send_header(_request(self._parts, self._topic, self._name))
+                await connection.accepted
+            await connection.ended
+        finally:
+            connection.wire.close()
+
+
+class _Connection:
+    """One connection to the publisher: first its header, then messages."""
+
+    def __init__(self, parts: Parts, topic: GraphTopic, *, is_latched_meant: bool) -> None:
+        self.wire = Wire(parts.hub, self._begin, self._end)
+        self.accepted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._parts, self._topic, self._is_latched_meant = parts, topic, is_latched_meant
+        self._source: _Source | None = None
+
+    @property
+    def is_accepted(self) -> bool:
+        return self._source is not None and not self.ended.done()
+
+    def _begin(self, messages: list[bytes]) -> None:
+        """The first message is its header."""
+        if self.accepted.done():  # the deadline was first
+            return
+        try:
+            self._accept(decode_header(messages[0]))
+        except (BadHeader, HostlinkError) as error:
+            self.accepted.set_exception(error)
+        else:
+            self.accepted.set_result(None)
+            if messages[1:]:
+                self.wire.receive(messages[1:])
+
+    def _accept(self, header: Header) -> None:
+        """Join the hub.
+
+        Raises:
+            BadHeader: it publishes something else.
+            WrongType, BadRequest: the hub has the topic with another type.
+        """
+        type_ = self._type(header)
+        is_latched, is_velocity = header.get("latching") == "1", self._topic.is_velocity
+        participant = self._parts.join(printable(header.get("callerid", self.wire.peer)), self.wire.close)
+        self._source = _Source(self._parts, self._topic, type_, participant, self.wire)
+        self._source.drops_first = is_latched and is_velocity and not self._is_latched_meant
+        participant.advertise(self._topic.name, type_.name, is_latched=is_latched and not is_velocity)
+        self.wire.stream.max_bytes = self._parts.max_message_bytes
+        self.wire.receive = self._source.receive
+
+    def _type(self, header: Header) -> MessageType:
+        if "error" in header:
+            raise BadHeader(header["error"])
+        name, md5 = (printable(header.get(field, "")) for field in ("type", "md5sum"))
+        found = self._parts.hub.catalog.message(name)
+        if found is None:
+            raise BadHeader(f"unknown type {name}; put its .msg into a folder of messages")
+        if md5 != found.md5 or self._topic.type_name not in ("", found.name):
+            raise BadHeader(f"it publishes {name} with md5 {md5}")
+        return found
+
+    def _end(self) -> None:
+        """The wire is closed."""
+        if self._source is not None:
+            self._source.participant.leave()
+        if not self.accepted.done():
+            self.accepted.set_exception(ConnectionResetError("closed before its header"))
+            self.accepted.exception()  # nobody may wait for it any more
+        if not self.ended.done():
+            self.ended.set_result(None)
+
+
+class _Source:
+    """The messages of one connection, and the participant that publishes them here."""
+
+    def __init__(
+        self, parts: Parts, topic: GraphTopic, type_: MessageType, participant: Participant, wire: Wire
+    ) -> None:
+        self.participant = participant
+        self.drops_first = False
+        self._parts, self._topic, self._type, self._stream = parts, topic, type_, wire.stream
+        self._too_large = 0
+
+    def receive(self, messages: list[bytes]) -> None:
+        """Publish them; of velocities the newest alone, for those before it are over."""
+        counts = self._parts.counts
+        counts.messages_from_ros += len(messages)
+        counts.too_large_messages += self._stream.too_large - self._too_large
+        self._too_large = self._stream.too_large
+        if self.drops_first:
+            self.drops_first = False
+            counts.old_velocities += 1
+            del messages[0]
+        if self._topic.is_velocity and len(messages) > 1:
+            counts.superseded_velocities += len(messages) - 1
+            del messages[:-1]
+        for payload in messages:
+            self._publish(payload)
+
+    def _publish(self, payload: bytes) -> None:
+        name = self._topic.name
+        try:
+            self._check(payload)
+            self.participant.publish(name, payload)
+        except BadPayload as error:
+            self._parts.counts.malformed_messages += 1
+            self._log("ros1.message_malformed", type(error).__name__)
+        except HostlinkError as error:
+            self._parts.counts.refused_messages += 1
+            self._log("ros1.message_refused", printable(str(error), MAX_REASON))
+
+    def _log(self, event: str, reason: str) -> None:
+        self._parts.log_once(event, topic=printable(self._topic.name), node=self.participant.name, reason=reason)
+
+    def _check(self, payload: bytes) -> None:
+        """A device reads what it is sent without checking it.
+
+        Raises:
+            BadPayload: it is not exactly one message of the type that was agreed upon.
+        """
+        fixed_bytes = self._type.fixed_bytes
+        if fixed_bytes is None:
+            self._type.decode(payload)
+        elif len(payload) != fixed_bytes:
+            raise BadPayload(self._type.name, f"{len(payload)} bytes instead of {fixed_bytes}")
+
+
+def _request(parts: Parts, topic: GraphTopic, name: str) -> Header:
+    type_ = topic.type
+    return {
+        "callerid": parts.node,
+        "topic": name,
+        "type": ANY if type_ is None else type_.name,
+        "md5sum": ANY if type_ is None else type_.md5,
+        "message_definition": "" if type_ is None else type_.full_definition,
+        "tcp_nodelay": "1",
+    }
+
+
+def _address(found: Any) -> tuple[str, int]:
+    """Of the answer to requestTopic.
+
+    Raises:
+        BadHeader: it is none.
+    """
+    match found:
+        case ["TCPROS", str(host), int(port)] if 0 < port <= MAX_PORT:
+            return host, port
+    raise BadHeader("it offers no TCPROS")

@@ -1,0 +1,91 @@
+"""Rpc: calls of the master and of other nodes, each with its deadline and a bound on its answer."""
+
+import asyncio
+import os
+import socket
+from typing import Any
+
+import aiohttp
+
+from hostlink.graphs.ros1.xml_rpc import BadXml, Refused, decode_answer, encode_call
+
+TIMEOUT_S = 3.0
+MAX_ANSWER_BYTES = 4 * 1024 * 1024  # the state of a graph of ten thousand topics
+THREAD_BYTES = 16 * 1024  # an answer over that is parsed beside the loop: it takes a millisecond
+HEADERS = {"Content-Type": "text/xml"}
+
+
+class Unreachable(Exception):
+    """Nobody answers there, or not in time, or not in XML-RPC."""
+
+
+class Rpc:
+    """One session for all; `aclose` ends it."""
+
+    def __init__(self) -> None:
+        timeout = aiohttp.ClientTimeout(total=TIMEOUT_S)
+        self._session = aiohttp.ClientSession(timeout=timeout, headers=HEADERS)
+
+    async def aclose(self) -> None:
+        """End its connections."""
+        await self._session.close()
+
+    async def call(self, uri: str, method: str, *arguments: object) -> Any:
+        """The value of the answer.
+
+        Raises:
+            Unreachable: there is none.
+            Refused: the other side could not do it.
+        """
+        body = encode_call(method, arguments)
+        try:
+            try:
+                answer = await self._post(uri, body)
+            except aiohttp.ServerDisconnectedError:  # it had closed the connection of the call before
+                answer = await self._post(uri, body)
+            if len(answer) > THREAD_BYTES:
+                return await asyncio.to_thread(decode_answer, answer)
+            return decode_answer(answer)
+        except (aiohttp.ClientError, OSError, BadXml, ValueError) as error:  # a TimeoutError is an OSError
+            raise Unreachable(_why(error)) from error
+
+    async def _post(self, uri: str, body: bytes) -> bytes:
+        if self._session.closed:
+            raise ConnectionAbortedError("the node has ended")
+        async with self._session.post(uri, data=body) as response:
+            answer = bytearray()
+            async for piece in response.content.iter_any():
+                answer += piece
+                if len(answer) > MAX_ANSWER_BYTES:
+                    raise BadXml(f"an answer of more than {MAX_ANSWER_BYTES} bytes")
+            return bytes(answer)
+
+
+def _why(error: Exception) -> str:
+    """For people."""
+    if isinstance(error, aiohttp.ClientConnectorError) and error.os_error.errno is not None:
+        is_lookup = isinstance(error.os_error, socket.gaierror)  # its numbers are not the system's
+        return error.os_error.strerror or str(error) if is_lookup else os.strerror(error.os_error.errno)
+    return str(error) or f"no answer within {TIMEOUT_S:g} s"
+
+
+class Master:
+    """The master, as this node calls it."""
+
+    def __init__(self, rpc: Rpc, uri: str, node: str) -> None:
+        self.uri, self._rpc, self._node = uri, rpc, node
+
+    async def call(self, method: str, *arguments: object) -> Any:
+        """The value of its answer; errors as `Rpc.call`."""
+        return await self._rpc.call(self.uri, method, self._node, *arguments)
+
+    async def find_node(self, node: str) -> str | None:
+        """Where the node of that name answers; None: the master knows none.
+
+        Raises:
+            Unreachable: the master does not answer.
+        """
+        try:
+            return str(await self.call("lookupNode", node))
+        except Refused:
+            return None

@@ -1,0 +1,123 @@
+"""TCPROS: connection headers and messages, as bytes. Pure.
+
+A header is a length and fields of a length and `key=value` each; a message is a length and a payload.
+"""
+
+from collections.abc import Iterator, Mapping
+from struct import Struct
+
+MAX_HEADER_BYTES = 256 * 1024  # the definition of a message with all that it contains stands in it
+MAX_FIELDS = 64
+LENGTH_BYTES = 4
+ANY = "*"  # the type and the md5 sum of whoever wants to learn them
+
+_LENGTH = Struct("<I")
+
+Header = Mapping[str, str]
+
+
+class BadHeader(Exception):
+    """Bytes that are no connection header, or one over the bounds."""
+
+
+def encode_header(fields: Header) -> bytes:
+    """With its length."""
+    parts = [f"{key}={value}".encode() for key, value in fields.items()]
+    body = b"".join(_LENGTH.pack(len(part)) + part for part in parts)
+    return _LENGTH.pack(len(body)) + body
+
+
+def decode_header(body: bytes) -> dict[str, str]:
+    """The fields of a header, given without its length.
+
+    Raises:
+        BadHeader: it is none.
+    """
+    fields: dict[str, str] = {}
+    at = 0
+    while at < len(body):
+        begin = at + LENGTH_BYTES
+        if begin > len(body) or len(fields) >= MAX_FIELDS:
+            raise BadHeader("a field is cut off, or there are too many")
+        at = begin + int(_LENGTH.unpack_from(body, at)[0])
+        part = body[begin:at]
+        key, equals, value = part.partition(b"=")
+        if at > len(body) or not equals or not key:
+            raise BadHeader("a field is no key=value")
+        fields[key.decode(errors="replace")] = value.decode(errors="replace")
+    return fields
+
+
+def encode_message(payload: bytes) -> bytes:
+    """With its length."""
+    return _LENGTH.pack(len(payload)) + payload
+
+
+def encode_answer(payload: bytes) -> bytes:
+    """Of a service that has done it."""
+    return b"\x01" + encode_message(payload)
+
+
+def encode_failure(reason: str) -> bytes:
+    """Of a service that has not."""
+    return b"\x00" + encode_message(reason.encode())
+
+
+class MessageStream:
+    """Cuts a stream into messages; one over `max_bytes`, which may change between two, is passed over and counted.
+
+    A connection header has the form of a message, and is the first.
+    """
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes = max_bytes
+        self.too_large = 0
+        self._buffer = bytearray()
+        self._skipping_bytes = 0  # still to come of a message that is too large
+
+    @property
+    def missing_bytes(self) -> int:
+        """How many bytes complete the message that has begun; 0: none has, or its length is not known."""
+        if self._skipping_bytes:
+            return self._skipping_bytes
+        if len(self._buffer) < LENGTH_BYTES:
+            return 0
+        return int(_LENGTH.unpack_from(self._buffer)[0]) + LENGTH_BYTES - len(self._buffer)
+
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """The payloads that are complete by now; all of them must be consumed."""
+        self._buffer += data
+        begin = 0
+        try:
+            while (end := self._end(begin := self._skip(begin))) is not None:
+                payload = bytes(self._buffer[begin + LENGTH_BYTES : end])
+                begin = end
+                yield payload
+        finally:
+            del self._buffer[:begin]
+
+    def _skip(self, begin: int) -> int:
+        """Where the next message begins that is not too large, as far as that is known."""
+        while self._skipping_bytes or self._is_too_large(begin):
+            if not self._skipping_bytes:
+                self.too_large += 1
+                self._skipping_bytes = LENGTH_BYTES + self._size(begin)
+            skipped = min(self._skipping_bytes, len(self._buffer) - begin)
+            self._skipping_bytes -= skipped
+            begin += skipped
+            if self._skipping_bytes:
+                break
+        return begin
+
+    def _is_too_large(self, begin: int) -> bool:
+        return len(self._buffer) >= begin + LENGTH_BYTES and self._size(begin) > self.max_bytes
+
+    def _size(self, begin: int) -> int:
+        return int(_LENGTH.unpack_from(self._buffer, begin)[0])
+
+    def _end(self, begin: int) -> int | None:
+        """Where the message ends that begins there; None: it is incomplete."""
+        if len(self._buffer) < begin + LENGTH_BYTES:
+            return None
+        end = begin + LENGTH_BYTES + self._size(begin)
+        return None if end > len(self._buffer) else end

@@ -1,0 +1,85 @@
+"""XML-RPC as ROS 1 has it: calls, and answers of a status, a text and a value. Pure, on the standard library's."""
+
+import xmlrpc.client
+from typing import Any
+
+SUCCESS, ERROR = 1, -1
+
+_NOT_IN_XML_RPC = ("\0", "<!")  # UTF-16, and what defines or hides something: no node of ROS sends it
+
+
+class BadXml(Exception):
+    """A body that is no call, or no answer of ROS."""
+
+
+class Refused(Exception):
+    """The other side answered that it could not do it."""
+
+
+def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
+    """The body of a request."""
+    return xmlrpc.client.dumps(arguments, methodname=method).encode()
+
+
+def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:
+    """(method, arguments) of a request.
+
+    Raises:
+        BadXml: it is none.
+    """
+    arguments, method = _loads(body)
+    if method is None:
+        raise BadXml("no call")
+    return method, arguments
+
+
+def encode_answer(status: int, text: str, value: object) -> bytes:
+    """The body of an answer.
+
+    Raises:
+        BadXml: the value has no form in XML-RPC.
+    """
+    try:
+        return xmlrpc.client.dumps(([status, text, value],), methodresponse=True).encode()
+    except (TypeError, OverflowError, RecursionError) as error:
+        raise BadXml(str(error)) from error
+
+
+def encode_fault(text: str) -> bytes:
+    """The body of the answer to what is no call."""
+    return xmlrpc.client.dumps(xmlrpc.client.Fault(ERROR, text), methodresponse=True).encode()
+
+
+def decode_answer(body: bytes) -> Any:
+    """The value of an answer.
+
+    Raises:
+        Refused: its status is not success, or it is a fault.
+        BadXml: it is no answer.
+    """
+    try:
+        found, _ = _loads(body)
+    except xmlrpc.client.Fault as fault:
+        raise Refused(str(fault.faultString)) from fault
+    match found:
+        case ([int(status), text, value],):
+            if status != SUCCESS:
+                raise Refused(str(text))
+            return value
+    raise BadXml("no answer of a status, a text and a value")
+
+
+def _loads(body: bytes) -> tuple[tuple[Any, ...], str | None]:
+    """What the body contains; entities could make a body of a kilobyte one of a gigabyte."""
+    try:
+        text = body.decode()
+    except UnicodeDecodeError as error:
+        raise BadXml("no UTF-8") from error
+    if any(each in text for each in _NOT_IN_XML_RPC):
+        raise BadXml("a document type, a comment, or no UTF-8")
+    try:
+        return xmlrpc.client.loads(text, use_builtin_types=True)
+    except xmlrpc.client.Fault:
+        raise
+    except Exception as error:  # expat and the unmarshaller raise a dozen kinds for a body that is none
+        raise BadXml(f"{type(error).__name__}: {error}") from error

@@ -1,0 +1,258 @@
+"""What passes between the daemon and nodes of ROS 1: payloads, velocities, calls."""
+
+import asyncio
+import dataclasses
+import struct
+from collections.abc import AsyncIterator
+
+import pytest
+
+from hostlink.errors import HostlinkError
+from hostlink.graphs.ros1.tcpros import encode_answer, encode_failure, encode_message
+from hostlink.robot.velocity import TWIST_TYPE
+from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics
+from tests.support.ros1.fake import connection, fake_master, fake_publisher, fake_service
+from tests.support.ros1.scene import ODOMETRY, STRING, SUBSCRIBER, VELOCITY, Scene, plain_scene, scene, twist
+from tests.support.waiting import expect, expect_never
+
+
+@pytest.fixture
+async def made() -> AsyncIterator[Scene]:
+    async with plain_scene() as made:
+        yield made
+
+
+# -- bytes ------------------------------------------------------------------------------------------------------------
+
+
+async def test_payloads_pass_both_ways_as_they_are(made: Scene) -> None:
+    latin = struct.pack("<I", 5) + b"\xff\x00\xfea\n"  # no UTF-8
+    async with (
+        connection(await made.tcpros(), **SUBSCRIBER) as listener,
+        fake_publisher(STRING) as publisher,
+    ):
+        assert (await listener.read_header())["md5sum"] == SUBSCRIBER["md5sum"]
+        await made.robot.send(pose(1.0, -2.0, float("nan")))
+        assert await listener.read() == struct.pack("<3d", 1.0, -2.0, float("nan"))
+        await made.update("/text", publisher.uri)
+        await (await publisher.connected()).send_message(latin)
+        assert await made.robot.frame(102) == latin
+    assert publisher.requests[0]["tcp_nodelay"] == "1"
+    assert publisher.requests[0]["callerid"] == "/hostlink"
+
+
+async def test_the_definition_stands_in_the_header_with_all_that_it_contains(made: Scene) -> None:
+    odometry = CATALOG.message("nav_msgs/Odometry")
+    assert odometry is not None
+    await made.master.knows("Publisher", "/robot_0/odom")
+    fields = {"callerid": "/listener", "topic": "/robot_0/odom", "type": "*", "md5sum": "*"}
+    async with connection(await made.tcpros(), **fields) as listener:
+        header = await listener.read_header()
+    assert header["message_definition"] == odometry.full_definition
+    assert "MSG: geometry_msgs/Quaternion" in header["message_definition"]
+    assert (header["type"], header["md5sum"]) == (odometry.name, odometry.md5)
+
+
+async def test_only_a_subscriber_in_ros_makes_a_subscriber_in_the_hub(made: Scene) -> None:
+    address = await made.tcpros()
+    found = made.daemon.hub.topics.find(ODOMETRY)
+    own = found.subscribers  # the robot's
+    async with connection(address, **SUBSCRIBER) as listener:
+        await listener.read_header()
+        assert len(found.subscribers) == len(own) + 1
+    await expect(lambda: found.subscribers == own)
+
+
+# -- velocities -------------------------------------------------------------------------------------------------------
+
+
+async def test_a_velocity_that_was_latched_before_the_robot_came_does_not_move_it(made: Scene) -> None:
+    async with fake_publisher(TWIST_TYPE, is_latched=True, first=twist(0.3)) as publisher:
+        made.master.publishers["/red/velocity_commands"] = [publisher.uri]
+        async with fake_device(made.daemon.tcp, robot_topics("red"), local_host="127.0.0.2") as red:
+            peer = await publisher.connected()
+            there = dataclasses.replace(made, robot=red)
+            assert await there.velocities() == []
+            assert made.counts["old_velocities"] == 1
+            await peer.send_message(twist(0.2))
+            assert set(await there.velocities()) == {0.2}
+
+
+async def test_a_velocity_that_is_latched_by_who_comes_later_is_meant_but_once(made: Scene) -> None:
+    """As `rostopic pub -1` sends it; when the connection breaks, the same one comes again."""
+    await made.master.knows("Subscriber", VELOCITY)
+    async with fake_publisher(TWIST_TYPE, is_latched=True, first=twist(0.3)) as publisher:
+        await made.update(VELOCITY, publisher.uri)
+        assert set(await made.velocities()) == {0.3}
+        (await publisher.connected()).close()
+        await publisher.connected(2)
+        await made.velocities(0.6)  # until the lease is over
+        assert await made.velocities() == []
+        assert made.counts["old_velocities"] == 1
+
+
+async def test_of_velocities_that_come_at_once_the_newest_counts(made: Scene) -> None:
+    async with fake_publisher(TWIST_TYPE) as publisher:
+        await made.update(VELOCITY, publisher.uri)
+        peer = await publisher.connected()
+        await peer.send(b"".join(encode_message(twist(0.01 * number)) for number in range(1, 9)))
+        assert (await made.velocities())[-1] == 0.08
+        assert made.counts["superseded_velocities"] > 0
+
+
+async def test_a_zero_behind_velocities_stops_at_once(made: Scene) -> None:
+    async with fake_publisher(TWIST_TYPE) as publisher:
+        await made.update(VELOCITY, publisher.uri)
+        peer = await publisher.connected()
+        await peer.send_message(twist(0.2))
+        assert set(await made.velocities(0.2)) == {0.2}
+        await peer.send(encode_message(twist(0.3)) + encode_message(twist(0.0)))
+        await made.velocities(0.1)
+        assert await made.velocities() == []
+
+
+async def test_each_publisher_is_a_driver_of_its_own(made: Scene) -> None:
+    robot = made.daemon.hub.robots.find("robot_0")
+    async with (
+        fake_publisher(TWIST_TYPE, callerid="/first") as first,
+        fake_publisher(TWIST_TYPE, callerid="/second") as second,
+    ):
+        await made.update(VELOCITY, first.uri, second.uri)
+        one, other = await first.connected(), await second.connected()
+        await one.send_message(twist(0.1))
+        await expect(lambda: robot.gate.owner_name == "ros1 /first")
+        other.close()
+        await asyncio.sleep(0.1)
+        assert robot.gate.owner_name == "ros1 /first"
+        one.close()
+        await expect(lambda: robot.gate.owner_name is None)
+
+
+async def test_a_locked_robot_is_not_moved_and_the_refusal_is_counted(made: Scene) -> None:
+    async with fake_publisher(TWIST_TYPE) as publisher:
+        await made.update(VELOCITY, publisher.uri)
+        peer = await publisher.connected()
+        made.daemon.hub.emergency_stop.stop(made.daemon.hub.robots.find("robot_0"))
+        await peer.send_message(twist(0.2))
+        assert await made.velocities() == []
+        assert made.counts["refused_messages"] == 1
+
+
+async def test_a_velocity_that_is_no_number_is_refused_and_ends_nothing(made: Scene) -> None:
+    async with fake_publisher(TWIST_TYPE) as publisher:
+        await made.update(VELOCITY, publisher.uri)
+        peer = await publisher.connected()
+        await peer.send_message(struct.pack("<6d", float("nan"), 0, 0, 0, 0, 0))
+        await expect(lambda: made.counts["refused_messages"] == 1)
+        await peer.send_message(twist(0.2))
+        assert set(await made.velocities()) == {0.2}
+
+
+# -- what a device must not receive -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x00", struct.pack("<I", 100) + b"a", struct.pack("<I", 1) + b"ab"])
+async def test_what_is_not_of_the_type_that_was_agreed_upon_reaches_no_device(made: Scene, payload: bytes) -> None:
+    async with fake_publisher(STRING) as publisher:
+        await made.update("/text", publisher.uri)
+        peer = await publisher.connected()
+        right = struct.pack("<I", 2) + b"ok"
+        await peer.send(encode_message(payload) + encode_message(right))
+        assert await made.robot.frame(102) == right
+        assert made.counts["malformed_messages"] == 1
+
+
+async def test_a_message_over_the_bound_is_passed_over() -> None:
+    async with (
+        fake_master() as master,
+        scene(master, max_message_bytes=50) as made,
+        fake_publisher(STRING) as publisher,
+    ):
+        await made.update("/text", publisher.uri)
+        peer = await publisher.connected()
+        right = struct.pack("<I", 2) + b"ok"
+        await peer.send(encode_message(struct.pack("<I", 60_000) + bytes(60_000)) + encode_message(right))
+        assert await made.robot.frame(102) == right
+        assert made.counts["too_large_messages"] == 1
+
+
+# -- services of other nodes ------------------------------------------------------------------------------------------
+
+TRIGGER = CATALOG.service("std_srvs/Trigger")
+assert TRIGGER is not None
+DONE = TRIGGER.response.encode({"success": True, "message": "open"})
+
+
+async def offered(made: Scene, name: str, address: str) -> None:
+    """Wait until the daemon offers the service of another node."""
+    made.master.services[name] = address
+    await expect(lambda: made.daemon.hub.services.is_offered(name))
+
+
+async def test_a_service_of_another_node_is_called_and_withdrawn_when_it_leaves(made: Scene) -> None:
+    async with fake_service("std_srvs/Trigger", encode_answer(DONE)) as service:
+        await offered(made, "/door", service.address)
+        caller = made.daemon.hub.join("caller")
+        assert await caller.call("/door", {}) == {"success": True, "message": "open"}
+        assert service.headers[0]["probe"] == "1"
+        assert service.headers[-1]["callerid"] == "/hostlink"
+        del made.master.services["/door"]
+        await expect(lambda: not made.daemon.hub.services.is_offered("/door"))
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        (encode_failure("the door is stuck"), "the door is stuck"),
+        (b"", "0 bytes read"),
+        (b"\x01\xff\xff\xff\xff", "an answer of 4294967295 bytes"),
+        (encode_answer(b"\x01"), "std_srvs/Trigger"),
+        (encode_answer(DONE + b"more"), "std_srvs/Trigger"),
+    ],
+    ids=["refused", "closed", "four gigabytes", "too short", "too long"],
+)
+async def test_a_call_that_another_node_fails_has_its_reason(made: Scene, answer: bytes, reason: str) -> None:
+    async with fake_service("std_srvs/Trigger", answer) as service:
+        await offered(made, "/door", service.address)
+        caller = made.daemon.hub.join("caller")
+        with pytest.raises(HostlinkError, match=reason):
+            await caller.call("/door", {})
+
+
+async def test_a_service_of_another_definition_is_not_offered(made: Scene) -> None:
+    async with fake_service("std_srvs/Trigger", encode_answer(DONE), md5="0" * 32) as service:
+        made.master.services["/door"] = service.address
+        await expect(lambda: service.headers)
+        await expect_never(lambda: made.daemon.hub.services.is_offered("/door"), for_s=0.2)
+
+
+async def test_a_service_that_is_hostlinks_own_is_not_provided_by_another_node(made: Scene) -> None:
+    before = made.daemon.hub.services.find("/robot_0/lock")
+    async with fake_service("std_srvs/Trigger", encode_answer(DONE)) as service:
+        made.master.services["/robot_0/lock"] = service.address
+        await expect(lambda: service.headers)
+        await asyncio.sleep(0.1)
+        assert made.daemon.hub.services.find("/robot_0/lock") is before
+
+
+async def test_a_program_of_ros_that_calls_and_leaves_ends_its_call(made: Scene) -> None:
+    """And another that sends requests without waiting for answers is closed."""
+    started = asyncio.Event()
+
+    async def never(_: object) -> dict[str, object]:
+        started.set()
+        await asyncio.sleep(60)
+        return {}
+
+    made.daemon.hub.join("slow").provide("/slow", "std_srvs/Trigger", never)
+    await made.master.knows("Service", "/slow")
+    assert TRIGGER is not None
+    header = {"callerid": "/caller", "service": "/slow", "md5sum": TRIGGER.md5}
+    async with connection(await made.tcpros(), **header) as caller:
+        assert (await caller.read_header())["type"] == "std_srvs/Trigger"
+        await caller.send_message(b"")
+        await started.wait()
+    await expect(lambda: made.counts["failed_services"] == 1)
+    async with connection(await made.tcpros(), **header) as caller:
+        await caller.send(encode_message(b"") * 20)
+        assert await caller.is_closed()

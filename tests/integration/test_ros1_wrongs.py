@@ -1,0 +1,304 @@
+"""The daemon as a node of ROS 1, against a master and nodes that do wrong."""
+
+import asyncio
+import contextlib
+import dataclasses
+import socket
+import struct
+from collections.abc import AsyncIterator
+
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.config import Config, Ros1Config
+from hostlink.graphs.ros1 import member, publication, subscription
+from hostlink.graphs.ros1.outgoing import MAX_MESSAGES
+from hostlink.graphs.ros1.xml_rpc import Refused, decode_answer
+from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import TWIST_TYPE
+from tests.support.daemon import daemon
+from tests.support.fake_device import CATALOG, fake_device, pose, topic
+from tests.support.ros1.fake import connection, fake_master, fake_publisher
+from tests.support.ros1.scene import ODOMETRY, POSE, STRING, SUBSCRIBER, VELOCITY, Scene, plain_scene, scene
+from tests.support.waiting import expect, expect_never
+
+
+@pytest.fixture
+async def made() -> AsyncIterator[Scene]:
+    async with plain_scene() as made:
+        yield made
+
+
+# -- who connects -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"GET / HTTP/1.1\r\n\r\n", b"\xff\xff\xff\xff" * 100, b"\x04\x00\x00\x00\xff\xff\xff\xff", bytes(4), b"\x01"],
+    ids=["http", "four gigabytes", "no fields", "empty", "cut off"],
+)
+async def test_bytes_that_are_no_header_reach_nothing(
+    made: Scene, data: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(member, "HEADER_TIMEOUT_S", 0.2)
+    async with connection(await made.tcpros()) as client:
+        await client.send(data)
+        await client.send(data)
+        await expect(lambda: made.counts["refused_headers"] == 1)
+        assert await client.is_closed()
+    assert made.daemon.hub.isolation.crashes == {}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"topic": "/nothing"}, "no topic /nothing"),
+        ({"md5sum": "0" * 32}, "geometry_msgs/Pose2D"),
+        ({"md5sum": ""}, "geometry_msgs/Pose2D"),
+        ({"topic": "", "service": "/nothing"}, "no topic"),
+    ],
+)
+async def test_a_header_for_what_is_not_here_is_answered_with_the_reason(
+    made: Scene, change: dict[str, str], reason: str
+) -> None:
+    async with connection(await made.tcpros(), **{**SUBSCRIBER, **change}) as client:
+        assert reason in (await client.read_header())["error"]
+        assert await client.is_closed()
+    assert made.counts["refused_headers"] == 1
+
+
+async def test_a_missing_field_is_named(made: Scene) -> None:
+    async with connection(await made.tcpros(), topic=ODOMETRY, callerid="/a") as client:
+        assert "md5sum" in (await client.read_header())["error"]
+
+
+async def test_connections_over_the_bound_are_closed_and_counted() -> None:
+    async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
+        address = await made.tcpros()
+        for _ in range(4):
+            await stack.enter_async_context(connection(address))
+        extra = await stack.enter_async_context(connection(address))
+        assert await extra.is_closed()
+        await expect(lambda: made.counts["refused_connections"] == 1)
+
+
+async def test_who_comes_from_elsewhere_than_it_is_allowed_is_closed() -> None:
+    async with fake_master() as master, scene(master, allow=("127.0.0.9/32",)) as made:
+        await master.knows("Publisher", ODOMETRY)
+        with pytest.raises(OSError):  # noqa: PT011 - aiohttp's own of a connection that was closed
+            await master.call("getPid", "/x")
+        assert made.counts["refused_connections"] >= 1
+
+
+async def test_subscribers_of_one_topic_have_a_bound(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(publication, "MAX_SUBSCRIBERS", 1)
+    address = await made.tcpros()
+    async with connection(address, **SUBSCRIBER) as first, connection(address, **SUBSCRIBER) as second:
+        headers = [await first.read_header(), await second.read_header()]
+        assert sorted("error" in header for header in headers) == [False, True]
+
+
+async def test_publishers_of_one_topic_have_a_bound(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subscription, "MAX_PUBLISHERS", 3)
+    await made.update("/text", *(f"http://127.0.0.1:{port}/" for port in range(1, 900)))
+    assert made.counts["crowded_out"] == 896
+
+
+# -- who is slow ------------------------------------------------------------------------------------------------------
+
+
+async def test_a_subscriber_that_never_reads_costs_the_others_nothing(made: Scene) -> None:
+    """What waits for it is bounded, the oldest is dropped and counted, and it gets the newest when it reads again."""
+    wide = topic(Id.PUBLISHER, 126, "/blob", STRING, buffer_bytes=20_000)
+    async with fake_device(made.daemon.tcp, [wide], local_host="127.0.0.3") as device:
+        await made.master.knows("Publisher", "/blob")
+        string = CATALOG.message(STRING)
+        assert string is not None
+        header = {"callerid": "/slow", "topic": "/blob", "type": STRING, "md5sum": string.md5}
+        address = await made.tcpros()
+        async with (
+            connection(address, **header) as slow,
+            connection(address, **{**header, "callerid": "/good"}) as good,
+        ):
+            assert await slow.read_header()
+            assert await good.read_header()
+            slow.writer.transport.pause_reading()  # type: ignore[attr-defined]
+            for number in range(3 * MAX_MESSAGES):
+                payload = string.encode({"data": f"{number:08}" + "x" * 19_000})
+                await device.send(encode(126, payload))
+                assert await good.read() == payload
+            slow.writer.transport.resume_reading()  # type: ignore[attr-defined]
+            numbers = [int((await slow.read())[4:12])]
+            while numbers[-1] != 3 * MAX_MESSAGES - 1:
+                numbers.append(int((await slow.read())[4:12]))
+            assert numbers == sorted(numbers)
+            assert len(numbers) < 2.9 * MAX_MESSAGES
+        await expect(lambda: made.counts["dropped_to_slow_subscribers"] == 3 * MAX_MESSAGES - len(numbers))
+
+
+# -- the slave API ----------------------------------------------------------------------------------------------------
+
+
+async def test_the_slave_api_answers_as_every_node_does(made: Scene) -> None:
+    async with connection(await made.tcpros(), **SUBSCRIBER) as listener:
+        await listener.read_header()
+        call = made.master.call
+        assert decode_answer(await call("getPid", "/x")) > 0
+        assert decode_answer(await call("getMasterUri", "/x")) == made.master.url
+        assert [ODOMETRY, POSE.name] in decode_answer(await call("getPublications", "/x"))
+        assert [VELOCITY, TWIST_TYPE] in decode_answer(await call("getSubscriptions", "/x"))
+        assert [each[1:5] for each in decode_answer(await call("getBusInfo", "/x"))] == [
+            ["/listener", "o", "TCPROS", ODOMETRY]
+        ]
+        assert decode_answer(await call("getBusStats", "/x")) == [[], [], []]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"<methodCall>", b"\xff\xfe", b"<!DOCTYPE a>", b"<" * 100_000],
+    ids=["empty", "cut off", "no text", "doctype", "long"],
+)
+async def test_a_body_that_is_no_call_is_answered_with_a_fault(made: Scene, body: bytes) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    with pytest.raises(Refused):
+        decode_answer(await made.master.call("", body=body))
+    assert made.counts["refused_calls"] == 1
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        ("noSuchMethod", "/x"),
+        ("getPid",),
+        ("publisherUpdate", "/x", 1, []),
+        ("publisherUpdate", "/x", "/a", [1]),
+        ("publisherUpdate", "/x", "/a", "b"),
+        ("paramUpdate", "/x", 1, 1),
+        ("requestTopic", "/x", ODOMETRY, 7),
+    ],
+)
+async def test_a_call_that_does_not_fit_is_answered_with_a_fault(made: Scene, call: tuple[str, ...]) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    with pytest.raises(Refused):
+        decode_answer(await made.master.call(*call))
+    assert made.counts["refused_calls"] == 1
+    assert made.daemon.hub.isolation.crashes == {}
+
+
+async def test_a_body_over_the_bound_is_refused(made: Scene) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    assert b"methodResponse" not in await made.master.call("", body=bytes(1_048_500) + b"more than fits" * 10)
+
+
+@pytest.mark.parametrize("protocols", [[], [["UDPROS"]], [[]], ["TCPROS"]])
+async def test_a_topic_by_another_protocol_is_refused(made: Scene, protocols: list[object]) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    with pytest.raises(Refused, match="protocol"):
+        decode_answer(await made.master.call("requestTopic", "/x", ODOMETRY, protocols))
+
+
+# -- the master -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "garbled", [b"", b"<html>", b"x" * 100, b"<methodResponse></methodResponse>", b"<a>" * 3_000_000]
+)
+async def test_a_master_that_answers_garbage_is_lost_and_found_again(made: Scene, garbled: bytes) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    async with connection(await made.tcpros(), **SUBSCRIBER) as listener:
+        await listener.read_header()
+        made.master.garbled, count = garbled, len(made.master.calls)
+        await expect(lambda: len(made.master.calls) > count)
+        await made.robot.send(pose(1.0))
+        assert await listener.read() == struct.pack("<3d", 1.0, 0, 0)
+        made.master.garbled, made.master.node_uri = None, None
+        made.master.registered.clear()
+        await made.master.knows("Publisher", ODOMETRY)
+    assert made.daemon.hub.isolation.crashes == {}
+    assert made.counts["re_registrations"] == 1
+
+
+async def test_a_registration_that_was_lost_alone_is_made_again(made: Scene) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    del made.master.registered["Publisher"][ODOMETRY]
+    await made.master.knows("Publisher", ODOMETRY)
+
+
+async def test_another_node_that_the_master_has_under_this_name_ends_this_one(made: Scene) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    made.master.node_uri = made.master.other_uri = "http://127.0.0.1:1/"
+    await expect(lambda: made.daemon.hub.parameter_source is None)
+    assert made.daemon.hub.robots.find("robot_0").link is not None
+
+
+async def test_a_publisher_that_cannot_be_reached_is_tried_again(made: Scene) -> None:
+    async with fake_publisher(STRING) as publisher:
+        port, publisher.port = publisher.port, 1
+        await made.update("/text", publisher.uri)
+        await asyncio.sleep(0.15)
+        publisher.port = port
+        peer = await publisher.connected()
+        await peer.send_message(struct.pack("<I", 2) + b"ok")
+        assert await made.robot.frame(102) == struct.pack("<I", 2) + b"ok"
+
+
+async def test_a_publisher_that_is_named_no_more_is_not_connected_again(made: Scene) -> None:
+    async with fake_publisher(STRING) as publisher:
+        await made.update("/text", publisher.uri)
+        await publisher.connected()
+        await made.update("/text")
+        await expect_never(lambda: len(publisher.peers) > 1, for_s=0.5)
+        assert await publisher.peers[0].is_closed()
+
+
+async def test_this_node_is_no_publisher_to_itself(made: Scene) -> None:
+    await made.master.knows("Subscriber", "/text")
+    assert made.master.node_uri is not None
+    await made.update("/text", made.master.node_uri)
+    assert all(each[4] != "/text" for each in decode_answer(await made.master.call("getBusInfo", "/x")))
+
+
+async def test_publishers_of_all_topics_have_a_bound() -> None:
+    """Whoever names publishers to this node decides how many connections it opens."""
+    async with fake_master() as master, scene(master, max_connections=5) as made:
+        for name in ("/text", VELOCITY):
+            await made.update(name, *(f"http://127.0.0.1:{port}/" for port in range(1, 5)))
+        assert made.counts["crowded_out"] == 3
+        await made.update("/text")
+        await made.update(VELOCITY, *(f"http://127.0.0.1:{port}/" for port in range(1, 5)))
+        assert made.counts["crowded_out"] == 3
+
+
+# -- its own settings -------------------------------------------------------------------------------------------------
+
+
+async def test_a_port_that_is_in_use_ends_the_node_with_its_reason_and_not_the_daemon() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        async with fake_master() as master:
+            with capture_logs() as lines:
+                async with daemon(Config(ros1=Ros1Config(master=master.url, tcpros_port=port))) as running:
+                    await expect(lambda: [line for line in lines if line["event"] == "ros1.ended"])
+                    assert await running.get("/healthz")
+            ended = next(line for line in lines if line["event"] == "ros1.ended")
+            assert ended["reason"] == f"ros1.tcpros_port {port}: Address already in use"
+            assert running.hub.isolation.crashes == {}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"master": "localhost:11311"},
+        {"master": "https://localhost"},
+        {"name": "a b"},
+        {"name": "/a"},
+        {"name": ""},
+        {"namespace": "a b"},
+        {"namespace": "1a"},
+        {"allow": ("lan",)},
+        {"max_connections": 0},
+    ],
+)
+def test_a_setting_that_cannot_be(settings: dict[str, object]) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - each has a text of its own
+        dataclasses.replace(Ros1Config(), **settings)  # type: ignore[arg-type]

@@ -1,0 +1,197 @@
+"""Whatever ends a driver in the ROS graph leaves a standing robot, within the lease, also beside a flood."""
+
+import asyncio
+import contextlib
+import os
+import re
+import signal
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import aiohttp
+import pytest
+
+from hostlink.protocol.frame import Id
+from tests.support.fake_device import FakeDevice, robot_topics, topic
+from tests.support.process import Process
+from tests.support.ros1.debian import Graph, Node, graph, living_device
+from tests.support.waiting import expect
+
+pytestmark = pytest.mark.quiet
+
+VELOCITY = "/robot_0/velocity_commands"
+LEASE_S = 0.5
+LATE_S = 0.15  # a tick of the gates, and what a busy machine adds
+AT_ONCE_S = 0.25  # an end that TCP reports; two processes and the daemon share two cores with the flood
+FLOOD = "/neighbour/blob"
+
+
+@dataclass
+class Driven:
+    """A robot that a rospy program drives; what it was sent, and when."""
+
+    ros: Graph
+    daemon: Process
+    driver: Node
+    robot: FakeDevice
+    heard: list[tuple[float, float]] = field(default_factory=list)
+
+    async def listen(self) -> None:
+        while True:
+            speed, _ = await self.robot.velocity()
+            self.heard.append((time.monotonic(), speed))
+
+    @property
+    def speed(self) -> float:
+        return self.heard[-1][1]
+
+    async def stands_after(self, end: Callable[[], Awaitable[None]], limit_s: float) -> None:
+        """It moves until `end`, gets its zero within the limit, and nothing else afterwards."""
+        await expect(lambda: self.speed == 0.25, timeout_s=10)
+        await asyncio.sleep(0.5)
+        assert self.speed == 0.25
+        began_s = time.monotonic()
+        await end()
+        await expect(lambda: self.speed == 0.0)
+        moving_s = max(at_s for at_s, speed in self.heard if speed)
+        zero_s = min(at_s for at_s, speed in self.heard if not speed and at_s > moving_s)
+        assert zero_s - began_s < limit_s, f"the zero came after {zero_s - began_s:.3f} s"
+        await asyncio.sleep(0.8)
+        assert self.speed == 0.0
+
+
+@contextlib.asynccontextmanager
+async def driven(folder: Path, *, is_flooded: bool) -> AsyncIterator[Driven]:
+    """`is_flooded`: two neighbours publish to another device as fast as they can."""
+    async with contextlib.AsyncExitStack() as stack:
+        ros = await stack.enter_async_context(graph(folder))
+        daemon = await stack.enter_async_context(ros.daemon())
+        robot = await stack.enter_async_context(living_device(daemon.tcp, robot_topics()))
+        if is_flooded:
+            blob = topic(Id.SUBSCRIBER, 105, FLOOD, "std_msgs/String")
+            await stack.enter_async_context(drained(daemon, [*robot_topics("neighbour"), blob]))
+            for number in range(2):
+                words = ("talk", FLOOD, "std_msgs/String", "{data: flood}", "-1", f"name=flood_{number}")
+                await stack.enter_async_context(ros.node(*words))
+        driver = await stack.enter_async_context(ros.node("drive", VELOCITY, "0.25", "20"))
+        if is_flooded:
+            await flooding(daemon)
+        made = Driven(ros, daemon, driver, robot)
+        tasks = await stack.enter_async_context(asyncio.TaskGroup())
+        listening = tasks.create_task(made.listen())
+        try:
+            yield made
+        finally:
+            listening.cancel()
+
+
+async def flooding(daemon: Process) -> None:
+    """The flood is one: thousands of messages come."""
+    async with aiohttp.ClientSession() as session, asyncio.timeout(20):
+        count = 0.0
+        while count < 3000:
+            async with session.get(f"{daemon.url}/metrics") as response:
+                found = re.search(r'hostlink_ros1_total\{what="messages_from_ros"\} (\S+)', await response.text())
+            count = float(found[1]) if found else 0.0
+            await asyncio.sleep(0.1)
+
+
+@contextlib.asynccontextmanager
+async def drained(daemon: Process, topics: list[object]) -> AsyncIterator[None]:
+    """A device that reads whatever it is sent."""
+    async with living_device(daemon.tcp, topics, local_host="127.0.0.9") as device, asyncio.TaskGroup() as tasks:  # type: ignore[arg-type]
+
+        async def read() -> None:
+            while True:
+                await device.next()
+
+        task = tasks.create_task(read())
+        try:
+            yield
+        finally:
+            task.cancel()
+
+
+flooded = pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])
+
+
+@flooded
+async def test_a_driver_that_is_killed(tmp_path: Path, is_flooded: bool) -> None:
+    async with driven(tmp_path, is_flooded=is_flooded) as made:
+
+        async def end() -> None:
+            made.driver.signal(signal.SIGKILL)
+
+        await made.stands_after(end, AT_ONCE_S)
+
+
+@flooded
+async def test_a_driver_that_falls_silent_and_stays_connected(tmp_path: Path, is_flooded: bool) -> None:
+    """A network that is cut, or a process that hangs: nobody reports it."""
+    async with driven(tmp_path, is_flooded=is_flooded) as made:
+
+        async def end() -> None:
+            made.driver.signal(signal.SIGSTOP)
+
+        await made.stands_after(end, LEASE_S + LATE_S)
+
+
+@flooded
+async def test_a_driver_that_ends_in_order(tmp_path: Path, is_flooded: bool) -> None:
+    async with driven(tmp_path, is_flooded=is_flooded) as made:
+
+        async def end() -> None:
+            made.driver.signal(signal.SIGINT)
+
+        await made.stands_after(end, LEASE_S + LATE_S)
+
+
+@flooded
+async def test_a_driver_whom_the_master_names_no_more(tmp_path: Path, is_flooded: bool) -> None:
+    async with driven(tmp_path, is_flooded=is_flooded) as made:
+
+        async def end() -> None:
+            assert (await made.ros.call("/hostlink", "publisherUpdate", "/master", VELOCITY, []))[0] == 1
+
+        await made.stands_after(end, AT_ONCE_S)
+
+
+@flooded
+async def test_a_driver_beside_a_dead_master_drives_on_until_it_is_killed(tmp_path: Path, is_flooded: bool) -> None:
+    async with driven(tmp_path, is_flooded=is_flooded) as made:
+        await expect(lambda: made.speed == 0.25, timeout_s=10)
+        await made.ros.kill()
+        await made.daemon.read_log("ros1.master_lost")
+        made.driver.send("0.2")
+        await expect(lambda: made.speed == 0.2)
+        made.driver.send("0.25")
+
+        async def end() -> None:
+            made.driver.signal(signal.SIGKILL)
+
+        await made.stands_after(end, AT_ONCE_S)
+
+
+@flooded
+async def test_the_daemons_node_that_is_killed_by_rosnode(tmp_path: Path, is_flooded: bool) -> None:
+    async with driven(tmp_path, is_flooded=is_flooded) as made:
+
+        async def end() -> None:
+            await made.ros.call("/hostlink", "shutdown", "/rosnode", "user request")
+
+        await made.stands_after(end, AT_ONCE_S)
+
+
+async def test_a_daemon_that_is_killed_while_a_program_of_ros_drives(tmp_path: Path) -> None:
+    async with driven(tmp_path, is_flooded=False) as made:
+
+        async def end() -> None:
+            os.kill(made.daemon.child.pid, signal.SIGKILL)
+
+        await expect(lambda: made.speed == 0.25, timeout_s=10)
+        await end()
+        with contextlib.suppress(EOFError, ConnectionError):
+            await expect(lambda: made.speed == 0.0)
+        assert made.speed == 0.0

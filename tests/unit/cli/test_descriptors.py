@@ -1,0 +1,24 @@
+"""How the descriptors of the process are shared."""
+
+import pytest
+
+from hostlink.cli.descriptors import NODE_SHARES, OWN, fitted
+from hostlink.config import Config, Ros1Config
+
+ROS1 = Config(ros1=Ros1Config(master="http://localhost:11311"))
+
+
+def test_without_a_graph_nothing_is_kept_for_one() -> None:
+    assert fitted(Config(), 1024) == Config()
+
+
+def test_enough_for_all_changes_nothing() -> None:
+    assert fitted(ROS1, 4096) == ROS1
+
+
+@pytest.mark.parametrize("descriptors", [200, 512, 1024, 1500])
+def test_devices_programs_and_nodes_have_together_what_there_is(descriptors: int) -> None:
+    found = fitted(ROS1, descriptors)
+    nodes = NODE_SHARES * found.ros1.max_connections
+    assert found.tcp.max_connections + found.api.max_connections + nodes <= descriptors - OWN
+    assert min(found.tcp.max_connections, found.api.max_connections, found.ros1.max_connections) > 0

@@ -1,0 +1,58 @@
+"""Which device port `hostlink ros1` serves: options, arguments, parameters, rosserial_python's defaults."""
+
+from typing import Any
+
+import pytest
+
+from hostlink.cli.ros1 import _Options, scalar, with_devices
+from hostlink.config import Config
+from hostlink.errors import ConfigError
+
+
+def devices(*others: str, parameters: dict[str, Any] | None = None, **options: Any) -> tuple[object, ...]:
+    """(the serial port, its rate, the TCP port or None where devices cannot connect)."""
+    made = _Options(**{"tcp": None, "serial": None, "baud": None, **options})
+    found = with_devices(Config(), parameters or {}, others, made)
+    serial = [(port.path, port.bauds) for port in found.serial]
+    return (*serial, found.tcp.port if found.tcp.host == "0.0.0.0" else None)
+
+
+@pytest.mark.parametrize(
+    ("others", "parameters", "options", "expected"),
+    [
+        ((), {}, {}, (("/dev/ttyUSB0", (57600,)), None)),
+        ((), {"port": "/dev/ttyACM0", "baud": 115200}, {}, (("/dev/ttyACM0", (115200,)), None)),
+        ((), {"port": "/dev/ttyACM0", "baud": "115200"}, {}, (("/dev/ttyACM0", (115200,)), None)),
+        (("/dev/ttyACM1",), {"port": "/dev/ttyACM0"}, {}, (("/dev/ttyACM1", (57600,)), None)),
+        ((), {}, {"serial": "/dev/ttyACM2", "baud": 9600}, (("/dev/ttyACM2", (9600,)), None)),
+        ((), {"port": "tcp"}, {}, (11411,)),
+        ((), {"port": "tcp", "tcp_port": 11412}, {}, (11412,)),
+        (("tcp",), {"port": "/dev/ttyACM0"}, {}, (11411,)),
+        (("tcp", "11413"), {"tcp_port": 11412}, {}, (11413,)),
+        ((), {"port": "/dev/ttyACM0"}, {"tcp": 11414}, (11414,)),
+        ((), {}, {"tcp": 11414, "serial": "/dev/ttyACM0"}, (("/dev/ttyACM0", (57600,)), 11414)),
+    ],
+)
+def test_the_port(
+    others: tuple[str, ...], parameters: dict[str, Any], options: dict[str, Any], expected: object
+) -> None:
+    assert devices(*others, parameters=parameters, **options) == expected
+
+
+@pytest.mark.parametrize("others", [("/dev/a", "1"), ("tcp", "1", "2"), ("tcp", "x"), ("tcp", "70000"), ("tcp", "-1")])
+def test_arguments_that_mean_no_port(others: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError):
+        devices(*others)
+
+
+def test_a_rate_that_is_none() -> None:
+    with pytest.raises(ConfigError, match="baud"):
+        devices("/dev/ttyACM0", parameters={"baud": "fast"})
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("1", 1), ("1.5", 1.5), ("true", True), ("False", False), ("/dev/ttyACM0", "/dev/ttyACM0")]
+)
+def test_a_parameter_of_the_command_line(text: str, value: object) -> None:
+    assert scalar(text) == value
+    assert type(scalar(text)) is type(value)

@@ -1,0 +1,81 @@
+"""Parameters that were subscribed to, and the updates that the master sends; {} is a parameter that is not set."""
+
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.graphs.ros1.parameter_cache import ParameterCache
+
+
+def cache() -> ParameterCache:
+    made = ParameterCache()
+    made.put("/node", {"speed": 1.5, "arm": {"joints": [1, 2]}})
+    made.put("/rate", 10)
+    made.put("/missing", {})
+    return made
+
+
+def test_what_was_subscribed_to_is_known_also_when_it_is_not_set() -> None:
+    assert cache().find("/rate") == (True, 10)
+    assert cache().find("/missing") == (True, None)
+    assert cache().find("/other") == (False, None)
+
+
+def test_what_is_below_a_key_is_known_too() -> None:
+    assert cache().find("/node/arm/joints") == (True, [1, 2])
+    assert cache().find("/node/leg") == (True, None)
+    assert cache().find("/node/speed/deeper") == (True, None)
+    assert cache().find("/nodes") == (False, None)
+
+
+def test_an_update_of_a_key() -> None:
+    made = cache()
+    made.update("/rate/", 20)
+    made.update("/missing", "here")
+    made.update("/unasked", 1)
+    assert [made.find(name)[1] for name in ("/rate", "/missing", "/unasked")] == [20, "here", None]
+
+
+def test_an_update_below_a_key() -> None:
+    made = cache()
+    made.update("/node/speed/", 2.5)
+    made.update("/node/leg/left/", {"length": 3})
+    assert made.find("/node/speed") == (True, 2.5)
+    assert made.find("/node/leg/left/length") == (True, 3)
+    assert made.find("/node/arm/joints") == (True, [1, 2])
+
+
+def test_a_parameter_that_was_deleted_is_not_set() -> None:
+    made = cache()
+    made.update("/rate", {})
+    made.update("/node/speed", {})
+    assert made.find("/rate") == made.find("/node/speed") == (True, None)
+
+
+def test_of_too_many_the_oldest_goes_and_is_named() -> None:
+    made = ParameterCache(max_keys=2)
+    assert made.put("/a", 1) is made.put("/b", 2) is made.put("/a", 3) is None
+    assert made.put("/c", 4) == "/b"
+    assert made.keys == ("/a", "/c")
+    made.clear()
+    assert made.keys == ()
+
+
+PATHS = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(lambda parts: "/" + "/".join(parts))
+
+
+@given(st.lists(st.tuples(PATHS, st.integers(1, 9))))
+def test_a_subscription_of_all_below_a_key_follows_a_tree_of_parameters(changes: list[tuple[str, int]]) -> None:
+    made, tree = ParameterCache(), dict[str, Any]()
+    made.put("/root", {})
+    for path, value in changes:
+        made.update(f"/root{path}/", value)
+        branch = tree
+        *parents, last = path.strip("/").split("/")
+        for part in parents:
+            if not isinstance(branch.get(part), dict):
+                branch[part] = {}
+            branch = branch[part]
+        branch[last] = value
+    assert made.find("/root") == (True, tree or None)
