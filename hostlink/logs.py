@@ -8,7 +8,7 @@ Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, ro
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
 Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
-                 client.unknown_op, client.crowded, client.malformed
+                 client.unknown_op, client.crowded, client.malformed, client.origin_refused
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
                  task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, descriptors.exhausted,
                  loop.error, library.complained

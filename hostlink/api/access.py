@@ -11,14 +11,20 @@ import ssl
 from typing import NamedTuple
 from urllib.parse import SplitResult, urlsplit
 
+import structlog
 from aiohttp import web
 
 from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.config import ApiConfig, TokenConfig
 from hostlink.errors import ConfigError
 from hostlink.hub.node import Role
+from hostlink.logs import printable
+
+log = structlog.get_logger()
 
 SHORTEST_TOKEN = 16  # characters: 80 bits and more, when they are random
+MAX_LOGGED_ORIGINS = 4  # that are refused; a page may have any
+_NO_ORIGIN = "open the page by http, not from a file: every page can have the origin null"
 _HOW_TO_MAKE_ONE = "make one with  python3 -c 'import secrets; print(secrets.token_urlsafe(24))'"
 
 
@@ -41,6 +47,7 @@ class Access:
         """
         self._tokens = [(_secret(token), Grant(token.name, Role[token.role.upper()])) for token in config.tokens]
         self._origins = frozenset(origin.rstrip("/") for origin in config.origins)
+        self._refused_origins: set[str] = set()  # that were logged
         if len({secret for secret, _ in self._tokens}) < len(self._tokens):
             raise ConfigError("api.tokens", "two names have the same token: the driver would be unknown")
         for limit in ("max_clients", "max_message_bytes", "max_requests_s"):
@@ -68,7 +75,16 @@ class Access:
         if not self._tokens and not _is_plain_address(host):  # a name that an attacker points here (DNS rebinding)
             raise web.HTTPForbidden(reason=f"not as {host}: without tokens use http://localhost or an IP address")
         if origin is not None and not self.allows_origin(origin, host):
+            self._log_refused(origin)
             raise web.HTTPForbidden(reason=f'a page of {origin} may not: add "{origin}" to api.origins if it should')
+
+    def _log_refused(self, origin: str) -> None:
+        """Log each once: the page learns no reason, and whoever opened it has to act."""
+        name = printable(origin)
+        is_browsers = origin == "null" or "://" in origin  # others are no browser's, and nobody waits for a page
+        if is_browsers and name not in self._refused_origins and len(self._refused_origins) < MAX_LOGGED_ORIGINS:
+            self._refused_origins.add(name)
+            log.error("client.origin_refused", origin=name, allow=_NO_ORIGIN if name == "null" else f"--origin {name}")
 
     def allows_origin(self, origin: str, host: str) -> bool:
         """Whether a page of this origin may use this server, which its browser calls `host`."""

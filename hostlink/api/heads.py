@@ -7,6 +7,7 @@ from aiohttp import web
 
 from hostlink.api.replies import refusal
 
+FOXGLOVE = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # subprotocols: the same protocol by two names
 _READ_AS_TEXT = ("Host", "Origin", "Expect", "Sec-WebSocket-Key")
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
@@ -29,14 +30,17 @@ def refuse_unreadable(answer: Answer) -> Answer:
     return answer_readable
 
 
-def refuse_subprotocol(request: web.Request) -> None:
-    """Refuse a WebSocket of another protocol.
+def is_foxglove(request: web.Request) -> bool:
+    """Whether a WebSocket is to speak Foxglove's protocol; without a subprotocol it is rosbridge's.
 
     Raises:
-        web.HTTPBadRequest: it requests a subprotocol.
+        web.HTTPBadRequest: it requests other subprotocols alone.
     """
     names = request.headers.get("Sec-WebSocket-Protocol")
-    if names is not None:
+    if names is None:
+        return False
+    if not {name.strip() for name in names.split(",")} & set(FOXGLOVE):
         raise web.HTTPBadRequest(
-            reason=f"no subprotocol is spoken here, rosbridge v2 has none: {readable(names)[:120]}"
+            reason=f"{readable(names)[:120]} is not spoken here, but {' and '.join(FOXGLOVE)}; rosbridge v2 has no name"
         )
+    return True

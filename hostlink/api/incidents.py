@@ -11,7 +11,7 @@ from aiohttp import web
 from hostlink.api.recordings import send_file
 from hostlink.api.replies import reply
 from hostlink.api.rest import decode_body
-from hostlink.api.routes import Route
+from hostlink.api.routes import FILE, Route
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role
 from hostlink.recording.black_box import MAX_DETAIL, BlackBox
@@ -77,7 +77,7 @@ class IncidentRoutes:
                 self._file,
                 "The MCAP file of an incident",
                 None,
-                media_type="application/octet-stream",
+                media_type=FILE,
                 fails=(not_found,),
             ),
         ]

@@ -23,6 +23,10 @@ class Parameters:
         """All of them."""
         return sorted(map(resolve, self._settings))
 
+    def values(self) -> dict[str, ParameterValue]:
+        """All of them by name, none of which is a tree's."""
+        return {resolve(setting): value for setting, value in self._settings.items()}
+
     def has(self, name: str) -> bool:
         """Whether there is such a parameter, or one below it."""
         return bool(self._below(name))

@@ -12,7 +12,7 @@ from aiohttp import web
 from hostlink.api.access import GRANT
 from hostlink.api.replies import reply
 from hostlink.api.rest import decode_body
-from hostlink.api.routes import Route
+from hostlink.api.routes import FILE, Route
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role
 from hostlink.recording.disk_budget import StoredFile
@@ -102,7 +102,7 @@ class RecordingRoutes:
                 self._file,
                 "The MCAP file of that name; ranges are answered, also while it is written",
                 None,
-                media_type="application/octet-stream",
+                media_type=FILE,
                 fails=(_NOT_FOUND,),
             ),
             Route(
@@ -163,7 +163,7 @@ class RecordingRoutes:
 def send_file(path: Path) -> web.FileResponse:
     """A file to be saved, or read in ranges."""
     headers = {"Cache-Control": "no-store", "Content-Disposition": f'attachment; filename="{path.name}"'}
-    return web.FileResponse(path, headers={**headers, "Content-Type": "application/octet-stream"})
+    return web.FileResponse(path, headers={**headers, "Content-Type": FILE})
 
 
 def recording_view(recording: Recording) -> RecordingView:

@@ -2,9 +2,10 @@
 
 import socket
 import time
-from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Mapping
 from typing import Any
 
+from hostlink.api.node_names import node_name, receivers
 from hostlink.api.parameters import Parameters
 from hostlink.api.stamps import to_time
 from hostlink.api.typedefs import describe
@@ -141,7 +142,7 @@ class RosApi:
 
     def _nodes(self, _: Request) -> Response:
         topics = self._hub.topics.all()
-        keys = {key for topic in topics for key in (*topic.publishers, *_receivers(topic))}
+        keys = {key for topic in topics for key in (*topic.publishers, *receivers(topic))}
         offered = {self._node_of_service(name) for name, _ in self._hub.services.all()}
         return {"nodes": sorted({f"/{DAEMON}", *map(self._node, keys), *offered})}
 
@@ -151,7 +152,7 @@ class RosApi:
         offered = [name for name, _ in self._hub.services.all()]
         return {
             "publishing": [topic.name for topic in topics if node in map(self._node, topic.publishers)],
-            "subscribing": [topic.name for topic in topics if node in map(self._node, _receivers(topic))],
+            "subscribing": [topic.name for topic in topics if node in map(self._node, receivers(topic))],
             "services": [name for name in offered if node == self._node_of_service(name)],
         }
 
@@ -161,12 +162,10 @@ class RosApi:
 
     def _subscribers(self, request: Request) -> Response:
         topic = self._hub.topics.find(_text(request, "topic"))
-        return {"subscribers": sorted(set(map(self._node, _receivers(topic))))}
+        return {"subscribers": sorted(set(map(self._node, receivers(topic))))}
 
     def _node(self, key: Hashable) -> str:
-        """A robot by its name, another device by its link, a client by its number."""
-        robot = self._hub.robots.of_link(key)
-        return f"/{str(key).split(' (', maxsplit=1)[0].replace(' ', '_') if robot is None else robot.name}"
+        return node_name(self._hub, key)
 
     # -- parameters ---------------------------------------------------------------------------------------------------
 
@@ -209,8 +208,3 @@ def _plain(type_name: str) -> str:
     """ "pkg/msg/Type" -> "pkg/Type"."""
     parts = type_name.split("/")
     return f"{parts[0]}/{parts[-1]}" if len(parts) > 1 else type_name
-
-
-def _receivers(topic: Topic) -> Iterable[Hashable]:
-    """The keys of the devices and the clients that get its messages."""
-    return (*topic.devices, *(subscriber.key for subscriber in topic.subscribers))

@@ -92,6 +92,10 @@ class RosbridgeClient:
         except HostlinkError as error:
             self._put_status("error", str(error), request)
 
+    def flush(self, now_s: float) -> float | None:
+        """Send what subscriptions held back until now; returns when the next is due."""
+        return self.participant.flush(now_s)
+
     async def settle(self) -> None:
         """Wait until answers have room: a client that does not read them is not read from."""
         if self._calls > MAX_CALLS // 2:

@@ -15,6 +15,7 @@ from hostlink.hub.node import Role
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
+FILE = "application/octet-stream"  # the media type of what is read in ranges
 _REFERENCE = "#/components/schemas/{name}"
 _EVERYWHERE = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 

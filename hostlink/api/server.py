@@ -1,4 +1,4 @@
-"""The API server: rosbridge on the WebSocket at `/`, the page for a browser there, and the routes beside it."""
+"""The API server: rosbridge and Foxglove on the WebSocket at `/`, the page for a browser there, and other routes."""
 
 import asyncio
 import contextlib
@@ -23,7 +23,9 @@ from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
 from hostlink.api.events import Events
-from hostlink.api.heads import refuse_subprotocol, refuse_unreadable
+from hostlink.api.foxglove import FoxgloveClient
+from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.heads import FOXGLOVE, is_foxglove, refuse_unreadable
 from hostlink.api.history import HistoryRoutes
 from hostlink.api.incidents import IncidentRoutes
 from hostlink.api.listener import ApiListener, MakeProtocol
@@ -36,7 +38,7 @@ from hostlink.api.replies import explain_errors, reply
 from hostlink.api.rest import Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.api.routes import Handler, Route, openapi
+from hostlink.api.routes import FILE, Handler, Route, openapi
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import ApiConfig
 from hostlink.errors import ConfigError
@@ -65,7 +67,10 @@ PAGE_HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-ALLOWED_HEADERS = "Authorization, Content-Type"
+ALLOWED_HEADERS = "Authorization, Content-Type, Range"
+EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
+
+Program = RosbridgeClient | FoxgloveClient
 
 
 class OpenApiView(TypedDict):
@@ -93,6 +98,7 @@ class ApiServer:
             max_per_address=config.max_connections_per_address - KEPT_FOR_REQUESTS,
         )
         self._owners = Owners(hub)
+        self._directory = FoxgloveDirectory(hub)
         self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners)
         self._sockets: set[web.WebSocketResponse] = set()
         self._turns = hub.turns()  # of all requests together
@@ -121,6 +127,8 @@ class ApiServer:
         ]
         for route in self._routes:
             app.router.add_route(route.method, route.path, route.handler)
+            if route.media_type == FILE:  # a program requests its length before it reads ranges
+                app.router.add_route("HEAD", route.path, route.handler)
         self._by_handler = {route.handler: route for route in self._routes}
         app.router.add_get("/", self._root)
         app.router.add_get("/web/{file}", _page_file)
@@ -148,8 +156,9 @@ class ApiServer:
             answer = await handler(request)
         if origin is not None and not answer.prepared:
             answer.headers["Access-Control-Allow-Origin"] = origin
-            answer.headers["Access-Control-Allow-Methods"] = "GET, PUT, POST, DELETE"
+            answer.headers["Access-Control-Allow-Methods"] = "GET, HEAD, PUT, POST, DELETE"
             answer.headers["Access-Control-Allow-Headers"] = ALLOWED_HEADERS
+            answer.headers["Access-Control-Expose-Headers"] = EXPOSED_HEADERS
             answer.headers["Vary"] = "Origin"
         return answer
 
@@ -185,13 +194,14 @@ class ApiServer:
         return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
 
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
-        refuse_subprotocol(request)
+        kind = "foxglove" if is_foxglove(request) else "rosbridge"
         queue = client_queue()
-        client = self._clients.enter("rosbridge", request, request[GRANT], queue)
+        client = self._clients.enter(kind, request, request[GRANT], queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
             max_msg_size=self._config.max_message_bytes,
             compress=False,
+            protocols=FOXGLOVE,
             timeout=SHUTDOWN_TIMEOUT_S,
             writer_limit=0,  # each send waits for room in the buffer, so that what is too much waits in the queue
         )
@@ -219,15 +229,8 @@ class ApiServer:
     ) -> None:
         loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as tasks:
-            rosbridge = RosbridgeClient(
-                client.name,
-                self._hub,
-                queue,
-                spawn=tasks.create_task,
-                role=client.grant.role,
-                group=group,
-            )
-            sender = tasks.create_task(self._send(socket, client, rosbridge, queue), name=f"{client.name} sender")
+            program = self._program(client, queue, tasks, group)
+            sender = tasks.create_task(self._send(socket, client, program, queue), name=f"{client.name} sender")
             try:
                 turns, before_s = self._hub.turns(), float("-inf")
                 async for message in socket:
@@ -236,14 +239,21 @@ class ApiServer:
                     client.messages_from_client += 1
                     now_s = loop.time()
                     is_flooding, before_s = now_s < before_s + FLOOD_GAP_S, now_s
-                    await turns.run(functools.partial(rosbridge.receive, message.data), is_flooding=is_flooding)
+                    await turns.run(functools.partial(program.receive, message.data), is_flooding=is_flooding)
                     if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
                         await self._refuse_flood(socket)
                         break
-                    await rosbridge.settle()
+                    await program.settle()
             finally:
-                rosbridge.participant.leave()
+                program.participant.leave()
                 sender.cancel()
+
+    def _program(self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str) -> Program:
+        """What speaks the client's language."""
+        name, role = client.name, client.grant.role
+        if client.kind == "foxglove":
+            return FoxgloveClient(name, self._hub, self._directory, queue, spawn=tasks.create_task, role=role)
+        return RosbridgeClient(name, self._hub, queue, spawn=tasks.create_task, role=role, group=group)
 
     async def _refuse_flood(self, socket: web.WebSocketResponse) -> None:
         """To read more slowly would be worse: commands would come late, the stop behind them too."""
@@ -251,14 +261,12 @@ class ApiServer:
         reason = f"more than {self._config.max_requests_s:g} messages a second"
         await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
 
-    async def _send(
-        self, socket: web.WebSocketResponse, client: Client, rosbridge: RosbridgeClient, queue: ClientQueue
-    ) -> None:
+    async def _send(self, socket: web.WebSocketResponse, client: Client, program: Program, queue: ClientQueue) -> None:
         """Send what is queued; a client that cannot keep up with its answers is logged, and closed."""
         loop = asyncio.get_running_loop()
         async with asyncio.timeout(None) as patience:
             while not queue.is_too_slow and not queue.is_closed:
-                due_s = rosbridge.participant.flush(loop.time())
+                due_s = program.flush(loop.time())
                 patience.reschedule(loop.time() + SEND_TIMEOUT_S)
                 for waiting in itertools.islice(iter(queue.pop, None), SEND_BATCH):
                     kind = WSMsgType.BINARY if waiting.item.is_binary else WSMsgType.TEXT

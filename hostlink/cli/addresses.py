@@ -1,6 +1,7 @@
 """The spelling of addresses on the command line."""
 
 import ipaddress
+from urllib.parse import urlsplit
 
 from hostlink.config import SerialConfig
 from hostlink.errors import ConfigError
@@ -19,6 +20,15 @@ def parse_address(option: str, text: str, default_host: str) -> tuple[str, int]:
     if not colon or not _is_number(port) or int(port) > MAX_PORT:
         raise ConfigError(option, f"{text!r} is not HOST:PORT")
     return host.strip("[]") or default_host, int(port)
+
+
+def is_origin(text: str) -> bool:
+    """Whether a browser could send it as the origin of a page; "*" is all of them, "file://" a program's own page."""
+    try:
+        parts = urlsplit(text)
+    except ValueError:  # brackets that do not match
+        return False
+    return text in ("*", "file://") or (bool(parts.scheme and parts.netloc) and parts.path in ("", "/"))
 
 
 def parse_serial(text: str) -> SerialConfig:

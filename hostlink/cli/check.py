@@ -11,12 +11,11 @@ import operator
 import re
 from collections import Counter
 from collections.abc import Iterator
-from urllib.parse import urlsplit
 
 from hostlink.acceptor import bind, close_all, why
 from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.connections import KEPT_FOR_REQUESTS
-from hostlink.cli.addresses import MAX_PORT, is_address
+from hostlink.cli.addresses import MAX_PORT, is_address, is_origin
 from hostlink.cli.descriptors import fitted
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
 from hostlink.errors import ConfigError, HostlinkError
@@ -241,5 +240,5 @@ def _suspicious_api(config: Config) -> Iterator[str]:
             f"{api.max_connections} connections of api.max_connections are for them"
         )
     for origin in api.origins:
-        if origin != "*" and not (urlsplit(origin).scheme and urlsplit(origin).netloc):
+        if not is_origin(origin):
             yield f'api.origins {origin} is none: it begins with a scheme, as "https://panel.example"'

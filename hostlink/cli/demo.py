@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from hostlink import logs
+from hostlink.cli.arguments import Origins
 from hostlink.cli.ending import stop_signals
 from hostlink.cli.output import write, write_over
-from hostlink.cli.serve import merge, running
+from hostlink.cli.serve import allow_origins, merge, running
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
@@ -34,11 +35,12 @@ def command(
     robots: Annotated[int, typer.Option(min=1, max=50, help="How many simulated robots.")] = 1,
     listen: Annotated[str, typer.Option(help="Where devices connect: HOST:PORT.")] = "127.0.0.1:11411",
     api: Annotated[str, typer.Option(help="Where programs connect: HOST:PORT.")] = "127.0.0.1:9090",
+    origin: Origins = None,
 ) -> None:
     """Run the daemon with simulated robots; drive them from anywhere, or watch."""
     logs.configure(level="error")
     names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
-    asyncio.run(_demo(merge(Config(robots=names), listen=listen, api=api), robots))
+    asyncio.run(_demo(allow_origins(merge(Config(robots=names), listen=listen, api=api), origin), robots))
 
 
 async def _demo(config: Config, robots: int) -> None:

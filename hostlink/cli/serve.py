@@ -16,7 +16,8 @@ import typer
 
 from hostlink import logs
 from hostlink.api.server import serve_api
-from hostlink.cli.addresses import parse_address, parse_serial
+from hostlink.cli.addresses import is_origin, parse_address, parse_serial
+from hostlink.cli.arguments import Origins
 from hostlink.cli.check import check, describe
 from hostlink.cli.complaints import complaints_logged
 from hostlink.cli.descriptors import fitted, limit
@@ -191,6 +192,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     api: Annotated[
         str | None, typer.Option(help="Where programs connect: HOST:PORT.", show_default="127.0.0.1:9090")
     ] = None,
+    origin: Origins = None,
     messages: Annotated[
         list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
     ] = None,
@@ -224,6 +226,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     settings = merge(
         load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
     )
+    settings = allow_origins(settings, origin)
     if zenoh and settings.zenoh is None:
         settings = dataclasses.replace(settings, zenoh=ZenohConfig())
     if ros1 is not None:
@@ -304,6 +307,19 @@ def _status(hub: Hub) -> str:
     return f"{len(hub.links())} devices; robots: {', '.join(connected) or 'none'}"
 
 
+def allow_origins(config: Config, origins: list[str] | None) -> Config:
+    """The configuration with the origins of `--origin` beside its own.
+
+    Raises:
+        ConfigError: one is none.
+    """
+    for origin in origins or ():
+        if not is_origin(origin):
+            raise ConfigError("--origin", f"{origin} is none: it begins with a scheme, as https://app.foxglove.dev")
+    api = dataclasses.replace(config.api, origins=config.api.origins + tuple(origins or ()))
+    return dataclasses.replace(config, api=api)
+
+
 def merge(
     config: Config,
     *,
@@ -313,7 +329,11 @@ def merge(
     api: str | None = None,
     messages: list[Path] | None = None,
 ) -> Config:
-    """The configuration with the flags over it."""
+    """The configuration with the flags over it.
+
+    Raises:
+        ConfigError: a flag is wrong.
+    """
     if listen is not None:
         host, port = parse_address("--listen", listen, config.tcp.host)
         config = dataclasses.replace(config, tcp=dataclasses.replace(config.tcp, host=host, port=port))

@@ -119,6 +119,11 @@ class Queue(Generic[Item]):
         """Wait until something was put."""
         await self._news.wait()
 
+    @property
+    def has_room(self) -> bool:
+        """Whether `room` would return at once."""
+        return self._room.is_set()
+
     async def room(self) -> None:
         """Wait while results fill half of the queue: whoever requests more must read first."""
         await self._room.wait()

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import aiohttp
 import pytest
+from structlog.testing import capture_logs
 
+from hostlink.api.access import MAX_LOGGED_ORIGINS
 from hostlink.client import connect
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import ConfigError, HostlinkError
@@ -112,6 +114,20 @@ async def test_a_page_that_is_listed_is_allowed_by_cors() -> None:
             async with host.session.request(method, host.url + "/api/robots", headers=headers) as response:
                 assert response.status in (200, 204)
                 assert response.headers["Access-Control-Allow-Origin"] == "https://app.example"
+
+
+async def test_a_refused_origin_is_logged_once_with_what_to_write() -> None:
+    with capture_logs() as lines:
+        async with daemon() as host:
+            for origin in 3 * ["https://app.foxglove.dev", "null", "no origin"]:
+                assert await status(host, "GET", "/api/robots", Origin=origin) == 403
+            for number in range(100):
+                assert await status(host, "GET", "/api/robots", Origin=f"https://{number}.example") == 403
+    refused = [line for line in lines if line["event"] == "client.origin_refused"]
+    assert len(refused) == MAX_LOGGED_ORIGINS
+    assert [line["origin"] for line in refused[:3]] == ["https://app.foxglove.dev", "null", "https://0.example"]
+    assert refused[0]["allow"] == "--origin https://app.foxglove.dev"
+    assert "not from a file" in refused[1]["allow"]
 
 
 async def test_it_does_not_start_open_to_the_network() -> None:

@@ -79,14 +79,17 @@ async def test_a_program_whose_name_is_no_text_does_not_hide_the_others() -> Non
 async def test_a_web_socket_for_another_protocol_is_refused() -> None:
     async with daemon() as host:
         with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
-            await host.session.ws_connect(host.url, protocols=("foxglove.websocket.v1",))
+            await host.session.ws_connect(host.url, protocols=("other.websocket.v1",))
         headers = dict(line.decode().split(": ", 1) for line in UPGRADE) | {"Sec-WebSocket-Protocol": "odd.v1"}
         async with host.session.get(host.url + "/", headers=headers) as response:
             reason = (await response.json())["error"]["reason"]
         async with host.session.ws_connect(host.url) as socket:
             assert "topics" in await Client(socket).call("/rosapi/topics")
     assert refusal.value.status == 400
-    assert reason == "GET /: no subprotocol is spoken here, rosbridge v2 has none: odd.v1"
+    assert (
+        reason
+        == "GET /: odd.v1 is not spoken here, but foxglove.sdk.v1 and foxglove.websocket.v1; rosbridge v2 has no name"
+    )
 
 
 async def test_a_body_that_breaks_off_or_is_damaged_is_refused() -> None:

@@ -169,6 +169,34 @@ async def test_a_recording_is_listed_fetched_by_ranges_and_removed(tmp_path: Pat
     assert names(tmp_path) == []
 
 
+async def test_a_page_of_elsewhere_reads_a_recording_as_lichtblick_does(tmp_path: Path) -> None:
+    """Its reader gets the headers of the whole file first, and then ranges; a browser shows it what is exposed."""
+    page = "https://app.example"
+    settings = replace(config(tmp_path), api=ApiConfig(origins=(page,)))
+    async with recorded(settings) as (host, device):
+        await start(host, name="run")
+        await send_poses(host, device)
+        await stop(host, "run")
+        content, url = whole(tmp_path / "run.mcap"), f"{host.url}/api/recordings/run.mcap"
+        for method in ("HEAD", "GET"):
+            async with host.session.request(method, url, headers={"Origin": page}) as answer:
+                exposed = answer.headers["Access-Control-Expose-Headers"].split(", ")
+                assert (answer.status, answer.headers["Accept-Ranges"]) == (200, "bytes")
+                assert answer.headers["Content-Length"] == str(len(content))
+                assert {"Accept-Ranges", "Content-Length", "Content-Range", "ETag"} <= set(exposed)
+                assert answer.headers["ETag"]
+                assert await answer.read() == (content if method == "GET" else b"")
+        preflight = {"Origin": page, "Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "range"}
+        async with host.session.options(url, headers=preflight) as answer:
+            assert answer.status == 204
+            assert "Range" in answer.headers["Access-Control-Allow-Headers"].split(", ")
+        async with host.session.get(url, headers={"Origin": page, "Range": "bytes=8-99"}) as part:
+            assert part.headers["Content-Range"] == f"bytes 8-99/{len(content)}"
+            assert (part.status, await part.read()) == (206, content[8:100])
+        async with host.session.head(f"{host.url}/api/recordings/other.mcap") as answer:
+            assert answer.status == 404
+
+
 @pytest.mark.parametrize("name", ["..", "../secret", "a/b", "%2e%2e%2fsecret", "a..b", ".hidden", "x" * 101, "a\nb"])
 async def test_a_name_is_no_way_out_of_the_folder(tmp_path: Path, name: str) -> None:
     secret = tmp_path / "secret.mcap"

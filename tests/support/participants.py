@@ -12,6 +12,8 @@ from weakref import WeakKeyDictionary
 
 from structlog.testing import capture_logs
 
+from hostlink.api.foxglove import FoxgloveClient
+from hostlink.api.foxglove_directory import FoxgloveDirectory
 from hostlink.api.outgoing import ClientQueue, Outgoing, client_queue
 from hostlink.api.owners import Owners
 from hostlink.api.rosbridge import RosbridgeClient
@@ -23,6 +25,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.queue import Queue
 from hostlink.hub.subscription import Subscription
+from hostlink.messages.message_type import ServiceType
 from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
@@ -211,6 +214,122 @@ class RosbridgeProgram:
         self._client.receive(json.dumps(request))
 
 
+class FoxgloveProgram:
+    """A program at the other end of a WebSocket with Foxglove's protocol.
+
+    The protocol has neither services of clients nor a pace of subscriptions: for these it uses its participant itself.
+    """
+
+    def __init__(self, scene: "Scene", name: str, role: Role) -> None:
+        self.is_failing = False
+        self.queue: ClientQueue = client_queue()
+        self.queue._size_of = self._size_of
+        self._numbers = itertools.count(1)
+        directory = FoxgloveDirectory(scene.hub)
+        self._client = FoxgloveClient(name, scene.hub, directory, self.queue, spawn=scene.tasks.create_task, role=role)
+        self._channels: dict[str, int] = {}
+        self._services: dict[str, int] = {}
+        self._types: dict[str, ServiceType] = {}
+        self._received: list[bytes] = []
+        self._answers: dict[int, asyncio.Future[bytes]] = {}
+        self.settle()
+
+    @property
+    def participant(self) -> Participant:
+        return self._client.participant
+
+    def publish(self, topic: str, type_name: str, payload: bytes) -> None:
+        number = next(self._numbers)
+        channel = {"id": number, "topic": topic, "encoding": "ros1", "schemaName": type_name}
+        self.send(op="advertise", channels=[channel])
+        self.settle()
+        self._client.receive(struct.pack("<BI", 1, number) + payload)
+        self.settle()
+
+    def subscribe(self, topic: str, *, interval_s: float = 0.0, queue_length: int = 0) -> None:
+        if interval_s:
+            self.participant.subscribe(
+                topic, lambda message: self.queue.put_message(topic, Outgoing(message.payload)),
+                interval_s=interval_s, queue_length=queue_length,
+            )  # fmt: skip
+            return
+        subscription = {"id": next(self._numbers), "channelId": self._channels[topic]}
+        self.send(op="subscribe", subscriptions=[subscription])
+
+    def received(self) -> list[bytes]:
+        self.settle()
+        received, self._received = self._received, []
+        return received
+
+    def serve(self, answer: Answer) -> None:
+        async def serving(request: Mapping[str, object]) -> Mapping[str, object]:
+            if self.is_failing:
+                raise Defect
+            return await answer(request)
+
+        self.participant.provide(SERVICE, SERVICE_TYPE, serving)
+
+    async def call(self, service: str, request: Mapping[str, object]) -> Mapping[str, object]:
+        while service not in self._services:
+            await asyncio.sleep(0.01)
+            self.settle()
+        number, type_ = next(self._numbers), self._types[service]
+        self._answers[number] = asyncio.get_running_loop().create_future()
+        head = struct.pack("<BIII", 2, self._services[service], number, 4) + b"ros1"
+        self._client.receive(head + type_.request.encode(request))
+        while not self._answers[number].done():
+            await asyncio.sleep(0.01)
+            self.settle()
+        return type_.response.decode(self._answers[number].result())
+
+    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
+        topic = hub.robots.find(robot).shown.velocity
+        self.publish(topic, "geometry_msgs/Twist", Velocity(speed_m_s).encode())
+
+    def settle(self) -> None:
+        """Read all that waits."""
+        if not self.participant.has_left:
+            self._client.flush(asyncio.get_running_loop().time())
+        for waiting in iter(self.queue.pop, None):
+            self._receive(waiting.item)
+
+    def _receive(self, outgoing: Outgoing) -> None:
+        data = outgoing.data
+        if not outgoing.is_binary:
+            if data[:1] == b"{":
+                self._receive_json(json.loads(data))
+            else:
+                self._received.append(data)
+        elif data[0] == 1:
+            self._received.append(data[13:])
+        else:
+            self._answers[struct.unpack_from("<I", data, 5)[0]].set_result(data[17:])
+
+    def _receive_json(self, operation: dict[str, Any]) -> None:
+        match operation["op"]:
+            case "advertise":
+                self._channels |= {each["topic"]: each["id"] for each in operation["channels"]}
+            case "advertiseServices":
+                for each in operation["services"]:
+                    self._services[each["name"]] = each["id"]
+                    type_ = CATALOG.service(each["type"])
+                    assert type_ is not None
+                    self._types[each["name"]] = type_
+            case "serviceCallFailure":
+                self._answers[operation["callId"]].set_exception(HostlinkError(operation["message"]))
+            case "status":
+                message = operation["message"]
+                raise RobotHeld("robot", "other") if "higher priority" in message else BadRequest(message)
+
+    def _size_of(self, outgoing: Outgoing) -> int:
+        if self.is_failing:
+            raise Defect
+        return len(outgoing.data)
+
+    def send(self, **request: Any) -> None:
+        self._client.receive(json.dumps(request))
+
+
 Make = Callable[["Scene", Role], Any]
 
 
@@ -226,13 +345,17 @@ def rosbridge(scene: "Scene", role: Role) -> RosbridgeProgram:
     return RosbridgeProgram(scene.hub, "client 1", scene.tasks, role)
 
 
+def foxglove(scene: "Scene", role: Role) -> FoxgloveProgram:
+    return FoxgloveProgram(scene, "client 1", role)
+
+
 def daemon(scene: "Scene", role: Role) -> Program:
     """As /rosout, the services of the emergency stop and rosapi are."""
     assert role is Role.DRIVE
     return Program(scene.hub.join_daemon())
 
 
-PROGRAMS = [plain, rest, rosbridge]
+PROGRAMS = [plain, rest, rosbridge, foxglove]
 ALL = [*PROGRAMS, daemon]
 
 
@@ -259,6 +382,7 @@ class Scene:
             return {"success": True, "message": "here"}
 
         self.neighbour.provide("/neighbour", "std_srvs/Trigger", answer)
+        self.neighbour.advertise(TEXT, TEXT_TYPE)
         await self.neighbour_works()
 
     async def neighbour_works(self) -> None:

@@ -1,16 +1,21 @@
-"""The clients that people have: both lines of roslib on Node, and roslibpy, each doing all that it offers."""
+"""The clients that people have: both lines of roslib on Node, roslibpy, and Foxglove, each doing all that it offers."""
 
 import asyncio
+import contextlib
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hostlink.config import ApiConfig, Config, RecordingConfig
+from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import proxy
 from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
 
 CLIENTS = Path(__file__).parent.parent / "clients"
 TIMEOUT_S = 40.0
@@ -110,3 +115,88 @@ async def test_roslibpy_does_all_that_it_offers() -> None:
     assert api["action_servers"]["action_servers"] == []
     assert (api["param"], api["get_param"], api["params"]) == ([1, 2.5], [1, 2.5], ["/gain"])
     assert (api["set_param"], api["deleted"]) == ("x", None)
+
+
+@pytest.mark.parametrize("subprotocol", ["foxglove.sdk.v1", "foxglove.websocket.v1"])
+async def test_foxglove_does_all_that_its_packages_offer(subprotocol: str) -> None:
+    observed = await run("node", "foxglove.mjs", subprotocol)
+    assert observed["protocol"] == subprotocol
+    assert observed["info"]["capabilities"] == [
+        "clientPublish", "services", "parameters", "parametersSubscribe", "connectionGraph",
+    ]  # fmt: skip
+    assert observed["info"]["supportedEncodings"] == ["ros1"]
+    assert observed["isSameSession"] is observed["reconnected"] is True
+    assert {(encoding, schema) for encoding, _, schema in observed["channels"].values()} == {("ros1", "ros1msg")}
+    assert observed["channels"]["/robot_0/odometry"] == ["ros1", "geometry_msgs/Pose2D", "ros1msg"]
+    assert {"/robot_0/odometry", "/robot_0/odom", "/tf", "/robot_0/cmd_vel", "/robot_0/battery"} <= set(
+        observed["decoded"]
+    )
+    assert observed["errors"] == []
+    assert 0.05 < observed["odom"]["pose"]["pose"]["position"]["x"] < 1.0
+    assert observed["odom"]["header"]["frame_id"] == "odom"
+    assert abs(observed["age"]) < 1000
+    (refused,) = observed["refused"]
+    assert refused["level"] == 2
+    assert "locked" in refused["message"]
+    assert observed["removed"] == [refused["id"]] == ["/robot_0/cmd_vel"]
+    assert observed["lock"]["encoding"] == "ros1"
+    assert observed["lock"]["success"] is observed["unlock"]["success"] is True
+    assert ["/robot_0/lock", "std_srvs/Trigger"] in observed["services"]
+    assert observed["unknown"] == "there is no service 12345"
+    assert observed["text"] == "hällo"
+    assert observed["parameters"] == [{"name": "/gain", "value": 1}]
+    assert observed["gain"] == {"name": "/gain", "value": 2, "type": "float64"}
+    graph = observed["graph"]
+    assert graph["published"]["/robot_0/odometry"] == ["/robot_0"]
+    assert "/client_1" in graph["subscribed"]["/robot_0/odometry"]
+    assert graph["services"]["/robot_0/lock"] == ["/hostlink"]
+    assert observed["mistake"] == {"op": "status", "level": 2, "message": "subscribe: there is no channel 99999"}
+
+
+async def test_foxglove_reads_a_recording_over_ranges_and_decodes_every_channel(tmp_path: Path) -> None:
+    api = ApiConfig(origins=("https://app.foxglove.dev",))
+    config = Config(api=api, recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
+    async with daemon(config) as host, simulated_robot(host.tcp), asyncio.timeout(TIMEOUT_S):
+        assert (await host.rest("POST", "/api/recordings", b'{"name": "run"}'))[0] == 200
+        await asyncio.sleep(1.5)
+        status, view = await host.rest("POST", "/api/recordings/run/stop")
+        assert status == 200, view
+        program = await asyncio.create_subprocess_exec(
+            "node", "recording.mjs", f"{host.url}/api/recordings/run.mcap", cwd=CLIENTS,
+            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        out, err = await program.communicate()
+    assert program.returncode == 0, err.decode()
+    observed = json.loads(out)
+    assert observed["head"] == [200, "bytes", (tmp_path / "run.mcap").stat().st_size]
+    assert observed["profile"] == "ros1"
+    assert sum(topic["count"] for topic in observed["topics"].values()) == view["messages"]
+    assert observed["topics"]["/robot_0/odometry"]["last"].keys() == {"x", "y", "theta"}
+    assert "kind" in observed["topics"]["/hostlink/events"]["last"]
+    assert 3 <= observed["requests"] < 100
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_robot_stands_soon_after_foxglove_is_killed_or_frozen(number: signal.Signals) -> None:
+    async with daemon() as host, simulated_robot(host.tcp), asyncio.timeout(TIMEOUT_S):
+        await expect(lambda: bool(host.hub.robots.all()))
+        robot = host.hub.robots.find("robot_0")
+        program = await asyncio.create_subprocess_exec(
+            "node", "foxglove_drive.mjs", host.url.replace("http", "ws"), robot.shown.velocity, cwd=CLIENTS
+        )
+        try:
+            await expect(lambda: robot.gate.owner is not None)
+            sent: list[Velocity] = []
+            watching = host.hub.join("watching")
+            watching.subscribe(robot.shown.velocity, lambda message: sent.append(Velocity.decode(message.payload)))
+            await expect(lambda: len(sent) > 5 and not sent[-1].is_zero)
+            program.send_signal(number)
+            signalled_s = asyncio.get_running_loop().time()
+            await expect(lambda: sent[-1].is_zero)
+            assert asyncio.get_running_loop().time() - signalled_s < 1.0  # a lease, and the turns of a busy machine
+            await asyncio.sleep(0.2)
+            assert sent[-1].is_zero
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                program.kill()
+            await program.wait()

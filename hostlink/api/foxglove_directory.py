@@ -1,0 +1,162 @@
+"""FoxgloveDirectory: the channels, services and nodes that every client of Foxglove's protocol receives.
+
+It is made once for all clients after a change of the graph, and not at all while nobody reads it.
+"""
+
+import itertools
+import os
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import msgspec
+
+from hostlink.api.foxglove_frames import ROS1, ROS1_SCHEMA
+from hostlink.api.node_names import node_name, receivers
+from hostlink.hub.graph import Graph
+from hostlink.hub.hub import Hub
+from hostlink.messages.message_type import MessageType, ServiceType
+
+Names = Mapping[str, tuple[str, ...]]
+_Entry = TypeVar("_Entry")
+
+
+class Channel(NamedTuple):
+    """A topic with messages, as it is advertised."""
+
+    id: int
+    topic: str
+    type: MessageType
+    json: msgspec.Raw
+
+
+class Service(NamedTuple):
+    """A service, as it is advertised."""
+
+    id: int
+    name: str
+    type: ServiceType
+    json: msgspec.Raw
+
+
+@dataclass(frozen=True, slots=True)
+class Offers:
+    """What there is, by id; an id is never another topic's or service's."""
+
+    channels: Mapping[int, Channel]
+    services: Mapping[int, Service]
+    undefined: tuple[tuple[str, str], ...]  # topics that no client could decode, and their types
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionGraph:
+    """The nodes by what they publish, subscribe to and provide."""
+
+    publishers: Names
+    subscribers: Names
+    providers: Names
+
+
+class FoxgloveDirectory:
+    """Read by all clients."""
+
+    def __init__(self, hub: Hub) -> None:
+        self.session_id = os.urandom(8).hex()  # a client that connects again learns whether the daemon is the same
+        self._hub = hub
+        self._participant = hub.join_daemon()
+        self._numbers = itertools.count(1)
+        self._channels: dict[Hashable, Channel] = {}
+        self._services: dict[Hashable, Service] = {}
+        self._offers: Offers | None = None
+        self._nodes: ConnectionGraph | None = None
+        self._participant.watch_graph(self._forget)
+
+    def offers(self) -> Offers:
+        """The present channels and services; the same object until they may have changed."""
+        if self._offers is None:
+            self._offers = self._make_offers(self._participant.graph())
+        return self._offers
+
+    def connection_graph(self) -> ConnectionGraph:
+        """The present nodes."""
+        if self._nodes is None:
+            self._nodes = self._make_nodes()
+        return self._nodes
+
+    def _forget(self) -> None:
+        self._offers = self._nodes = None
+
+    def _make_offers(self, graph: Graph) -> Offers:
+        topics = [topic for topic in graph.topics if topic.type_name and (topic.is_published or topic.is_velocity)]
+        channels: dict[Hashable, tuple[str, MessageType]] = {
+            (topic.name, topic.type.md5): (topic.name, topic.type) for topic in topics if topic.type is not None
+        }
+        typed = ((each.name, self._hub.services.type_of(each.name)) for each in graph.services)
+        services: dict[Hashable, tuple[str, ServiceType]] = {
+            (name, type_.name, type_.md5): (name, type_) for name, type_ in typed if type_ is not None
+        }
+        self._channels = _renewed(self._channels, channels, lambda offer: _channel(next(self._numbers), *offer))
+        self._services = _renewed(self._services, services, lambda offer: _service(next(self._numbers), *offer))
+        return Offers(
+            {channel.id: channel for channel in self._channels.values()},
+            {service.id: service for service in self._services.values()},
+            tuple((topic.name, topic.type_name) for topic in topics if topic.type is None),
+        )
+
+    def _make_nodes(self) -> ConnectionGraph:
+        topics, services = self._hub.topics.all(), self._hub.services
+        providers: defaultdict[str, set[str]] = defaultdict(set)
+        for name, _ in services.all():
+            providers[name].add(self._node(services.find(name).key))
+        return ConnectionGraph(
+            _sorted({topic.name: set(map(self._node, topic.publishers)) for topic in topics}),
+            _sorted({topic.name: set(map(self._node, receivers(topic))) for topic in topics}),
+            _sorted(providers),
+        )
+
+    def _node(self, key: Hashable) -> str:
+        return node_name(self._hub, key)
+
+
+_Offer = TypeVar("_Offer")
+
+
+def _renewed(
+    before: Mapping[Hashable, _Entry], offers: Mapping[Hashable, _Offer], make: Callable[[_Offer], _Entry]
+) -> dict[Hashable, _Entry]:
+    """What stays is the same entry with the same id."""
+    return {key: before[key] if key in before else make(offer) for key, offer in offers.items()}
+
+
+def _channel(number: int, topic: str, type_: MessageType) -> Channel:
+    advertised = {
+        "id": number,
+        "topic": topic,
+        "encoding": ROS1,
+        "schemaName": type_.name,
+        "schema": type_.full_definition,
+        "schemaEncoding": ROS1_SCHEMA,
+    }
+    return Channel(number, topic, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+
+
+def _service(number: int, name: str, type_: ServiceType) -> Service:
+    advertised = {
+        "id": number,
+        "name": name,
+        "type": type_.name,
+        "request": _schema(f"{type_.name}_Request", type_.request),
+        "response": _schema(f"{type_.name}_Response", type_.response),
+        "requestSchema": type_.request.full_definition,  # older clients read these two
+        "responseSchema": type_.response.full_definition,
+    }
+    return Service(number, name, type_, msgspec.Raw(msgspec.json.encode(advertised)))
+
+
+def _schema(name: str, type_: MessageType) -> dict[str, str]:
+    return {"encoding": ROS1, "schemaName": name, "schemaEncoding": ROS1_SCHEMA, "schema": type_.full_definition}
+
+
+def _sorted(nodes: Mapping[str, set[str]]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(sorted(found)) for name, found in nodes.items() if found}

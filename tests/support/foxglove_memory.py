@@ -1,0 +1,78 @@
+"""Clients of Foxglove's protocol without a socket: the protocol alone on a hub without devices."""
+
+import asyncio
+import contextlib
+import itertools
+import json
+import struct
+from collections.abc import AsyncIterator
+from typing import Any
+
+from hostlink.api.foxglove import FoxgloveClient
+from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.outgoing import client_queue
+from hostlink.config import Config
+from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
+from tests.support.fake_device import CATALOG
+
+Received = tuple[int, int, int, bytes]  # opcode, subscription, time, payload
+
+
+class Peer:
+    """One client: it sends requests, and keeps all that came since it was read last."""
+
+    def __init__(
+        self, name: str, hub: Hub, directory: FoxgloveDirectory, tasks: asyncio.TaskGroup, role: Role = Role.DRIVE
+    ) -> None:
+        self.queue = client_queue()
+        self.client = FoxgloveClient(name, hub, directory, self.queue, spawn=tasks.create_task, role=role)
+
+    def send(self, **request: Any) -> None:
+        self.client.receive(json.dumps(request))
+
+    def publish(self, number: int, payload: bytes) -> None:
+        self.client.receive(struct.pack("<BI", 1, number) + payload)
+
+    def received(self) -> list[Any]:
+        """JSON as objects and frames as bytes, oldest first."""
+        self.client.flush(asyncio.get_running_loop().time())
+        waiting = [each.item for each in iter(self.queue.pop, None)]
+        return [item.data if item.is_binary else json.loads(item.data) for item in waiting]
+
+    def json(self) -> list[dict[str, Any]]:
+        return [each for each in self.received() if isinstance(each, dict)]
+
+    def messages(self) -> list[Received]:
+        return [(*struct.unpack_from("<BIQ", each), each[13:]) for each in self.received() if isinstance(each, bytes)]
+
+    def channels(self) -> list[dict[str, Any]]:
+        """Those that were advertised."""
+        return [channel for each in self.json() if each["op"] == "advertise" for channel in each["channels"]]
+
+    def statuses(self) -> list[str]:
+        return [each["message"] for each in self.json() if each["op"] == "status"]
+
+
+class World:
+    """A hub and its clients."""
+
+    def __init__(self, tasks: asyncio.TaskGroup, config: Config) -> None:
+        self.hub = Hub(config, CATALOG, reraises=True)
+        self.directory = FoxgloveDirectory(self.hub)
+        self._tasks, self._numbers = tasks, itertools.count(1)
+
+    def client(self, role: Role = Role.DRIVE) -> Peer:
+        return Peer(f"client {next(self._numbers)}", self.hub, self.directory, self._tasks, role)
+
+
+@contextlib.asynccontextmanager
+async def world(config: Config | None = None) -> AsyncIterator[World]:
+    """What still waits at the end of the block is cancelled."""
+    async with asyncio.TaskGroup() as tasks:
+        made = World(tasks, Config() if config is None else config)
+        try:
+            yield made
+        finally:
+            for task in asyncio.all_tasks() - {asyncio.current_task()}:
+                task.cancel()

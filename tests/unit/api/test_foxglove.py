@@ -1,0 +1,422 @@
+"""One client of Foxglove's protocol: what it receives, what it is refused, and what its queue is bounded by."""
+
+import asyncio
+import struct
+from typing import Any
+
+import pytest
+
+from hostlink.api.foxglove import BATCH
+from hostlink.api.foxglove_directory import ConnectionGraph
+from hostlink.api.foxglove_frames import ServiceCall, decode_frame, encode_message, encode_response
+from hostlink.api.foxglove_graph import NO_GRAPH, graph_update
+from hostlink.errors import BadRequest
+from hostlink.hub.node import Role
+from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
+from tests.support.foxglove_memory import Peer, World, world
+from tests.support.virtual_loop import run_virtual
+
+SETTLE_S = 0.1  # longer than changes of the graph are collected
+
+
+def text(data: str) -> bytes:
+    return struct.pack("<I", len(data)) + data.encode()
+
+
+def channel(number: int, topic: str, type_name: str = "std_msgs/String", encoding: str = "ros1") -> dict[str, Any]:
+    return {"id": number, "topic": topic, "encoding": encoding, "schemaName": type_name}
+
+
+async def number_of(peer: Peer, topic: str) -> int:
+    """Of the channel that is advertised next."""
+    await asyncio.sleep(SETTLE_S)
+    (found,) = [each["id"] for each in peer.channels() if each["topic"] == topic]
+    return int(found)
+
+
+def play(test: Any) -> None:
+    async def run() -> None:
+        async with world() as here:
+            await test(here)
+
+    run_virtual(run())
+
+
+# -- what a client receives -------------------------------------------------------------------------------------------
+
+
+def test_it_is_sent_what_the_server_can_do_and_at_least_one_advertisement_first() -> None:
+    async def test(here: World) -> None:
+        first, second, *_ = here.client().json()
+        assert first["op"] == "serverInfo"
+        assert first["capabilities"][0] == "clientPublish"
+        assert (first["supportedEncodings"], len(first["sessionId"])) == (["ros1"], 16)
+        assert second == {"op": "advertise", "channels": []}
+        assert "clientPublish" not in here.client(Role.READ).json()[0]["capabilities"]
+
+    play(test)
+
+
+def test_a_channel_has_the_whole_definition_and_a_new_id_whenever_it_comes_again() -> None:
+    async def test(here: World) -> None:
+        peer, robot = here.client(), here.hub.join("robot")
+        robot.advertise("/path", "nav_msgs/Path")
+        await asyncio.sleep(SETTLE_S)
+        (path,) = [each for each in peer.channels() if each["topic"] == "/path"]
+        assert (path["encoding"], path["schemaEncoding"], path["schemaName"]) == ("ros1", "ros1msg", "nav_msgs/Path")
+        assert "MSG: geometry_msgs/PoseStamped" in path["schema"]
+        robot.unadvertise("/path")
+        await asyncio.sleep(SETTLE_S)
+        assert {"op": "unadvertise", "channelIds": [path["id"]]} in peer.json()
+        robot.advertise("/path", "std_msgs/String")
+        assert await number_of(peer, "/path") != path["id"]
+
+    play(test)
+
+
+def test_a_latched_message_comes_with_the_subscription_and_payloads_pass_as_they_are() -> None:
+    async def test(here: World) -> None:
+        peer, robot = here.client(), here.hub.join("robot")
+        robot.advertise("/name", "std_msgs/String", is_latched=True)
+        robot.publish("/name", text("kept"))
+        peer.send(op="subscribe", subscriptions=[{"id": 9, "channelId": await number_of(peer, "/name")}])
+        robot.publish("/name", b"\xff no string at all")
+        received = peer.messages()
+        assert [(each[:2], each[3]) for each in received] == [
+            ((1, 9), text("kept")),
+            ((1, 9), b"\xff no string at all"),
+        ]
+        assert all(stamp_ns > 1_600_000_000_000_000_000 for _, _, stamp_ns, _ in received)
+        peer.send(op="unsubscribe", subscriptionIds=[9, 10])
+        robot.publish("/name", text("late"))
+        assert peer.received() == []
+
+    play(test)
+
+
+def test_a_topic_without_a_definition_is_no_channel_and_is_named_once() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        for number in range(2):
+            topic = here.hub.topics.advertise("/lidar", f"link {number}", type_name="maker_msgs/Scan")
+            assert topic.type is None
+            await asyncio.sleep(SETTLE_S)
+            statuses = [each for each in peer.json() if each["op"] == "status"]
+            if number == 0:
+                (status,) = statuses
+                assert (status["level"], status["id"]) == (1, "/lidar")
+                assert "maker_msgs/Scan has no definition; put its .msg into a folder" in status["message"]
+            else:
+                assert statuses == []
+
+    play(test)
+
+
+def test_many_channels_come_in_batches() -> None:
+    async def test(here: World) -> None:
+        robot = here.hub.join_daemon()
+        for number in range(3 * BATCH):
+            robot.advertise(f"/topic_{number}", "std_msgs/String")
+        await asyncio.sleep(SETTLE_S)
+        sizes = [len(each["channels"]) for each in here.client().json() if each["op"] == "advertise"]
+        assert (max(sizes), sum(sizes)) == (BATCH, 3 * BATCH + 1)
+
+    play(test)
+
+
+def test_a_slow_client_loses_the_oldest_of_the_topic_that_fills_its_queue() -> None:
+    async def test(here: World) -> None:
+        peer, robot = here.client(), here.hub.join("robot")
+        for topic in ("/much", "/rare"):
+            robot.advertise(topic, "std_msgs/String")
+        await asyncio.sleep(SETTLE_S)
+        ids = {each["topic"]: each["id"] for each in peer.channels()}
+        wanted = [{"id": number, "channelId": ids[topic]} for number, topic in enumerate(("/much", "/rare"))]
+        peer.send(op="subscribe", subscriptions=wanted)
+        robot.publish("/rare", text("first"))
+        for number in range(MAX_MESSAGES + 10):
+            robot.publish("/much", text(str(number)))
+        assert peer.queue.dropped == 11
+        received = peer.messages()
+        assert (received[0][1], received[0][3]) == (1, text("first"))
+        assert (received[1][3], received[-1][3]) == (text("11"), text(str(MAX_MESSAGES + 9)))
+
+    play(test)
+
+
+def test_changes_of_the_graph_wait_for_a_client_that_does_not_read_and_never_close_it() -> None:
+    async def test(here: World) -> None:
+        peer, robot = here.client(), here.hub.join("robot")
+        for number in range(3 * MAX_RESULTS):
+            robot.advertise("/flaps", "std_msgs/String")
+            robot.publish("/flaps", text(str(number)))
+            await asyncio.sleep(SETTLE_S)
+            peer.client.flush(asyncio.get_running_loop().time())
+            robot.unadvertise("/flaps")
+            await asyncio.sleep(SETTLE_S)
+            peer.client.flush(asyncio.get_running_loop().time())
+        assert not peer.queue.is_too_slow
+        peer.received()
+        due_s = peer.client.flush(asyncio.get_running_loop().time())
+        assert due_s is None
+        robot.advertise("/flaps", "std_msgs/String")
+        await number_of(peer, "/flaps")
+
+    play(test)
+
+
+# -- what it may publish ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x05\x00\x00\x00abc", text("x") + b"more"])
+def test_a_payload_that_is_not_one_message_is_refused_and_reaches_nobody(payload: bytes) -> None:
+    async def test(here: World) -> None:
+        peer, heard = here.client(), list[bytes]()
+        here.hub.join("other").subscribe("/chat", lambda message: heard.append(message.payload))
+        peer.send(op="advertise", channels=[channel(1, "/chat")])
+        peer.publish(1, payload)
+        (status,) = peer.statuses()
+        assert "std_msgs/String" in status
+        assert heard == []
+
+    play(test)
+
+
+def test_a_fixed_size_is_checked_without_decoding() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        peer.send(op="advertise", channels=[channel(1, "/cmd", "geometry_msgs/Twist")])
+        peer.publish(1, bytes(47))
+        assert peer.statuses() == ["geometry_msgs/Twist: 47 bytes instead of 48"]
+        peer.publish(1, bytes(48))
+        assert {"op": "removeStatus", "statusIds": ["/cmd"]} in peer.json()
+
+    play(test)
+
+
+def test_the_same_refusal_is_sent_once_until_it_is_accepted_again() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        peer.send(op="advertise", channels=[channel(1, "/chat")])
+        for payload in (b"", b"", text("fine"), b""):
+            peer.publish(1, payload)
+        ops = [each["op"] for each in peer.json() if each["op"] in ("status", "removeStatus")]
+        assert ops == ["status", "removeStatus", "status"]
+
+    play(test)
+
+
+def test_what_a_topic_was_refused_for_is_forgotten_with_its_channel() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        for number in range(100):
+            peer.send(op="advertise", channels=[channel(1, f"/topic_{number}")])
+            peer.publish(1, b"")
+            peer.send(op="unadvertise", channelIds=[1])
+            removed = [each["statusIds"] for each in peer.json() if each["op"] == "removeStatus"]
+            assert removed == [[f"/topic_{number}"]]
+        assert not peer.client._refused
+
+    play(test)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "reason"),
+    [
+        (channel(1, "/other"), "the id 1 is in use"),
+        (channel(2, "/other", encoding="json"), "must be of the encoding ros1, not 'json'"),
+        (channel(2, "/other", "maker_msgs/Scan"), "unknown type maker_msgs/Scan"),
+        (channel(2, "/chat", "std_msgs/Int32"), "std_msgs/String"),
+    ],
+)
+def test_a_channel_that_cannot_be_is_refused_with_the_reason(wanted: dict[str, Any], reason: str) -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        peer.send(op="advertise", channels=[channel(1, "/chat")])
+        peer.send(op="advertise", channels=[wanted])
+        (status,) = peer.statuses()
+        assert reason in status
+
+    play(test)
+
+
+def test_a_topic_is_taken_back_with_its_last_channel() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        peer.send(op="advertise", channels=[channel(1, "/chat"), channel(2, "chat")])
+        for number, is_published in ((1, True), (2, False)):
+            peer.send(op="unadvertise", channelIds=[number, 77])
+            assert (here.hub.topics.find_or_none("/chat") is not None) is is_published
+        peer.publish(1, text("late"))
+        assert peer.statuses() == ["publish: the channel 1 is not advertised"]
+
+    play(test)
+
+
+def test_one_that_may_only_read_changes_nothing() -> None:
+    async def test(here: World) -> None:
+        peer = here.client(Role.READ)
+        peer.send(op="advertise", channels=[channel(1, "/chat")])
+        peer.send(op="setParameters", parameters=[{"name": "/gain", "value": 1}], id="x")
+        assert [status.partition(": ")[2] for status in peer.statuses()] == ["the token may only read"] * 2
+        assert here.hub.parameters == {}
+        assert here.hub.topics.find_or_none("/chat") is None
+
+    play(test)
+
+
+def test_all_mistakes_of_one_request_have_one_status() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": 900 + number} for number in range(500)])
+        assert peer.statuses() == ["subscribe: there is no channel 900 (and 499 more)"]
+        peer.send(op="subscribe", subscriptions=[{"id": 1, "channelId": 1}] * 1025)
+        assert peer.statuses() == ["Expected `array` of length <= 1024 - at `$.subscriptions`"]
+
+    play(test)
+
+
+def test_an_id_or_channel_is_subscribed_once() -> None:
+    async def test(here: World) -> None:
+        peer, robot = here.client(), here.hub.join("robot")
+        for topic in ("/a", "/b"):
+            robot.advertise(topic, "std_msgs/String")
+        await asyncio.sleep(SETTLE_S)
+        ids = {each["topic"]: each["id"] for each in peer.channels()}
+        for number, topic in ((1, "/a"), (1, "/b"), (2, "/a")):
+            peer.send(op="subscribe", subscriptions=[{"id": number, "channelId": ids[topic]}])
+        assert peer.statuses() == ["subscribe: the id 1 is in use", "subscribe: /a is subscribed already"]
+
+    play(test)
+
+
+# -- parameters -------------------------------------------------------------------------------------------------------
+
+
+def values(peer: Peer) -> list[dict[str, Any]]:
+    return [each for each in peer.json() if each["op"] == "parameterValues"]
+
+
+def test_parameters_are_read_set_and_removed_with_their_types() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        here.hub.parameters.update({"robot_0/gain": 2.0, "/name": "x", "/list": [1, 2], "/floats": [1.0, 2.0]})
+        peer.send(op="getParameters", parameterNames=[], id="all")
+        (answer,) = values(peer)
+        assert answer["id"] == "all"
+        assert answer["parameters"] == [
+            {"name": "/robot_0/gain", "value": 2.0, "type": "float64"},
+            {"name": "/name", "value": "x"},
+            {"name": "/list", "value": [1, 2]},
+            {"name": "/floats", "value": [1.0, 2.0], "type": "float64_array"},
+        ]
+        settings = [
+            {"name": "/robot_0/gain", "value": 3, "type": "float64"},
+            {"name": "/floats", "value": [1, 2], "type": "float64_array"},
+            {"name": "/name"},
+        ]
+        peer.send(op="setParameters", parameters=settings, id="set")
+        assert here.hub.parameters == {"robot_0/gain": 3.0, "/list": [1, 2], "/floats": [1.0, 2.0]}
+        assert isinstance(here.hub.parameters["robot_0/gain"], float)
+        (answer,) = values(peer)
+        assert [each["name"] for each in answer["parameters"]] == ["/robot_0/gain", "/floats"]
+
+    play(test)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"value": "QUI=", "type": "byte_array"},
+        {"value": "x", "type": "float64"},
+        {"value": 1, "type": "float64_array"},
+        {"value": None},
+        {"value": [1, ["x"]]},
+        {"value": 10**400, "type": "float64"},
+    ],
+)
+def test_a_value_that_no_device_could_be_answered_with_is_refused(setting: dict[str, Any]) -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        peer.send(op="setParameters", parameters=[{"name": "/gain", **setting}])
+        assert len(peer.statuses()) == 1
+        assert here.hub.parameters == {}
+
+    play(test)
+
+
+def test_watched_parameters_are_sent_when_anybody_changes_them() -> None:
+    async def test(here: World) -> None:
+        peer, now_s = here.client(), asyncio.get_running_loop().time
+        here.hub.parameters["/gain"] = 1
+        peer.send(op="subscribeParameterUpdates", parameterNames=["/gain", "/later"])
+        peer.received()
+        here.hub.parameters.update({"gain": 5, "/later": True, "/other": 1})
+        del here.hub.parameters["/gain"]
+        due_s = peer.client.flush(now_s())
+        assert due_s is not None
+        await asyncio.sleep(due_s - now_s())
+        (update,) = values(peer)
+        assert update["parameters"] == [{"name": "/gain", "value": 5}, {"name": "/later", "value": True}]
+        del here.hub.parameters["/later"]
+        await asyncio.sleep(1.0)
+        assert values(peer)[0]["parameters"] == [{"name": "/later"}]
+        peer.send(op="unsubscribeParameterUpdates", parameterNames=[])
+        assert peer.client.flush(now_s()) is None
+
+    play(test)
+
+
+def test_a_graph_that_is_requested_again_and_again_is_sent_at_a_pace() -> None:
+    async def test(here: World) -> None:
+        peer, updates = here.client(), 0
+        for _ in range(1000):
+            peer.send(op="unsubscribeConnectionGraph")
+            peer.send(op="subscribeConnectionGraph")
+            updates += sum(each["op"] == "connectionGraphUpdate" for each in peer.json())
+            await asyncio.sleep(0.001)
+        assert 10 <= updates <= 21
+
+    play(test)
+
+
+# -- frames and the connection graph ----------------------------------------------------------------------------------
+
+
+def test_frames_have_the_layout_of_the_specification() -> None:
+    assert encode_message(7, 2**63, b"xy").hex() == "010700000000000000000000807879"
+    call = ServiceCall(3, 4, "ros1", b"\x01")
+    assert encode_response(call).hex() == "03030000000400000004000000726f733101"
+    assert decode_frame(b"\x02" + encode_response(call)[1:]) == call
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "unknown opcode None"),
+        (b"\x07", "unknown opcode 7"),
+        (b"\x01\x00\x00", "3 bytes is shorter than its head"),
+        (struct.pack("<BIII", 2, 1, 1, 5) + b"ros1", "whose encoding has 5 bytes"),
+    ],
+)
+def test_what_is_no_frame_is_refused(data: bytes, reason: str) -> None:
+    with pytest.raises(BadRequest, match=reason):
+        decode_frame(data)
+
+
+def test_a_connection_graph_is_sent_as_its_changes() -> None:
+    before = ConnectionGraph({"/a": ("/n",), "/b": ("/n",)}, {"/a": ("/m",)}, {"/s": ("/n",)})
+    assert graph_update(before, before) is None
+    full = graph_update(NO_GRAPH, before)
+    assert full is not None
+    assert full["publishedTopics"] == [{"name": "/a", "publisherIds": ("/n",)}, {"name": "/b", "publisherIds": ("/n",)}]
+    now = ConnectionGraph({"/a": ("/n", "/o")}, {"/b": ("/m",)}, {})
+    assert graph_update(before, now) == {
+        "op": "connectionGraphUpdate",
+        "publishedTopics": [{"name": "/a", "publisherIds": ("/n", "/o")}, {"name": "/b", "publisherIds": []}],
+        "subscribedTopics": [{"name": "/b", "subscriberIds": ("/m",)}, {"name": "/a", "subscriberIds": []}],
+        "advertisedServices": [],
+        "removedTopics": [],
+        "removedServices": ["/s"],
+    }
+    assert graph_update(before, NO_GRAPH)["removedTopics"] == ["/a", "/b"]  # type: ignore[index]

@@ -1,0 +1,31 @@
+"""`--origin` of serve and demo."""
+
+import pytest
+
+from hostlink.cli.addresses import is_origin
+from hostlink.cli.serve import allow_origins
+from hostlink.config import ApiConfig, Config
+from hostlink.errors import ConfigError
+
+
+def test_origins_are_added_to_those_of_the_configuration() -> None:
+    config = Config(api=ApiConfig(origins=("https://one.example",)))
+    allowed = allow_origins(config, ["https://app.foxglove.dev", "file://"])
+    assert allowed.api.origins == ("https://one.example", "https://app.foxglove.dev", "file://")
+    assert allow_origins(config, None) == config
+
+
+@pytest.mark.parametrize(
+    "text", ["https://app.foxglove.dev", "http://localhost:8080", "http://[::1]:80/", "file://", "*"]
+)
+def test_what_a_browser_sends_is_an_origin(text: str) -> None:
+    assert is_origin(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "app.foxglove.dev", "https:", "https://app.foxglove.dev/view", "http://[::1", "//a"]
+)
+def test_what_is_no_origin_is_refused_with_an_example(text: str) -> None:
+    assert not is_origin(text)
+    with pytest.raises(ConfigError, match=r"--origin.*begins with a scheme, as https://app\.foxglove\.dev"):
+        allow_origins(Config(), [text])
