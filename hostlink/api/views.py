@@ -56,7 +56,8 @@ class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry.
 
     unreachable: why its device could not receive the last velocity; null: it could. host: the daemon that has its link;
-    null: this one. also_at: other daemons that have a robot of this name.
+    null: this one. also_at: other daemons that have a robot of this name. wheel_separation_m: as it is
+    configured.
     """
 
     name: str
@@ -71,6 +72,7 @@ class RobotView(TypedDict):
     locked: bool
     lock_reason: str | None
     unreachable: str | None
+    wheel_separation_m: float | None
     velocity: VelocityView
     odometry: OdometryView | None
 
@@ -112,7 +114,8 @@ class ClockView(TypedDict):
 class LinkView(TypedDict):
     """One live connection, its topics, its counters, and what is wrong with it, the likeliest cause first.
 
-    robot: the name of its robot; null where it is none.
+    robot: the name of its robot; null where it is none. parameters: what its device was answered, and uses until it
+    connects again; an empty list: there was none.
     """
 
     number: int
@@ -122,6 +125,7 @@ class LinkView(TypedDict):
     silent_s: float
     diagnosis: list[FindingView]
     topics: list[TopicInfoView]
+    parameters: dict[str, list[float | str]]
     seconds: float
     frames_from_device: int
     frames_to_device: int
@@ -203,6 +207,7 @@ def robot_view(robot: Robot | RemoteRobot) -> RobotView:
         "locked": robot.gate.lock_reason is not None,
         "lock_reason": robot.gate.lock_reason,
         "unreachable": robot.refusals.cause,
+        "wheel_separation_m": robot.config.wheel_separation_m if isinstance(robot, Robot) else None,
         "velocity": velocity_view(robot.gate.current),
         "odometry": odometry_view(robot),
     }
@@ -252,6 +257,10 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
         "silent_s": round(link.silent_s, 3),
         "diagnosis": finding_views(diagnosis.findings),
         "topics": topic_info_views(hub, diagnosis),
+        "parameters": {
+            name: [*answer.ints, *answer.floats, *answer.strings]
+            for name, answer in hub.answered_parameters(link).items()
+        },
         "seconds": round(facts.seconds, 3),
         "frames_from_device": counts.frames_from_device,
         "frames_to_device": counts.frames_to_device,

@@ -70,6 +70,9 @@ def command(  # noqa: PLR0913 - the options of a command line
     simulate: Annotated[
         bool, typer.Option("--simulate", help="A simulated robot and person, without a daemon, in seconds.")
     ] = False,
+    write_simulated: Annotated[
+        bool, typer.Option("--write-simulated", help="With --simulate and --write: that file is for no real robot.")
+    ] = False,
     world: Annotated[
         list[str] | None, typer.Option(help="With --simulate: a number of its world, as track_m=0.214. Repeatable.")
     ] = None,
@@ -88,6 +91,8 @@ def command(  # noqa: PLR0913 - the options of a command line
     for option, value in {"--world": world, "--mistake": mistake}.items():
         if value is not None and not simulate:
             raise ConfigError(option, "goes with --simulate: this would drive a real robot")
+    if simulate and write_to is not None and not write_simulated:
+        raise ConfigError("--write", f"{write_to} would get numbers that no robot has; to practise: --write-simulated")
     sizes = Sizes(length, side, turns, repeats)
     name = robot.strip("/")
     session: Session

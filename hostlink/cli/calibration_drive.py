@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import math
 import signal
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -22,6 +23,7 @@ FIRST_POSE_S = 3.0
 JUMP_M = 0.3  # between two poses: the device restarted, or its odometry was reset
 STAND_S = 0.3  # after the stop, before the person may touch it
 SIGNALS = (signal.SIGTERM, signal.SIGHUP)  # Ctrl-C is asyncio's own
+OWN_PARAMETERS = ("wheel_radius", "wheel_separation", "ticks_per_turn")
 OWN_TOPIC = "pid_tune_l"  # that only hostlink's firmware subscribes to
 
 Show = Callable[[int, float], None]  # legs that are left, seconds
@@ -48,17 +50,33 @@ class Drives:
                 return await drive.run(poses, show)
 
     async def nominal(self) -> WheelGeometry:
-        """The numbers that the daemon's parameters give the robot; the paper's where there are none.
+        """The numbers that the robot uses: as it was answered, else as configured, else the paper's.
 
         Raises:
-            HostlinkError: there is no hostlink, or no such robot.
+            HostlinkError: there is no hostlink, or no such robot; or its parameters have changed since it connected.
         """
         usual = WheelGeometry()
         async with self._connected() as host:
-            await _state(host, self.robot)
+            state = await _state(host, self.robot)
+            await self._require_current(host, state)
             radii = await self._parameter(host, "wheel_radius", [usual.left_radius_m, usual.right_radius_m])
-            separation = await self._parameter(host, "wheel_separation", [usual.separation_m])
+            configured_m = state.get("wheel_separation_m") or usual.separation_m
+            separation = await self._parameter(host, "wheel_separation", [configured_m])
         return WheelGeometry(radii[0], radii[-1], separation[0])
+
+    async def _require_current(self, host: Host, state: RobotState) -> None:
+        """The robot must use what the daemon has now: a robot requests its parameters when it connects, no later."""
+        link = next((each for each in await host.links() if each["number"] == state["link"]), {})
+        for name in OWN_PARAMETERS:
+            answered = link.get("parameters", {}).get(f"/{self.robot}/{name}")
+            text = (await host.call("/rosapi/get_param", {"name": f"/{self.robot}/{name}", "default": "[]"}))["value"]
+            now = _values(str(text))
+            if answered is not None and answered != now:
+                was, become = (", ".join(map(str, values)) for values in (answered, now))
+                raise HostlinkError(
+                    f"{self.robot} was given {was or 'no number'} as {name} when it connected, and the daemon has "
+                    f"{become or 'none'} now: reset the robot, then begin again"
+                )
 
     async def requests_parameters(self) -> bool:
         """Whether it is hostlink's own firmware, which requests its wheels as parameters.
@@ -172,6 +190,12 @@ def pose_of(message: Mapping[str, Any]) -> Pose:
     x, y, z, w = (pose["orientation"][axis] for axis in "xyzw")
     yaw_rad = math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return Pose(pose["position"]["x"], pose["position"]["y"], wrap_angle(yaw_rad))
+
+
+def _values(text: str) -> list[Any]:
+    """Of a parameter in JSON, as the API shows what a device was answered."""
+    value = json.loads(text)
+    return value if isinstance(value, list) else [value]
 
 
 def numbers_of(text: str) -> list[float]:

@@ -32,7 +32,7 @@ def command(
     what: Annotated[What, typer.Argument(help="causes, tables, claims or pictures.", show_default=False)],
     *,
     runs: Annotated[
-        int | None, typer.Option(min=2, max=1000, help="Of each pattern.", show_default="12; causes 4")
+        int | None, typer.Option(min=2, max=1000, help="Of each pattern.", show_default="12; causes 4; of the fit 6")
     ] = None,
     world: Annotated[
         Path | None, typer.Option(help="Lines name=value: the world of tables and pictures.", show_default=False)
@@ -57,7 +57,7 @@ def command(
     try:
         with Laboratory() as laboratory:
             report = _report(laboratory, what, runs, chosen, output)
-            report = report + _fit(laboratory) if fit else report
+            report = report + _fit(laboratory, runs) if fit else report
     except WorldLibraryMissing as error:
         raise ConfigError("hostlink lab", str(error)) from None
     finally:
@@ -94,10 +94,10 @@ def _draw(world: WorldParameters, runs: int, output: Path) -> reports.Report:
     return reports.Report([f"{output}: {kibibytes} KiB"], {"file": str(output), "kibibytes": kibibytes})
 
 
-def _fit(laboratory: Laboratory) -> reports.Report:
-    from hostlink.lab.fit_report import report_fit  # noqa: PLC0415 - needs scipy
+def _fit(laboratory: Laboratory, runs: int | None) -> reports.Report:
+    from hostlink.lab.fit_report import FIT_RUNS, report_fit  # noqa: PLC0415 - needs scipy
 
-    return report_fit(laboratory, show_progress)
+    return report_fit(laboratory, show_progress, runs=runs or FIT_RUNS)
 
 
 def _require_picture(file: Path) -> None:

@@ -28,6 +28,7 @@ from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import ConfigError
 from hostlink.robot.step_response import FULL_PWM, step_figures
 
+STEP_S = 6.0
 LEAST_SPEED_M_S, MOST_SPEED_M_S = 0.02, 2.0
 
 
@@ -52,7 +53,9 @@ def command(  # noqa: PLR0913 - the options of a command line
     wheel: Annotated[
         Wheel | None, typer.Option(help="This wheel alone; the other stands.", show_default="both, straight ahead")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=2.0, max=60.0, help="How long a step lasts.")] = 6.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=2.0, max=60.0, help="How long a step lasts.", show_default=f"{STEP_S:g}")
+    ] = None,
     tune: Annotated[
         bool, typer.Option("--tune", "--relay", help="Identify the motors by rising steps, and compute PID gains.")
     ] = False,
@@ -75,6 +78,8 @@ def command(  # noqa: PLR0913 - the options of a command line
         raise ConfigError("--speed", f"{speed:g} m/s is not {LEAST_SPEED_M_S:g} to {MOST_SPEED_M_S:g}, either way")
     if send and not tune:
         raise ConfigError("--send", "sends the gains that --tune computes; name both")
+    if tune and seconds is not None:
+        raise ConfigError("--seconds", "is of a single step: --tune drives rising ones of lengths of its own")
     if not yes and (json or not sys.stdin.isatty()):
         raise ConfigError("--yes", "is needed where nobody can be asked: the robot will move")
     if picture is not None:
@@ -82,7 +87,7 @@ def command(  # noqa: PLR0913 - the options of a command line
     request = _Request(
         robot=robot,
         speed_m_s=speed,
-        seconds=seconds,
+        seconds=STEP_S if seconds is None else seconds,
         wheel=wheel,
         tunes=tune,
         sends=send,

@@ -21,6 +21,7 @@ STOP_INTERVAL_S = 1.0
 STANDING_TIMEOUT_S = 5.0
 STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
 FIRST_MESSAGE_S = 2.0
+SILENCE_S = 0.9  # of what measures it: the robot would drive blind
 SEPARATION_M = 0.210  # docs/robot.md#numbers
 LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # that hostlink's firmware accepts
 PLOT_TYPE, GAINS_TYPE = "geometry_msgs/Twist", "geometry_msgs/Vector3"
@@ -222,6 +223,8 @@ class StepRecorder:
             await self._command(stage)
             await asyncio.sleep(min(TICK_S, max(0.0, end_s - _now_s())))
             self._receive(messages, stage)
+            if _now_s() > self._arrivals_s[-1] + SILENCE_S:
+                raise HostlinkError(f"{self._source.topic} has fallen silent; the robot is stopped")
 
     async def _command(self, stage: Stage) -> None:
         now_s = _now_s()
@@ -260,13 +263,15 @@ def _numbers(text: str) -> list[float]:
 
 
 async def separation_of(host: Host, robot: str) -> float:
-    """Wheel to wheel, as the robot is configured; without that, or where the firmware refuses it, the paper's.
+    """Wheel to wheel: the parameter unless the firmware refuses it, else the robot's setting, else the paper's.
 
     Raises:
-        HostlinkError: there is no connection.
+        HostlinkError: there is no connection, or no such robot.
     """
-    configured = await wheel_parameter(host, robot, "wheel_separation")
-    return configured[0] if configured and LEAST_SEPARATION_M <= configured[0] <= MOST_SEPARATION_M else SEPARATION_M
+    parameter = await wheel_parameter(host, robot, "wheel_separation")
+    if parameter and LEAST_SEPARATION_M <= parameter[0] <= MOST_SEPARATION_M:
+        return parameter[0]
+    return (await host.robot(robot).state()).get("wheel_separation_m") or SEPARATION_M
 
 
 async def require_robot(host: Host, name: str) -> Robot:

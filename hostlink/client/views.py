@@ -47,6 +47,7 @@ class RobotState(TypedDict):
     lock_reason: NotRequired[str | None]
     host: NotRequired[str | None]  # the daemon that has it; None: the one that sent this
     also_at: NotRequired[list[str]]  # other daemons that have a robot of this name; then it is driven only here
+    wheel_separation_m: NotRequired[float | None]  # as it is configured
     unreachable: NotRequired[str | None]  # why its device could not take the last velocity
 
 

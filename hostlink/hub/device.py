@@ -22,7 +22,7 @@ from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Field
-from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import TWIST_TYPE
@@ -34,6 +34,7 @@ _HEADER = Field("header", "std_msgs/Header")
 _STAMP = struct.Struct("<4xII")  # seq, secs, nsecs
 _NS_PER_S = 1_000_000_000
 EARLY_MESSAGES, EARLY_BYTES = 128, 65536  # three seconds of the project's robot
+MAX_PARAMETERS = 64  # whose answers are remembered; a name can be as long as a frame
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
 UNLIMITED = Limits(max_linear_m_s=None, max_angular_rad_s=None)  # nothing is configured for what is no robot
 
@@ -66,6 +67,7 @@ class Device:
         self.is_undecided = False  # whether it is known who it is
         self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
         self.received_at_s = float("-inf")  # of the last read that was noted
+        self.parameters: dict[str, Parameter] = {}  # what it was answered, by the names that are shown
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
         self._parts, self._node = parts, node
@@ -113,6 +115,11 @@ class Device:
         """Zero to whatever it can be driven by: it may be a robot that has come back and obeys an old command."""
         for info in filter(is_velocity, self.infos):
             self._parts.gates.attach(self._drivable(info, None), self.link)
+
+    def note_parameter(self, name: str, parameter: Parameter) -> None:
+        """It was answered this; of too many names the first ones are kept."""
+        if name in self.parameters or len(self.parameters) < MAX_PARAMETERS:
+            self.parameters[name] = parameter
 
     def leave(self) -> None:
         """Remove everything of this device from the graph."""

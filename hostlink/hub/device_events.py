@@ -1,5 +1,6 @@
 """DeviceEvents: what the hub does about each event of a device's session."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -79,7 +80,10 @@ class DeviceEvents:
         self._receivers.rosout.log(link, event)
 
     def _answer_parameter(self, link: Link, event: events.ParameterRequested) -> None:
-        self._receivers.parameters.answer(link, event.name, self._devices[link.number].shown.of(event.name))
+        device = self._devices[link.number]
+        shown = device.shown.of(event.name)
+        note = functools.partial(device.note_parameter, shown)
+        self._receivers.parameters.answer(link, event.name, shown, note)
 
     def _pass_answer(self, link: Link, event: events.ServiceResponded) -> None:
         service = self._devices[link.number].services.get(event.service.name)

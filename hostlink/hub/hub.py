@@ -40,6 +40,7 @@ from hostlink.link.fair_share import FairShare, Turns
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import log_what_is_missing, of_peer, printable
 from hostlink.messages.catalog import Catalog
+from hostlink.protocol.control import Parameter
 from hostlink.protocol.session import Session
 from hostlink.robot.directory import Directory
 from hostlink.transport.base import Transport
@@ -212,6 +213,11 @@ class Hub:
     def links(self) -> list[Link]:
         """The live links, oldest first."""
         return [device.link for device in self._identities.devices.values()]
+
+    def answered_parameters(self, link: Link) -> Mapping[str, Parameter]:
+        """What the device of a link was answered, by the shown names: it uses them until it connects again."""
+        device = self._identities.devices.get(link.number)
+        return {} if device is None else device.parameters
 
     def shown_name(self, link: Link, name: str) -> str:
         """By which name the graph knows what a device names so."""

@@ -45,8 +45,11 @@ class ParameterAnswers:
         self._waiting = 0  # for the source
         self._unknown: OrderedDict[str, None] = OrderedDict()  # names that were logged, the latest last
 
-    def answer(self, link: Link, name: str, shown: str) -> None:
-        """Answer with the parameter; an empty one where there is none. `shown`: the name under the robot's."""
+    def answer(self, link: Link, name: str, shown: str, note: Callable[[Parameter], None] = lambda _: None) -> None:
+        """Answer with the parameter; an empty one where there is none, now or when the source has answered.
+
+        `shown`: the name under the robot's; `note` is called with what the device is answered.
+        """
         source = self._source()
         try:
             parameter = self._find(name, shown)
@@ -55,27 +58,31 @@ class ParameterAnswers:
             return
         if parameter is None and source is not None and self._spawn is not None and self._waiting < MAX_WAITING:
             self._waiting += 1
-            self._spawn(self._answer_from(source, link, name), name=f"parameter of link {link.number}")
+            self._spawn(self._answer_from(source, link, name, note), name=f"parameter of link {link.number}")
         else:
-            self._answer(link, name, parameter)
+            self._answer(link, name, parameter, note)
 
-    async def _answer_from(self, source: ParameterSource, link: Link, name: str) -> None:
+    async def _answer_from(
+        self, source: ParameterSource, link: Link, name: str, note: Callable[[Parameter], None]
+    ) -> None:
         try:
             value = await source.get(name)
-            self._answer(link, name, None if value is None else to_parameter(name, value))
+            self._answer(link, name, None if value is None else to_parameter(name, value), note)
         except HostlinkError as error:
             self._refuse(link, name, error)
         finally:
             self._waiting -= 1
             link.wake()
 
-    def _answer(self, link: Link, name: str, parameter: Parameter | None) -> None:
+    def _answer(self, link: Link, name: str, parameter: Parameter | None, note: Callable[[Parameter], None]) -> None:
         if parameter is None:
             self._note_unknown(name)
         try:
             link.session.answer_parameter(name, parameter or Parameter())
         except HostlinkError as error:
             self._refuse(link, name, error)
+        else:
+            note(parameter or Parameter())
 
     def _refuse(self, link: Link, name: str, error: HostlinkError) -> None:
         log.warning("parameter.refused", name=printable(name), reason=str(error))

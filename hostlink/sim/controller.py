@@ -1,8 +1,14 @@
-"""The robot's control (docs/robot.md#equations), without the mistakes of the paper's code. Pure."""
+"""The robot's control (docs/robot.md#equations), without the mistakes of the paper's code. Pure.
 
+The firmware's, operation by operation and in its single precision: the same edges and times give the same PWMs.
+"""
+
+import math
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
+
+import numpy as np
 
 from hostlink.sim.drive_train import EDGES_PER_TICK, FULL_PWM, FULL_SPEED_TICKS_S
 
@@ -110,19 +116,25 @@ class RecentSpeed:
     """Ticks and seconds of the last fifth of a second: the filter of the PID is late by a third of one."""
 
     def __init__(self) -> None:
-        self.ticks = 0.0
-        self.seconds = 0.0
-        self._turns: deque[tuple[float, float]] = deque()
+        self._ticks = [0.0] * RECENT_TURNS
+        self._seconds = [0.0] * RECENT_TURNS
+        self._at = 0
+
+    @property
+    def ticks(self) -> float:
+        """Added up in the firmware's order."""
+        return sum(self._ticks, 0.0)
+
+    @property
+    def seconds(self) -> float:
+        """Added up in the firmware's order."""
+        return sum(self._seconds, 0.0)
 
     def add(self, ticks: float, dt_s: float) -> None:
         """A turn of the loop."""
-        self._turns.append((ticks, dt_s))
-        self.ticks += ticks
-        self.seconds += dt_s
-        if len(self._turns) > RECENT_TURNS:
-            old_ticks, old_s = self._turns.popleft()
-            self.ticks -= old_ticks
-            self.seconds -= old_s
+        self._ticks[self._at] = ticks
+        self._seconds[self._at] = dt_s
+        self._at = (self._at + 1) % RECENT_TURNS
 
     def is_above(self, ticks_s: float) -> bool:
         """Whether the mean speed, which has no sign, is more; the count of edges may be off by nearly one."""
@@ -204,7 +216,7 @@ class WheelController:
         if ticks_s == 0:
             self.set_point.stop()
         else:
-            self.set_point.aim(ticks_s)
+            self.set_point.aim(np.float32(ticks_s))  # type: ignore[arg-type]
 
     @property
     def stands(self) -> bool:
@@ -223,6 +235,7 @@ class WheelController:
 
     def step(self, edges: int, dt_s: float) -> float:
         """One turn of the loop; returns the signed ticks that the wheel rolled since the last one."""
+        dt_s = np.float32(dt_s)  # type: ignore[assignment]  # it makes each number that it meets a single one
         ticks = edges / EDGES_PER_TICK
         signed = ticks * self.direction
         self.speed_ticks_s += FILTER * (signed / dt_s - self.speed_ticks_s)
@@ -309,7 +322,7 @@ class WheelWatch:
     def _is_over(self, wheel: WheelController) -> bool:
         requested_ticks_s = wheel.recent_request_ticks_s
         allowed_ticks_s = max(requested_ticks_s + RUNAWAY_TICKS_S, requested_ticks_s * RUNAWAY_FACTOR)
-        return wheel.recent.ticks > allowed_ticks_s * wheel.recent.seconds
+        return wheel.recent.ticks / wheel.recent.seconds > allowed_ticks_s
 
 
 def travelled(way: float, s: float) -> float:
@@ -327,4 +340,4 @@ def motor_output(wanted: float) -> int:
     size = min(abs(wanted), FULL_PWM)
     if not size > DEAD_BAND_PWM:  # NaN compares false
         return 0
-    return round(max(size, LEAST_PWM)) * (1 if wanted > 0 else -1)
+    return math.floor(max(size, LEAST_PWM) + 0.5) * (1 if wanted > 0 else -1)

@@ -1,11 +1,17 @@
-"""Geometry: what the robot knows of its wheels, and the parameters that change it. Pure; the twin of the firmware's."""
+"""Geometry: what the robot knows of its wheels, and the parameters that change it. Pure; the twin of the firmware's.
+
+It computes in single precision where the firmware does, with the same digits.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
+
 from hostlink.robot.kinematics import DifferentialDrive, Pose
+from hostlink.sim.drive_train import FULL_SPEED_TICKS_S
 
 WHEEL_RADIUS_M = 0.045  # docs/robot.md#numbers
 TICKS_PER_TURN = 230.4
@@ -46,9 +52,10 @@ class Geometry:
 
     @property
     def metres_per_tick(self) -> tuple[float, float]:
-        """How far each wheel rolls in one encoder tick."""
+        """How far each wheel rolls in one encoder tick; in single precision."""
+        turn = np.float32(2.0) * np.float32(math.pi)
         left, right = (
-            math.tau * radius_m / ticks
+            float(turn * np.float32(radius_m) / np.float32(ticks))
             for radius_m, ticks in zip(self.wheel_radius_m, self.ticks_per_turn, strict=True)
         )
         return left, right
@@ -65,10 +72,15 @@ class Geometry:
                 return replace(self, wheel_separation_m=values[0])
 
     def wheel_speeds(self, linear_m_s: float, angular_rad_s: float) -> tuple[float, float]:
-        """(left, right) in ticks/s that give the body this velocity."""
-        speeds_m_s = self._drive.wheel_speeds(linear_m_s, angular_rad_s)
-        left, right = (speed / metres for speed, metres in zip(speeds_m_s, self.metres_per_tick, strict=True))
-        return left, right
+        """(left, right) in ticks/s that give the body this velocity; both slowed so that the faster keeps the limit."""
+        with np.errstate(all="ignore"):  # what is no number is found by who reads it
+            linear, angular = single(linear_m_s), single(angular_rad_s)
+            turning_m_s = angular * np.float32(self.wheel_separation_m) / np.float32(2.0)
+            left_m, right_m = map(np.float32, self.metres_per_tick)
+            wanted = (linear - turning_m_s) / left_m, (linear + turning_m_s) / right_m
+            fastest = max(map(abs, wanted))
+            factor = np.float32(FULL_SPEED_TICKS_S) / fastest if fastest > FULL_SPEED_TICKS_S else np.float32(1.0)
+            return float(wanted[0] * factor), float(wanted[1] * factor)
 
     def integrate(self, pose: Pose, left_ticks: float, right_ticks: float) -> Pose:
         """The pose after the wheels rolled this far."""
@@ -86,3 +98,13 @@ class Geometry:
     @property
     def _drive(self) -> DifferentialDrive:
         return DifferentialDrive(wheel_separation_m=self.wheel_separation_m)
+
+
+def single(value: float) -> np.float32:
+    """A float64 of a message as the firmware reads it: cut off towards zero, and zero below the normal numbers."""
+    with np.errstate(all="ignore"):
+        rounded = np.float32(value)
+    if abs(value) < np.finfo(np.float32).tiny:
+        return np.float32(0.0)
+    is_longer = math.isfinite(rounded) and abs(float(rounded)) > abs(value)
+    return np.nextafter(rounded, np.float32(0.0)) if is_longer else rounded

@@ -10,7 +10,6 @@ from hostlink.protocol.control import Parameter
 from hostlink.robot.kinematics import Pose
 from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Gains, WheelController, WheelFault
 from hostlink.sim.device import SimulatedDevice
-from hostlink.sim.drive_train import FULL_SPEED_TICKS_S
 from hostlink.sim.geometry import PARAMETERS, Geometry
 from hostlink.sim.self_report import Battery, Error, Errors
 from hostlink.sim.worlds import AnyWheel, AnyWorld, open_world
@@ -53,9 +52,11 @@ class SimulatedRobot:
         self._commanded_at_s: float | None = None
         self._is_faulted = False  # a wheel stalled or ran away
         self._has_zero = False  # a zero velocity came since
+        self._brakes_now = False  # a zero velocity does not wait for the next turn of the control
         self._now_s = 0.0
         self._is_greeted = False
         self._is_geometry_new = False  # since it was logged
+        self.is_plot_silent = False  # a fault: plot_data is advertised, and none comes
         self.battery = Battery()
         self.errors = Errors()
         self._types = {name.split("/")[1]: _message_type(catalog, name) for name in _TYPES}
@@ -102,7 +103,8 @@ class SimulatedRobot:
     def _pass_time(self) -> tuple[int, int]:
         """Let the world go on for a turn of the loop; returns the edges that each encoder counted."""
         left, right = self.controllers
-        self.world.drive(left.pwm, right.pwm)
+        self.world.drive(*((0, 0) if self._brakes_now else (left.pwm, right.pwm)))
+        self._brakes_now = False
         self.world.step(LOOP_S)
         edges = self.world.left.edges, self.world.right.edges
         counted = (edges[0] - self._edges[0]) % _EDGES, (edges[1] - self._edges[1]) % _EDGES
@@ -144,7 +146,8 @@ class SimulatedRobot:
             "angular": {"x": left.set_point.value, "y": right.set_point.value, "z": float(right.pwm)},
         }
         self.device.publish(self._odometry, self._types["Pose2D"].encode(pose), self._now_s)
-        self.device.publish(self._plot, self._types["Twist"].encode(plot), self._now_s)
+        if not self.is_plot_silent:
+            self.device.publish(self._plot, self._types["Twist"].encode(plot), self._now_s)
 
     def _report(self) -> None:
         """The errors each second and when they change, the battery each second."""
@@ -194,25 +197,24 @@ class SimulatedRobot:
             self.device.log(_WARN, f"{name} refused: {PARAMETERS[name]}", self._now_s)
         self._request(names[1:])
 
-    def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
-        wanted = self.geometry.wheel_speeds(linear_m_s, angular_rad_s)
-        factor = min(1.0, FULL_SPEED_TICKS_S / max(1.0, *map(abs, wanted)))  # both, so that the curvature stays
-        for control, ticks_s in zip(self.controllers, wanted, strict=True):
-            control.aim(ticks_s * factor)
+    def _command(self, left_ticks_s: float, right_ticks_s: float) -> None:
+        for control, ticks_s in zip(self.controllers, (left_ticks_s, right_ticks_s), strict=True):
+            control.aim(ticks_s)
+        self._brakes_now |= left_ticks_s == right_ticks_s == 0
 
     def _receive_velocity(self, payload: bytes) -> None:
         twist: dict[str, Any] = self._types["Twist"].decode(payload)
-        linear_m_s, angular_rad_s = twist["linear"]["x"], twist["angular"]["z"]
-        if not all(map(math.isfinite, self.geometry.wheel_speeds(linear_m_s, angular_rad_s))):
+        wanted_ticks_s = self.geometry.wheel_speeds(twist["linear"]["x"], twist["angular"]["z"])
+        if not all(map(math.isfinite, wanted_ticks_s)):
             self._command(0.0, 0.0)
             self._commanded_at_s = None
             self.errors.raise_(Error.NO_NUMBER, self._now_s)
             self.device.log(_ERROR, "a velocity that is no number: stopped", self._now_s)
             return
-        self._has_zero |= linear_m_s == angular_rad_s == 0
+        self._has_zero |= not any(wanted_ticks_s)
         if not self._is_faulted:
             self._commanded_at_s = self._now_s
-            self._command(linear_m_s, angular_rad_s)
+            self._command(*wanted_ticks_s)
 
     def _reset(self, _: bytes) -> None:
         self.pose = Pose()

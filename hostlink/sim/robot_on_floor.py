@@ -11,13 +11,16 @@ from typing import Protocol
 import numpy as np
 
 from hostlink.robot.course import CourseFollower, Leg
-from hostlink.robot.kinematics import DifferentialDrive, Pose, placed
+from hostlink.robot.kinematics import Pose, placed
 from hostlink.robot.odometry_correction import OdometryCorrection
-from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, WheelController
+from hostlink.sim.controller import LEFT_GAINS, RIGHT_GAINS, WheelController
+from hostlink.sim.geometry import Geometry
 from hostlink.sim.world_parameters import WorldParameters
 from hostlink.sim.worlds import open_world
 
 COMMAND_S = 0.1  # between two poses of the odometry, and two commands
+LOOP_US = 33_333  # of the firmware's loop
+PASS_US = 1000
 LONGEST_S = 1800.0  # of a course: a robot that needs longer does not move
 _EDGES = 1 << 32  # the counters wrap
 
@@ -38,14 +41,19 @@ class DrivenRobot(Protocol):
 
 
 class RobotOnFloor:
-    """It drives by `drive`; `odometry` is what it believes, `pose` the truth."""
+    """It drives by `drive`; `odometry` is what it believes, `pose` the truth.
+
+    Its time is that of the firmware's loop in a world (firmware/host/robot_in_world.h): a pass each millisecond, a turn
+    of the control in the first pass after each thirtieth of a second.
+    """
 
     def __init__(self, world: WorldParameters) -> None:
         self.odometry = Pose()
         self._world = open_world(world)
-        self._drive = DifferentialDrive()
+        self._geometry = Geometry()
         self._controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
         self._edges = (0, 0)
+        self._now_us = self._turned_at_us = self._due_since_us = 0
 
     @property
     def pose(self) -> Pose:
@@ -54,21 +62,36 @@ class RobotOnFloor:
 
     def drive(self, linear_m_s: float, angular_rad_s: float, seconds: float) -> None:
         """Command a velocity for so long."""
-        speeds_m_s = self._drive.wheel_speeds(linear_m_s, angular_rad_s)
-        for control, speed_m_s in zip(self._controllers, speeds_m_s, strict=True):
-            control.aim(speed_m_s / self._drive.metres_per_tick)
-        for _ in range(round(seconds / LOOP_S)):
-            self._turn()
+        for number in range(round(seconds * 1000)):
+            self._now_us += PASS_US
+            self._world.step(PASS_US * 1e-6)
+            if number == 0:
+                self._command(linear_m_s, angular_rad_s)
+            self._turn_if_due()
 
-    def _turn(self) -> None:
-        """One turn of its loop."""
+    def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
+        wanted_ticks_s = self._geometry.wheel_speeds(linear_m_s, angular_rad_s)
+        for control, ticks_s in zip(self._controllers, wanted_ticks_s, strict=True):
+            control.aim(ticks_s)
+        if not any(wanted_ticks_s):
+            self._world.drive(0, 0)  # now, not with the next turn
+
+    def _turn_if_due(self) -> None:
+        late_us = self._now_us - self._due_since_us - LOOP_US
+        if late_us < 0:
+            return
+        self._due_since_us = self._due_since_us + LOOP_US if late_us < LOOP_US / 2 else self._now_us
+        passed_us, self._turned_at_us = self._now_us - self._turned_at_us, self._now_us
+        self._turn(float(np.float32(passed_us) * np.float32(1e-6)))
+
+    def _turn(self, dt_s: float) -> None:
+        """One turn of its control."""
         left, right = self._controllers
-        self._world.drive(left.pwm, right.pwm)
-        self._world.step(LOOP_S)
         before, self._edges = self._edges, (self._world.left.edges, self._world.right.edges)
         counted = [(new - old) % _EDGES for old, new in zip(before, self._edges, strict=True)]
-        ticks = [control.step(count, LOOP_S) for control, count in zip(self._controllers, counted, strict=True)]
-        self.odometry = self._drive.integrate(self.odometry, *(count * self._drive.metres_per_tick for count in ticks))
+        ticks = [control.step(count, dt_s) for control, count in zip(self._controllers, counted, strict=True)]
+        self._world.drive(left.pwm, right.pwm)
+        self.odometry = self._geometry.integrate(self.odometry, ticks[0], ticks[1])
 
 
 class Person:

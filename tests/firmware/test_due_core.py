@@ -98,7 +98,7 @@ def test_the_filter_adds_a_tenth_of_what_is_new() -> None:
     st.sampled_from(Feedback),
 )
 def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]], feedback: Feedback) -> None:
-    """The same set-points and the same edges: the same PWM, but for what a float loses."""
+    """The same set-points and the same edges: the same PWM."""
     twin, plant = controller.WheelController(controller.LEFT_GAINS, feedback), DriveTrain()
     with made("wheel", feedback.value) as wheel:
         for target, turns in story:
@@ -108,7 +108,7 @@ def test_a_wheel_does_what_the_simulator_s_does(story: list[tuple[float, int]], 
                 edges = plant.step(twin.pwm, LOOP_S)
                 rolled = library().wheel_step(wheel, edges, LOOP_S)
                 assert rolled == twin.step(edges, LOOP_S)
-                assert library().wheel_pwm(wheel) == pytest.approx(twin.pwm, abs=40)
+                assert library().wheel_pwm(wheel) == twin.pwm
 
 
 def steady_ticks_s(feedback: Feedback, requested_ticks_s: float) -> float:

@@ -8,14 +8,17 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import TOPICS_REQUEST, encode
 from hostlink.sim.device import SimulatedDevice
+from hostlink.sim.firmware_world import COMMAND_S, CONNECT_S, FirmwareWorld
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
+from hostlink.sim.robot_on_floor import RobotOnFloor
 from hostlink.sim.world import World
 from hostlink.sim.world_library import LIBRARY, NativeWorld, WorldLibraryMissing, load_library
 from hostlink.sim.world_parameters import WorldParameters, bounds, names, read
@@ -211,3 +214,34 @@ def test_a_library_older_than_its_sources_is_refused(tmp_path: Path) -> None:
     os.utime(stale, (1.0, 1.0))
     with pytest.raises(WorldLibraryMissing, match="older than its sources: run  make world"):
         load_library(stale)
+
+
+LEGS = (
+    *((0.25, 0.0, 7.0), (0.0, 0.0, 0.7), (0.0, 0.6, 2.6), (0.0, 0.0, 0.7)) * 4,
+    *((-0.2, 0.1, 5.0), (0.3, -0.4, 6.0), (0.0, 0.0, 1.0), (0.02, 0.1, 4.0), (0.0, 0.0, 1.0)),
+)
+commands = st.tuples(st.floats(-0.4, 0.4), st.floats(-2.0, 2.0), st.sampled_from([0.1, 0.4, 1.3]))
+stops = st.just((0.0, 0.0, 0.7))
+
+
+@given(drawn=worlds(), legs=st.lists(commands | stops, min_size=1, max_size=12))
+@example(drawn=WorldParameters(), legs=list(LEGS))
+@example(drawn=SLIPPERY, legs=list(LEGS))
+@example(drawn=WorldParameters(seed=3, caster_twist_rad=0.055, caster_random=0.4), legs=list(LEGS))
+def test_the_same_commands_bring_the_simulator_where_they_bring_the_firmware(
+    drawn: WorldParameters, legs: list[tuple[float, float, float]]
+) -> None:
+    """Native firmware and the Python control, both with their own loop: within 1 mm and 1 mrad, after a minute too."""
+    firmware, simulated = FirmwareWorld(drawn), RobotOnFloor(drawn)
+    firmware.connect()
+    simulated.drive(0.0, 0.0, CONNECT_S)
+    for linear_m_s, angular_rad_s, seconds in legs:
+        for _ in range(round(seconds / COMMAND_S)):
+            for robot in (firmware, simulated):
+                robot.drive(linear_m_s, angular_rad_s, COMMAND_S)
+        if firmware.row["left_fault"] or firmware.row["right_fault"]:
+            return  # it stops until a zero; the simulated one has no guardian
+        for there, here in ((firmware.pose, simulated.pose), (firmware.odometry, simulated.odometry)):
+            off = np.subtract(there, here)
+            assert math.hypot(off[0], off[1]) <= 0.001
+            assert abs(math.remainder(off[2], math.tau)) <= 0.001

@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.cli.calibration_drive import Drives
 from hostlink.client import connect
-from hostlink.config import Config
+from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import WheelGeometry
 from hostlink.robot.course import STUCK_S, Leg, Speed, square, straight
@@ -121,15 +121,44 @@ async def test_a_robot_that_is_not_there_is_named() -> None:
             await follow(host, straight(1.0), "robot_7")
 
 
-async def test_the_numbers_of_the_robot_are_the_daemon_s_parameters() -> None:
+async def test_the_numbers_of_the_robot_are_the_parameters_with_which_it_connected() -> None:
     parameters = {"/robot_0/wheel_radius": [0.03, 0.031], "robot_0/wheel_separation": 0.15}
-    async with daemon(Config(parameters=parameters)) as host, simulated_robot(host.tcp):
-        await expect(lambda: bool(host.hub.robots.all()))
+    async with daemon(Config(parameters=parameters)) as host:
         drives = Drives(host.url, None, "robot_0", Speed())
-        assert await drives.nominal() == (0.03, 0.031, 0.15)
-        assert await drives.requests_parameters()
-        await drives.set_parameters({"/robot_0/wheel_radius": "[0.04, 0.041]"})
-        assert await drives.nominal() == (0.04, 0.041, 0.15)
+        async with simulated_robot(host.tcp):
+            await expect(lambda: len(answered(host)) == 3)
+            assert await drives.nominal() == (0.03, 0.031, 0.15)
+            assert await drives.requests_parameters()
+            await drives.set_parameters({"/robot_0/wheel_radius": "[0.04, 0.041]"})
+            with pytest.raises(HostlinkError, match=r"given 0\.03, 0\.031 as wheel_radius .* 0\.04, 0\.041 now: reset"):
+                await drives.nominal()
+        await expect(lambda: not host.hub.links())
+        async with simulated_robot(host.tcp):
+            await expect(lambda: len(answered(host)) == 3)
+            assert await drives.nominal() == (0.04, 0.041, 0.15)
+
+
+@pytest.mark.parametrize("value", ['"wide"', "[0.0]", "0.2"])
+async def test_a_parameter_of_any_kind_that_came_after_the_connection_is_found(value: str) -> None:
+    async with daemon() as host, simulated_robot(host.tcp):
+        await expect(lambda: len(answered(host)) == 3)
+        drives = Drives(host.url, None, "robot_0", Speed())
+        assert await drives.nominal() == WheelGeometry()
+        await drives.set_parameters({"/robot_0/wheel_separation": value})
+        with pytest.raises(HostlinkError, match="given no number as wheel_separation"):
+            await drives.nominal()
+
+
+def answered(host: Daemon) -> list[str]:
+    """The parameters that the robots have been answered."""
+    return [name for link in host.hub.links() for name in host.hub.answered_parameters(link)]
+
+
+async def test_a_robot_with_a_setting_of_its_separation_believes_in_that() -> None:
+    config = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.33)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: bool(host.hub.robots.all()))
+        assert (await Drives(host.url, None, "robot_0", Speed()).nominal()).separation_m == 0.33
 
 
 async def test_a_robot_without_parameters_has_the_paper_s_numbers_and_keeps_its_own() -> None:

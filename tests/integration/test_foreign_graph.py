@@ -17,7 +17,6 @@ from tests.support.participants import (
     ROBOT,
     SERVICE,
     SERVICE_TYPE,
-    TEXT,
     TEXT_TYPE,
     Scene,
     play,
@@ -26,6 +25,7 @@ from tests.support.participants import (
 from tests.support.scripted_device import ScriptedDevice
 
 ROS = "ros1"
+TEXT = "/talk"  # which nobody else has
 
 
 def topic_of(graph: Graph, name: str) -> GraphTopic | None:

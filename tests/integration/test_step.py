@@ -310,6 +310,24 @@ async def test_present_gains_and_the_track_are_those_of_the_configuration() -> N
     assert any("of the configuration" in line for line in tuning.lines())
 
 
+async def test_a_track_that_is_a_setting_of_the_robot_counts_where_there_is_no_parameter() -> None:
+    robots = {"robot_0": RobotConfig(wheel_separation_m=0.33)}
+    async with bench(Config(robots=robots)) as (_, _, me):
+        assert await separation_of(me, "robot_0") == 0.33
+    async with bench(Config(robots=robots, parameters={"/robot_0/wheel_separation": 0.3})) as (_, _, me):
+        assert await separation_of(me, "robot_0") == 0.3
+
+
+async def test_plot_data_that_falls_silent_ends_the_step_within_a_second() -> None:
+    async with bench() as (host, robot, me), asyncio.TaskGroup() as tasks:
+        drive = tasks.create_task(refused(record(me, [replace(SLOW, seconds=30.0)])))
+        await stepping(host)
+        robot.is_plot_silent = True
+        await expect(lambda: host.hub.robots.find("robot_0").gate.current.is_zero, timeout_s=1.1)
+        assert await drive == "/robot_0/plot_data has fallen silent; the robot is stopped"
+        await stands(robot)
+
+
 @pytest.mark.parametrize("parameters", [{}, {"/robot_0/wheel_separation": 0.0}, {"/robot_0/wheel_separation": 210}])
 async def test_without_a_track_that_can_be_it_is_the_paper_s(parameters: dict[str, ParameterValue]) -> None:
     async with bench(Config(parameters=parameters)) as (_, _, me):

@@ -105,6 +105,33 @@ async def test_leaving_the_window_lets_go(browser: Browser) -> None:
         await tab.page.mouse.up()
 
 
+FREEZE = "(ms) => { const end = performance.now() + ms; while (performance.now() < end); }"
+
+
+async def test_a_page_that_froze_while_the_button_is_held_drives_no_second_step(browser: Browser) -> None:
+    async with bench(browser) as (host, robot, tab):
+        await press(tab)
+        await expect(lambda: robot.speed_m_s > 0.01)
+        await tab.page.evaluate(FREEZE, 1500)
+        await tab.shows("#step-state", "did not run for")
+        await expect(lambda: speed_m_s(host) == 0 and robot.speed_m_s == 0)
+        for _ in range(20):
+            await asyncio.sleep(0.05)
+            assert speed_m_s(host) == 0
+        await tab.shows("#step-left", "–")
+        await tab.page.mouse.up()
+
+
+async def test_a_robot_whose_plot_data_falls_silent_is_stopped(browser: Browser) -> None:
+    async with bench(browser) as (host, robot, tab):
+        await press(tab)
+        await expect(lambda: robot.speed_m_s > 0.01)
+        robot.is_plot_silent = True
+        await tab.shows("#step-state", "fallen silent")
+        await expect(lambda: speed_m_s(host) == 0)
+        await tab.page.mouse.up()
+
+
 async def test_a_robot_that_rolls_begins_no_step(browser: Browser) -> None:
     async with bench(browser) as (host, robot, tab):
         robot.controllers[0].aim(100.0)

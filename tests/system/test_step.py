@@ -102,6 +102,11 @@ async def test_an_error_begins_a_line_of_its_own() -> None:
         (("robot_0", "--yes", "--speed", "0"), 2, "hostlink: --speed: 0 m/s is not 0.02 to 2, either way"),
         (("robot_0", "--yes", "--speed", "nan"), 2, "hostlink: --speed: nan m/s is not"),
         (("robot_0", "--yes", "--send"), 2, "hostlink: --send: sends the gains that --tune computes; name both"),
+        (
+            ("robot_0", "--yes", "--tune", "--seconds", "9"),
+            2,
+            "hostlink: --seconds: is of a single step: --tune drives",
+        ),
         (("robot_0", "--yes", "--picture", "step.gif"), 2, "hostlink: --picture: step.gif must end in one of"),
         (("robot_0", "--yes", "--url", "http://127.0.0.1:1"), 1, "hostlink: no hostlink at http://127.0.0.1:1"),
     ],

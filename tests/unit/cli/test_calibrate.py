@@ -47,7 +47,7 @@ def test_a_simulated_robot_s_wheels_are_found(tmp_path: Path) -> None:
 def test_what_was_found_is_written_where_it_is_requested(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text('[parameters]\n"robot_0/wheel_radius" = 0.045\n')
-    result = calibrate(tmp_path, *SMALL, "--write", str(file))
+    result = calibrate(tmp_path, *SMALL, "--write", str(file), "--write-simulated")
     assert result.exit_code == 0, result.output
     values = tomllib.loads(file.read_text())["parameters"]
     assert sorted(values) == ["/robot_0/wheel_separation", "robot_0/wheel_radius"]
@@ -57,23 +57,35 @@ def test_what_was_found_is_written_where_it_is_requested(tmp_path: Path) -> None
 
 def test_a_file_in_which_the_numbers_cannot_stand_is_refused_before_any_drive(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
-    assert isinstance(calibrate(tmp_path, "--write", str(file)).exception, ConfigError)
+    assert isinstance(calibrate(tmp_path, "--write", str(file), "--write-simulated").exception, ConfigError)
     file.write_text("[robots.robot_0.calibration]\nleft_factor = 1.01\n")
-    result = calibrate(tmp_path, "--write", str(file))
+    result = calibrate(tmp_path, "--write", str(file), "--write-simulated")
     assert "remove it" in str(result.exception)
     file.write_text("parameters = { }\n")
-    assert "cannot be changed by hostlink" in str(calibrate(tmp_path, "--write", str(file)).exception)
+    assert "cannot be changed by hostlink" in str(
+        calibrate(tmp_path, "--write", str(file), "--write-simulated").exception
+    )
     file.write_text("[robots.robot_0.calibration]\nleft_factor = 1.01\n")
     assert not (tmp_path / "state.svg").exists()
-    assert calibrate(tmp_path, *SMALL, "--target", "hostlink", "--write", str(file)).exit_code == 0
+    assert calibrate(tmp_path, *SMALL, "--target", "hostlink", "--write", str(file), "--write-simulated").exit_code == 0
     assert load(file).robots["robot_0"].calibration.separation_m == pytest.approx(TRUE.separation_m, rel=0.005)
+
+
+def test_numbers_of_no_robot_are_written_only_where_that_is_meant(tmp_path: Path) -> None:
+    file = tmp_path / "hostlink.toml"
+    file.write_text("[parameters]\n")
+    result = calibrate(tmp_path, *SMALL, "--write", str(file))
+    assert isinstance(result.exception, ConfigError)
+    assert "--write-simulated" in str(result.exception)
+    assert file.read_text() == "[parameters]\n"
+    assert not (tmp_path / "state.svg").exists()
 
 
 @pytest.mark.parametrize(("mistake", "text"), [("slip", "does not confirm"), ("sides", "left and right")])
 def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: str) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text("")
-    result = calibrate(tmp_path, *SMALL, "--mistake", mistake, "--write", str(file))
+    result = calibrate(tmp_path, *SMALL, "--mistake", mistake, "--write", str(file), "--write-simulated")
     assert isinstance(result.exception, HostlinkError)
     assert text in str(result.exception)
     assert file.read_text() == ""

@@ -9,6 +9,9 @@ const SETTLED = 0.05; // of the target, to each side
 const LEAST_S = 1.5; // a shorter one has no figures
 const MOST_S = 30; // a longer one ends by itself
 const STANDING = 1.5; // ticks/s
+const TICK_MS = 80;
+const LONGEST_PAUSE_MS = 400; // of this page; after a lease, 500 ms, the robot has stopped
+const SILENCE_MS = 1000; // of plot_data: nothing is measured
 const HELD_KEY = "Enter"; // a space stops
 
 interface Sample {
@@ -32,6 +35,8 @@ export class Step {
   private readonly button = find<HTMLButtonElement>("#step");
   private readonly state = find("#step-state");
   private pressedAt: number | null = null; // null: no step is driven
+  private ranAt = 0;
+  private measuredAt = 0;
   private newest: PlotData | null = null;
   private samples: Sample[][] = WHEELS.map(() => []);
 
@@ -49,6 +54,7 @@ export class Step {
       addEventListener(lost, () => this.release());
     }
     document.addEventListener("visibilitychange", () => this.release());
+    setInterval(() => this.check(), TICK_MS);
   }
 
   /** Only a robot with plot_data can be measured. */
@@ -61,7 +67,9 @@ export class Step {
 
   add(data: PlotData): void {
     this.newest = data;
+    this.check(); // a message may come before the timer
     if (this.pressedAt === null) return;
+    this.measuredAt = performance.now();
     const seconds = (performance.now() - this.pressedAt) / 1000;
     WHEELS.forEach(({ read }, index) => {
       const [setPoint, measured] = read(data);
@@ -77,10 +85,26 @@ export class Step {
       setText(this.state, "A step begins with a robot that stands.");
       return;
     }
-    this.pressedAt = performance.now();
+    this.pressedAt = this.ranAt = this.measuredAt = performance.now();
     this.samples = WHEELS.map(() => []);
     setText(this.state, "Hold until the speed is steady.");
     this.driving.hold("step", { forward: 1, turn: 0 });
+  }
+
+  /** A step is one motion: what begins again after a pause is another, and blind nothing drives. */
+  private check(): void {
+    const now = performance.now();
+    const pause = now - this.ranAt;
+    this.ranAt = now;
+    if (this.pressedAt === null) return;
+    if (pause > LONGEST_PAUSE_MS) this.discard(`This page did not run for ${digits(pause / 1000, 1)} s: press again.`);
+    else if (now - this.measuredAt > SILENCE_MS) this.discard("plot_data has fallen silent: the robot is stopped.");
+  }
+
+  private discard(reason: string): void {
+    this.samples = WHEELS.map(() => []);
+    this.release();
+    setText(this.state, reason);
   }
 
   private release(): void {
