@@ -57,3 +57,12 @@ def test_damage_is_left_out() -> None:
     assert POSE is not None
     assert [stamp_ns for stamp_ns, _ in past_messages(kept, TOPIC, POSE.decode, 0)] == [STEP_NS]
     assert past_messages(kept, TOPIC, POSE.decode, 2 * STEP_NS) == []
+
+
+def test_an_estimator_begins_anew_with_its_settings() -> None:
+    used = OdometryEstimator(continues=False)
+    used.update(Pose(1.0, 2.0, 0.0), now_s=0.0, wall_ns=0)
+    moving = [(0.05 * number, 0.0, 0.0) for number in range(11)]
+    again = past_poses(entries(*moving, (0.0, 0.0, 0.0)), TOPIC, POSE_TYPE, used.anew(), None)
+    assert again[0].pose == Pose()
+    assert again[-1].pose == Pose()  # it begins again with the device
