@@ -95,7 +95,7 @@ test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed
 	$(BIN)/coverage run -m pytest -n $(CORES) tests/unit
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include=$(PURE) --fail-under=100
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet" --ignore=tests/unit
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet and not alone" --ignore=tests/unit
 	$(BIN)/python -m pytest -n $(QUIET_WORKERS) -m "quiet and not alone" --ignore=tests/unit
 	$(BIN)/python -m pytest -m alone --ignore=tests/unit
 

@@ -133,6 +133,7 @@ async def test_a_device_that_restarts_is_driven_again_within_ten_seconds() -> No
             assert time.monotonic() - began_s < 10.0
 
 
+@pytest.mark.quiet
 async def test_the_robot_shows_its_battery_its_errors_and_a_weak_wifi() -> None:
     async with serve() as daemon, aiohttp.ClientSession() as session:
         with esp8266.running("esp8266_native", daemon.tcp[1], "--signal", "-85") as sketch:

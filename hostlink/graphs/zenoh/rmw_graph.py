@@ -70,6 +70,9 @@ class RemoteGraph:
         self._of_session[node.session] += 1
         if isinstance(token, EndpointToken) and token.kind is Kind.PUBLISHER:
             publisher = RemotePublisher(token, key, gid_of(key))
+            mistaken = self._by_gid.get(publisher.gid)
+            if mistaken is not None:  # it signed before its token came, and passed for one that draws its gids
+                self._free(mistaken)
             self._by_gid[publisher.gid] = publisher
             self._of_subject.setdefault(publisher.subject, {})[key] = publisher
         return token

@@ -129,6 +129,7 @@ async def test_a_lock_holds_everywhere_until_it_is_released_from_anywhere() -> N
         assert (await drive(b, "robot_7", 0.3))[0] == 200
 
 
+@pytest.mark.quiet
 async def test_a_lock_goes_with_a_robot_that_connects_to_another_daemon() -> None:
     async with fleet("a", "b") as (a, b):
         async with fake_device(a.tcp, robot_topics("robot_7")):
