@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import os
+import random
 import signal
 import socket
 import sys
@@ -18,12 +19,24 @@ from tests.support.waiting import expect
 
 HOSTLINK = str(Path(sys.executable).parent / "hostlink")
 TIMEOUT_S = 20.0
+FIRST_PORT, PORTS = 20_000, 1200  # for each of ten workers
+_given: set[int] = set()
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on at the moment."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
+    """A TCP port that nobody listens on, below those that the system gives to connections: it stays free.
+
+    Each worker of the tests has a range of its own, and gives no port twice.
+    """
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw9").removeprefix("gw")) % 10
+    for _ in range(PORTS):
+        port = FIRST_PORT + worker * PORTS + random.SystemRandom().randrange(PORTS)
+        if port in _given:
+            continue
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            _given.add(port)
+            return port
+    raise OSError("no port is free")
 
 
 @dataclass
