@@ -2,6 +2,8 @@
 //
 // Arduino IDE: open this file, board "Arduino Due (Programming Port)", upload. Pins and wiring: ../README.md.
 
+#include <ros.h>  // the library: firmware/rosserial
+
 #include "src/board/due_board.h"
 #include "src/robot.h"
 
@@ -16,6 +18,5 @@ void setup() {
 void loop() {
   board.run();
   const uint32_t wait_ms = robot.loop();
-  if (wait_ms > 0)
-    delay(wait_ms);  // only with the paper's retry clause: robot(board, "/robot_0/", hostlink::Retry::kPaper)
+  if (wait_ms > 0) delay(wait_ms);  // only with the paper's retry clause: robot(board, "/robot_0/", ros::Retry::kPaper)
 }

@@ -1,4 +1,6 @@
 // ESP8266 passthrough: UART to the device, TCP to the host. Wiring only; what it does is decided in src/.
+#include <ros.h>  // the library: firmware/rosserial
+
 #include "src/board/board.h"
 #include "src/passthrough.h"
 #include "src/status_led.h"

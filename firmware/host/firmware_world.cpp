@@ -48,7 +48,7 @@ struct FirmwareWorld {
 
   FirmwareWorld(const double* values, uint32_t baud, const char* name_text, int retry, int feedback)
       : name(name_text),
-        robot(parameters_of(values), baud, name.c_str(), static_cast<hostlink::Retry>(retry),
+        robot(parameters_of(values), baud, name.c_str(), static_cast<ros::Retry>(retry),
               static_cast<hostlink::Feedback>(feedback)) {}
 
   void pass() {
@@ -86,7 +86,7 @@ uint32_t world_parameters_read(const char* text, double* values) {
 // -- the firmware in a world
 // --------------------------------------------------------------------------------------------
 
-// `baud` 0: bytes are through at once; `retry`: a policy of node_handle.h; `feedback`: one of constants.h.
+// `baud` 0: bytes are through at once; `retry`: a policy of ros/node.h; `feedback`: one of constants.h.
 FirmwareWorld* firmware_world_new(const double* values, uint32_t baud, const char* name, int retry, int feedback) {
   return new FirmwareWorld(values, baud, name, retry, feedback);
 }
@@ -121,7 +121,7 @@ uint32_t firmware_world_lost_bytes(FirmwareWorld* self) { return self->robot.boa
 // Runs a script (world_script.h) in a robot of its own. Returns 0, or the number of the line that is wrong; `capacity`
 // is the number of rows, and how many there were.
 uint32_t firmware_world_script(const char* text, double* rows, size_t* capacity) {
-  RobotInWorld robot(WorldParameters(), 0, "/robot_0/", hostlink::Retry::kKeepState);
+  RobotInWorld robot(WorldParameters(), 0, "/robot_0/", ros::Retry::kKeepState);
   Rows found = {rows, *capacity};
   const uint32_t wrong = hostlink::run_script(robot, text, add_row, &found);
   *capacity -= found.room;

@@ -39,7 +39,7 @@ class PosixHal : public hostlink::WorldHal {
  public:
   PosixHal(const sockaddr_in& host, uint32_t baud) : baud_(baud), ring_(baud), out_(baud), host_(host) {}
 
-  uint32_t millis() override { return static_cast<uint32_t>(now_us() / 1000); }
+  uint32_t milliseconds() override { return static_cast<uint32_t>(now_us() / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us()); }
   int read() override { return ring_.read(); }
 
@@ -97,8 +97,8 @@ class PosixHal : public hostlink::WorldHal {
   }
 
   void connect_again() {
-    if (millis() - tried_at_ms_ < kReconnectMs) return;
-    tried_at_ms_ = millis();
+    if (milliseconds() - tried_at_ms_ < kReconnectMs) return;
+    tried_at_ms_ = milliseconds();
     const int made = ::socket(AF_INET, SOCK_STREAM, 0);
     if (made < 0) return;
     if (::connect(made, reinterpret_cast<const sockaddr*>(&host_), sizeof host_) != 0) {
@@ -167,17 +167,17 @@ int main(int count, char** words) {
   hostlink::Robot robot(hal);
   robot.setup();
   hostlink::ActivityRecorder activity;
-  uint32_t reported_at_ms = hal.millis();
+  uint32_t reported_at_ms = hal.milliseconds();
   unsigned long loops = 0;
   for (;;) {
     hal.run();
     robot.loop();
-    activity.update(hal.world(), robot.node().delivered(), hal.millis());
+    activity.update(hal.world(), robot.node().delivered(), hal.milliseconds());
     ++loops;
-    if (hal.millis() - reported_at_ms >= kReportMs) {
+    if (hal.milliseconds() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
       const hostlink::World& world = hal.world();
-      const hostlink::NodeHandle& node = robot.node();
+      const hostlink::RobotNode& node = robot.node();
       printf(
           "loops %lu left %.1f right %.1f lost %lu got %lu sent %lu dropped %lu x_mm %.0f y_mm %.0f theta_mrad %.0f "
           "battery_mv %.0f "

@@ -39,7 +39,7 @@ void VirtualBoard::step_us(uint32_t us) {
   world_.run_until(micros());
 }
 
-RobotInWorld::RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry,
+RobotInWorld::RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, ros::Retry retry,
                            Feedback feedback)
     : board_(baud), robot_(board_, name, retry, feedback) {
   world().be(parameters);

@@ -16,7 +16,7 @@ class VirtualBoard : public WorldHal {
  public:
   explicit VirtualBoard(uint32_t baud) : ring_(baud), out_(baud) {}
 
-  uint32_t millis() override { return static_cast<uint32_t>(now_us_ / 1000); }
+  uint32_t milliseconds() override { return static_cast<uint32_t>(now_us_ / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us_); }
   int read() override { return ring_.read(); }
   size_t write(const uint8_t* data, size_t size) override { return out_.put(data, size, micros()); }
@@ -39,7 +39,7 @@ class RobotInWorld {
   static const size_t kColumns = 24;
 
   // `baud` 0: bytes are through at once. `name` stays the caller's.
-  RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, Retry retry,
+  RobotInWorld(const WorldParameters& parameters, uint32_t baud, const char* name, ros::Retry retry,
                Feedback feedback = Feedback::kWashedOut);
 
   void pass();  // a millisecond of the world, then a pass of the firmware's loop

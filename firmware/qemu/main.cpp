@@ -50,7 +50,7 @@ class QemuHal : public hostlink::WorldHal {
   // Until something comes, a millisecond at the most: the PC has other work to do.
   void sleep() { __asm__ volatile("wfi" ::: "memory"); }
 
-  uint32_t millis() override { return static_cast<uint32_t>(now_us() / 1000); }
+  uint32_t milliseconds() override { return static_cast<uint32_t>(now_us() / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us()); }
   int read() override { return ring_.read(); }
 
@@ -150,14 +150,14 @@ extern "C" int main() {
   }
   hal.world().be(parameters);
   robot.setup();
-  uint32_t reported_at_ms = hal.millis();
+  uint32_t reported_at_ms = hal.milliseconds();
   for (;;) {
     hal.run();
     robot.loop();
-    activity.update(hal.world(), robot.node().delivered(), hal.millis());
-    if (hal.millis() - reported_at_ms >= kReportMs) {
+    activity.update(hal.world(), robot.node().delivered(), hal.milliseconds());
+    if (hal.milliseconds() - reported_at_ms >= kReportMs) {
       reported_at_ms += kReportMs;
-      print_number("ms ", static_cast<int32_t>(hal.millis()));
+      print_number("ms ", static_cast<int32_t>(hal.milliseconds()));
       print_number(" left ", static_cast<int32_t>(hal.world().left().speed_ticks_s()));
       print_number(" right ", static_cast<int32_t>(hal.world().right().speed_ticks_s()));
       print_number(" lost ", static_cast<int32_t>(hal.lost()));

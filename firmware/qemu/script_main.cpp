@@ -16,7 +16,7 @@ const uint32_t kClose = 0x02;
 const uint32_t kWrite = 0x05;
 const uint32_t kWriteBinary = 5;  // the mode "wb"
 
-hostlink::RobotInWorld robot(hostlink::WorldParameters(), 0, "/robot_0/", hostlink::Retry::kKeepState);
+hostlink::RobotInWorld robot(hostlink::WorldParameters(), 0, "/robot_0/", ros::Retry::kKeepState);
 
 uint32_t call(uint32_t number, uint32_t first, uint32_t second, uint32_t third) {
   uint32_t block[3] = {first, second, third};

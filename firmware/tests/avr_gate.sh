@@ -15,11 +15,12 @@ if [ ! -f "$build/core.a" ]; then
   done
   avr-ar rcs "$build/core.a" "$build"/core/*.o
 fi
-strict=(-std=gnu++11 -fno-exceptions -fno-threadsafe-statics -Wall -Wextra -Werror)
+library=$firmware/rosserial/src
+strict=(-std=gnu++11 -fno-exceptions -fno-threadsafe-statics -Wall -Wextra -Werror -I"$library")
 # The IDE puts Arduino.h in front of a sketch.
 rm -f "$build"/due/*.o
 avr-g++ "${flags[@]}" "${strict[@]}" -I"$firmware/due" -include Arduino.h -x c++ -c "$firmware/due/due.ino" -o "$build/due/due.ino.o"
-for source in "$firmware"/due/src/*.cpp "$firmware"/due/src/board/*.cpp; do
+for source in "$firmware"/due/src/*.cpp "$firmware"/due/src/board/*.cpp "$library"/ros/*.cpp; do
   avr-g++ "${flags[@]}" "${strict[@]}" -c "$source" -o "$build/due/$(basename "$source").o"
 done
 avr-gcc -mmcu=atmega2560 -Wl,--gc-sections "$build"/due/*.o "$build/core.a" -lm -o "$build/due.elf"

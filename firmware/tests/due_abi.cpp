@@ -8,11 +8,11 @@
 
 #include "../due/src/drive.h"
 #include "../due/src/messages.h"
-#include "../due/src/node_handle.h"
 #include "../due/src/robot.h"
 #include "../due/src/wheel.h"
 
 using namespace hostlink;
+using ros::FlashText;
 
 namespace {
 
@@ -27,7 +27,7 @@ struct TestHal : public Hal {
   uint32_t right_edges = 0;
   float volts = kNotMeasured;
 
-  uint32_t millis() override { return static_cast<uint32_t>(now_us / 1000); }
+  uint32_t milliseconds() override { return static_cast<uint32_t>(now_us / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us); }
   int read() override {
     if (from_host.empty()) return -1;
@@ -52,12 +52,22 @@ struct TestHal : public Hal {
   float battery_v() override { return volts; }
 };
 
+void hear(void* context, const uint8_t* payload, size_t size);
+
 struct TestNode {
   TestHal hal;
-  NodeHandle node;
+  RobotNode node;
+  ros::RawPublisher odometry{"/odometry", FlashText(kPose2DType), FlashText("m")};
+  ros::RawSubscriber velocity{"/velocity", FlashText(kTwistType), FlashText("m"), ros::Size::exactly(kTwistBytes), hear,
+                              this};
+  ros::RawSubscriber led{"/led", FlashText("std_msgs/Bool"), FlashText("m"), ros::Size::exactly(1), hear, this};
   std::string heard;  // what the callback got, one payload after the other, each behind its size in two bytes
   std::vector<float> parameter;
-  explicit TestNode(int retry) : node(hal, static_cast<Retry>(retry)) {}
+  explicit TestNode(int retry) : node(hal, static_cast<ros::Retry>(retry)) {
+    node.advertise(odometry);
+    node.subscribe(velocity);
+    node.subscribe(led);
+  }
 };
 
 void hear(void* context, const uint8_t* payload, size_t size) {
@@ -67,14 +77,16 @@ void hear(void* context, const uint8_t* payload, size_t size) {
   heard.append(reinterpret_cast<const char*>(payload), size);
 }
 
-void take_floats(void* context, const float* values, size_t count) {
-  static_cast<TestNode*>(context)->parameter.assign(values, values + count);
+void take_floats(void* context, ros::ParameterAnswer& answer) {
+  std::vector<float>& parameter = static_cast<TestNode*>(context)->parameter;
+  parameter.resize(answer.numbers(nullptr, 0));
+  answer.numbers(parameter.data(), parameter.size());
 }
 
 struct TestRobot {
   TestHal hal;
   Robot robot;
-  explicit TestRobot(int retry) : robot(hal, "/robot_0/", static_cast<Retry>(retry)) { robot.setup(); }
+  explicit TestRobot(int retry) : robot(hal, "/robot_0/", static_cast<ros::Retry>(retry)) { robot.setup(); }
 };
 
 size_t take_all(std::string& from, uint8_t* out, size_t capacity) {
@@ -88,13 +100,7 @@ size_t take_all(std::string& from, uint8_t* out, size_t capacity) {
 
 extern "C" {
 
-TestNode* node_new(int retry) {
-  TestNode* made = new TestNode(retry);
-  made->node.advertise("", "/odometry", kPose2DType, "m");
-  made->node.subscribe("", "/velocity", kTwistType, "m", kTwistBytes, hear, made);
-  made->node.subscribe("", "/led", "std_msgs/Bool", "m", 1, hear, made);
-  return made;
-}
+TestNode* node_new(int retry) { return new TestNode(retry); }
 void node_delete(TestNode* node) { delete node; }
 void node_feed(TestNode* node, const uint8_t* bytes, size_t size) {
   node->hal.from_host.insert(node->hal.from_host.end(), bytes, bytes + size);
@@ -107,11 +113,11 @@ uint32_t node_spin(TestNode* node, uint64_t now_us) {
 size_t node_sent(TestNode* node, uint8_t* out, size_t capacity) { return take_all(node->hal.to_host, out, capacity); }
 size_t node_heard(TestNode* node, uint8_t* out, size_t capacity) { return take_all(node->heard, out, capacity); }
 int node_configured(TestNode* node) { return node->node.is_configured() ? 1 : 0; }
-int node_publish(TestNode* node, uint16_t topic_id, const uint8_t* bytes, size_t size) {
-  return node->node.publish(topic_id, bytes, size) ? 1 : 0;
+int node_publish(TestNode* node, const uint8_t* bytes, size_t size) {
+  return node->odometry.publish(bytes, size) > 0 ? 1 : 0;
 }
-void node_log(TestNode* node, uint8_t level, const char* text) { node->node.log(level, text); }
-void node_ask(TestNode* node, const char* name) { node->node.request_parameter("", name, take_floats, node); }
+void node_log(TestNode* node, uint8_t level, const char* text) { node->node.log(static_cast<ros::Level>(level), text); }
+void node_ask(TestNode* node, const char* name) { node->node.request_parameter(name, take_floats, node); }
 size_t node_parameter(TestNode* node, float* out, size_t capacity) {
   const size_t count = node->parameter.size() < capacity ? node->parameter.size() : capacity;
   for (size_t i = 0; i < count; ++i) out[i] = node->parameter[i];

@@ -1,4 +1,4 @@
-// libFuzzer: any bytes, in pieces, at any times, into NodeHandle and the whole robot; afterwards a good frame is found.
+// libFuzzer: any bytes, in pieces, at any times, into the node and the whole robot; afterwards a good frame is found.
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -13,7 +13,7 @@ struct FuzzHal : public hostlink::Hal {
   size_t left = 0;
   int16_t pwm = 0;
 
-  uint32_t millis() override { return now_us / 1000; }
+  uint32_t milliseconds() override { return now_us / 1000; }
   uint32_t micros() override { return now_us; }
   int read() override {
     if (left == 0) return -1;
@@ -38,7 +38,7 @@ void feed(FuzzHal& hal, hostlink::Robot& robot, const uint8_t* bytes, size_t siz
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   FuzzHal hal;
-  hostlink::Robot robot(hal, "/robot_0/", static_cast<hostlink::Retry>(size % 3));
+  hostlink::Robot robot(hal, "/robot_0/", static_cast<ros::Retry>(size % 3));
   robot.setup();
   while (size > 1) {  // each piece: how long to wait, how many bytes
     hal.now_us += data[0] * 1000u;

@@ -2,33 +2,20 @@
 // no library.
 #include <math.h>
 #include <stdint.h>
-#include <stdio.h>
 #include <string.h>
 
 #include "../due/src/drive.h"
 #include "../due/src/messages.h"
-#include "../due/src/node_handle.h"
 #include "../due/src/robot.h"
 #include "../due/src/wheel.h"
 #include "../host/uart_out.h"
 #include "../host/uart_ring.h"
 #include "../host/world.h"
+#include "check.h"
 
 using namespace hostlink;
 
 namespace {
-
-int failures = 0;
-int checks = 0;
-
-void check(bool is_so, const char* what, int line) {
-  ++checks;
-  if (is_so) return;
-  ++failures;
-  printf("due_test.cpp:%d: %s\n", line, what);
-}
-
-#define CHECK(what) check((what), #what, __LINE__)
 
 bool is_near(double value, double wanted, double tolerance) { return fabs(value - wanted) <= tolerance; }
 
@@ -104,7 +91,7 @@ struct BenchHal : public Hal {
   UartRing ring{0};
   World world;
   uint32_t sent = 0;
-  uint32_t millis() override { return static_cast<uint32_t>(now_us / 1000); }
+  uint32_t milliseconds() override { return static_cast<uint32_t>(now_us / 1000); }
   uint32_t micros() override { return static_cast<uint32_t>(now_us); }
   int read() override { return ring.read(); }
   size_t write(const uint8_t*, size_t size) override {
@@ -226,18 +213,17 @@ void test_world_parameters() {
 }  // namespace
 
 int main() {
-  test_motor_output();
-  test_minimum_jerk();
-  test_targets_that_tremble();
-  test_filter();
-  test_kinematics();
-  test_float64();
-  test_ring();
-  test_out();
-  test_motor_levels();
-  test_brake();
-  test_world_parameters();
-  test_robot();
-  printf("%d checks, %d failed\n", checks, failures);
-  return failures == 0 ? 0 : 1;
+  RUN(test_motor_output);
+  RUN(test_minimum_jerk);
+  RUN(test_targets_that_tremble);
+  RUN(test_filter);
+  RUN(test_kinematics);
+  RUN(test_float64);
+  RUN(test_ring);
+  RUN(test_out);
+  RUN(test_motor_levels);
+  RUN(test_brake);
+  RUN(test_world_parameters);
+  RUN(test_robot);
+  return test::report();
 }

@@ -12,6 +12,7 @@ import aiohttp
 
 from tests.firmware import esp8266
 from tests.support.once import once_a_run
+from tests.support.precedence import GOES_FIRST
 from tests.support.process import Process, serve
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
@@ -31,8 +32,8 @@ def _compile(preset: str, *targets: str) -> None:
 
 @cache
 def build_native() -> Path:
-    """The folder with due_native and libfirmware_world.so."""
-    folder = _build("native", "due_native", "firmware_world")
+    """The folder with due_native, libfirmware_world.so and the programs that test themselves."""
+    folder = _build("native", "due_native", "firmware_world", "due_test", "rosserial_test", "links_test")
     (folder / "libfirmware_world.so").touch()  # newer than each of its sources, whatever had to be compiled
     return folder
 
@@ -88,7 +89,7 @@ def command(kind: str, port: int, world: Path | None = None) -> list[str | Path]
 @contextlib.asynccontextmanager
 async def board(kind: str, port: int, world: Path | None = None) -> AsyncIterator[Board]:
     process = await asyncio.create_subprocess_exec(
-        *command(kind, port, world), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE
+        *GOES_FIRST, *command(kind, port, world), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE
     )
     made = Board(process)
     try:

@@ -1,7 +1,6 @@
 """Builds the Due's firmware for the PC and loads it, with a board whose every input a test sets."""
 
 import ctypes
-import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
@@ -10,23 +9,14 @@ from pathlib import Path
 
 from hostlink.protocol.frame import Frame
 from hostlink.protocol.stream import FrameStream
+from tests.support.compilers import CORE, UNDEFINED, run
 from tests.support.once import once_a_run
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "firmware" / "due" / "src"
+ROSSERIAL = ROOT / "firmware" / "rosserial" / "src"
 LIBRARY = ROOT / "build" / "due_abi" / "libdue_abi.so"
-FLAGS = [
-    "-std=c++11",
-    "-pedantic-errors",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Wshadow",
-    "-Wdouble-promotion",
-    "-Werror",
-    "-ffp-contract=off",  # the digits of its Python twins, and of a Cortex-M3 without an FPU, on every processor
-]
-SANITIZER = ["-fsanitize=undefined", "-fno-sanitize-recover=all"]
+FLAGS = [*CORE, "-ffp-contract=off"]  # the digits of its Python twins, and of a Cortex-M3 without an FPU, everywhere
 OUT_BYTES = 65536
 
 _U8P, _F, _P, _SIZE = ctypes.c_char_p, ctypes.c_float, ctypes.c_void_p, ctypes.c_size_t
@@ -39,7 +29,7 @@ _SIGNATURES = {
     "node_sent": (_SIZE, _P, _U8P, _SIZE),
     "node_heard": (_SIZE, _P, _U8P, _SIZE),
     "node_configured": (ctypes.c_int, _P),
-    "node_publish": (ctypes.c_int, _P, ctypes.c_uint16, _U8P, _SIZE),
+    "node_publish": (ctypes.c_int, _P, _U8P, _SIZE),
     "node_log": (None, _P, ctypes.c_uint8, _U8P),
     "node_ask": (None, _P, _U8P),
     "node_parameter": (_SIZE, _P, ctypes.POINTER(_F), _SIZE),
@@ -85,7 +75,7 @@ _SIGNATURES = {
 
 
 class Retry(IntEnum):
-    """The policies of NodeHandle, by their numbers in node_handle.h."""
+    """The policies of NodeHandle, by their numbers in ros/node.h."""
 
     NONE = 0
     PAPER = 1
@@ -106,16 +96,12 @@ def library() -> ctypes.CDLL:
 def _compile() -> None:
     LIBRARY.parent.mkdir(parents=True, exist_ok=True)
     objects = []
-    for source in sorted(SOURCES.glob("*.cpp")):
+    for source in sorted([*SOURCES.glob("*.cpp"), *ROSSERIAL.glob("ros/*.cpp")]):
         objects.append(LIBRARY.parent / f"{source.stem}.o")
-        _run("g++", *FLAGS, *SANITIZER, "-O1", "-g", "-fPIC", "-c", source, "-o", objects[-1])
+        run(["g++", *FLAGS, *UNDEFINED, "-I", ROSSERIAL, "-O1", "-g", "-fPIC", "-c", source, "-o", objects[-1]])
     abi = ROOT / "firmware" / "tests" / "due_abi.cpp"
-    _run("g++", "-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", abi, *objects, "-o", LIBRARY)
-
-
-def _run(*command: object) -> None:
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    options = ["-std=c++17", *UNDEFINED, "-I", ROSSERIAL, "-O1", "-g", "-fPIC", "-shared"]
+    run(["g++", *options, abi, *objects, "-o", LIBRARY])
 
 
 def _read_out(read: Callable[[int, object, int], int], handle: int) -> bytes:
@@ -125,7 +111,7 @@ def _read_out(read: Callable[[int, object, int], int], handle: int) -> bytes:
 
 
 class Node:
-    """A NodeHandle that sends /odometry (id 125) and takes /velocity (100, 48 bytes) and /led (101, 1 byte)."""
+    """A node that publishes /odometry (id 125) and takes /velocity (100, 48 bytes) and /led (101, 1 byte)."""
 
     def __init__(self, handle: int) -> None:
         self._handle = handle
@@ -157,8 +143,9 @@ class Node:
     def is_configured(self) -> bool:
         return bool(library().node_configured(self._handle))
 
-    def publish(self, topic_id: int, payload: bytes) -> bool:
-        return bool(library().node_publish(self._handle, topic_id, payload, len(payload)))
+    def publish(self, payload: bytes) -> bool:
+        """On /odometry."""
+        return bool(library().node_publish(self._handle, payload, len(payload)))
 
     def log(self, level: int, text: str) -> None:
         library().node_log(self._handle, level, text.encode())
@@ -227,7 +214,7 @@ def made(kind: str, *arguments: float) -> Iterator[int]:
 
 @contextmanager
 def node(retry: Retry = Retry.KEEP_STATE) -> Iterator[Node]:
-    """A NodeHandle for the length of the block."""
+    """A node for the length of the block."""
     with made("node", retry) as handle:
         yield Node(handle)
 

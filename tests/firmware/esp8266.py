@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Self
 
 from tests.support.once import once_a_run
+from tests.support.precedence import GOES_FIRST
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "esp8266"
+TARGETS = ("esp8266_native", "esp8266_original", "esp8266_abi")
 
 
 @cache
@@ -25,7 +27,10 @@ def build() -> Path:
 
 def _compile() -> None:
     source = ROOT / "firmware" / "esp8266"
-    for command in (["cmake", "-S", source, "-B", BUILD], ["cmake", "--build", BUILD, "--parallel", "2"]):
+    for command in (
+        ["cmake", "-S", source, "-B", BUILD],
+        ["cmake", "--build", BUILD, "--parallel", "2", "--target", *TARGETS],
+    ):
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
 
@@ -188,7 +193,7 @@ class Sketch:
 
 @contextmanager
 def running(program: str, server_port: int, *options: str) -> Iterator[Sketch]:
-    command = [build() / program, "--server", f"127.0.0.1:{server_port}", *options]
+    command = [*GOES_FIRST, build() / program, "--server", f"127.0.0.1:{server_port}", *options]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
         try:

@@ -1,4 +1,4 @@
-"""NodeHandle: against the simulated device byte for byte, under any bytes, and its own better policy."""
+"""The node: against the simulated device byte for byte, under any bytes, and its own better policy."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -118,7 +118,7 @@ def test_topics_time_log_parameters_and_stop() -> None:
         device.feed(TOPICS_REQUEST)
         spin(device, 1.0)
         assert [frame.topic_id for frame in frames(device.sent())] == [Id.TIME, 0, 1, 1]
-        assert device.publish(125, bytes(24))
+        assert device.publish(bytes(24))
         device.log(2, "warm")
         device.request_parameter("/gain")
         spin(device, 1.1)
@@ -133,7 +133,7 @@ def test_topics_time_log_parameters_and_stop() -> None:
         device.feed(STOP_REQUEST)
         spin(device, 1.3)
         assert not device.is_configured
-        assert not device.publish(125, bytes(24))
+        assert not device.publish(bytes(24))
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def blocked() -> Iterator[Node]:
 
 def test_a_full_line_to_the_host_keeps_the_newest_messages_and_counts_the_oldest() -> None:
     with blocked() as device:
-        assert all(device.publish(125, pose(number)) for number in range(100))
+        assert all(device.publish(pose(number)) for number in range(100))
         assert device.dropped_to_host == 100 - QUEUE_FRAMES
         device.room(2**32)
         spin(device, 1.1)
@@ -213,11 +213,11 @@ def test_a_full_line_to_the_host_keeps_the_newest_messages_and_counts_the_oldest
 def test_a_frame_that_is_on_the_wire_already_is_sent_to_its_end(begun_bytes: int) -> None:
     with blocked() as device:
         for number in range(10):
-            device.publish(125, pose(number))
+            device.publish(pose(number))
         device.room(begun_bytes)
         spin(device, 1.1)
         for number in range(10, 100):
-            device.publish(125, pose(number))
+            device.publish(pose(number))
         device.room(2**32)
         spin(device, 1.2)
         received = device.sent()
@@ -233,7 +233,7 @@ def test_what_is_no_message_is_not_dropped_for_one_and_finds_room() -> None:
     with blocked() as device:
         device.log(2, "first")
         for number in range(100):
-            device.publish(125, pose(number))
+            device.publish(pose(number))
         device.log(3, "left wheel stalled")
         device.request_parameter("/gain")
         device.feed(TOPICS_REQUEST)
@@ -253,7 +253,7 @@ def test_a_queue_without_messages_refuses_and_counts() -> None:
             device.log(2, "x" * 100)
         lines = 2048 // 113
         assert device.dropped_to_host == 60 - lines
-        assert not device.publish(125, bytes(200))
+        assert not device.publish(bytes(200))
         device.room(2**32)
         spin(device, 1.1)
         assert [frame.topic_id for frame in frames(device.sent())] == [Id.LOG] * lines
@@ -278,7 +278,7 @@ def test_whatever_the_line_accepts_the_host_gets_whole_frames_in_order(story: li
                 device.log(2, "x" * (size % 100))
             else:
                 published += 1
-                accepted += device.publish(125, pose(published) + bytes(24 if kind == "plot" else 0))
+                accepted += device.publish(pose(published) + bytes(24 if kind == "plot" else 0))
         device.room(2**32)
         spin(device, now_s + 0.001)
         data += device.sent()

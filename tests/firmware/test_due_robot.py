@@ -154,6 +154,19 @@ def test_everything_that_ends_the_driving_ends_it_within_0_6_s(last: bytes, star
         assert abs(track.speed_m_s) < 0.01
 
 
+def test_a_host_that_leaves_stops_it_at_once_also_when_another_is_there_in_the_same_turn() -> None:
+    with robot() as firmware:
+        track = Track(firmware)
+        track.run(2.0, velocity(0.2, 0.0))
+        assert min(firmware.pwm) > 0
+        firmware.feed(STOP_REQUEST + TOPICS_REQUEST)
+        track.run(PASS_S)
+        assert firmware.pwm == (0, 0)
+        track.run(0.5)
+        track.run(2.0, velocity(0.2, 0.0))
+        assert min(firmware.pwm) > 0
+
+
 def test_commands_that_come_again_drive_again() -> None:
     with robot() as firmware:
         track = Track(firmware)

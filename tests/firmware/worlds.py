@@ -17,13 +17,15 @@ from hostlink.protocol.stream import FrameStream
 from hostlink.sim.drive_train import FULL_PWM
 from hostlink.sim.world_library import array_of
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters
-from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, SANITIZER
+from tests.firmware.due import FLAGS, LIBRARY, OUT_BYTES, ROOT, ROSSERIAL
+from tests.support.compilers import UNDEFINED, run
 from tests.support.once import once_a_run
 
 FIRMWARE = ROOT / "firmware"
 WORLD = ("world", "world_parameters", "drive_train", "caster", "random_numbers")
 SOURCES = [
     *sorted((FIRMWARE / "due" / "src").glob("*.cpp")),
+    *sorted(ROSSERIAL.glob("ros/*.cpp")),
     FIRMWARE / "due" / "src" / "board" / "due_board.cpp",
     *(FIRMWARE / "host" / f"{name}.cpp" for name in WORLD),
 ]
@@ -45,11 +47,11 @@ def _compile() -> None:
     objects = []
     for source in SOURCES:
         objects.append(folder / f"{source.stem}.o")
-        options = [*FLAGS, *SANITIZER, "-O1", "-g", "-fPIC", "-DARDUINO_ARCH_SAM", f"-I{SHIM}"]
-        _run("g++", *options, "-c", source, "-o", objects[-1])
+        options = [*FLAGS, *UNDEFINED, "-O1", "-g", "-fPIC", "-DARDUINO_ARCH_SAM", f"-I{SHIM}", f"-I{ROSSERIAL}"]
+        run(["g++", *options, "-c", source, "-o", objects[-1]])
     own = [FIRMWARE / "tests" / "due_world.cpp", SHIM / "pins.cpp"]
-    options = ["-std=c++17", *SANITIZER, "-O1", "-g", "-fPIC", "-shared", f"-I{SHIM}"]
-    _run("g++", *options, *own, *objects, "-o", WORLD_LIBRARY)
+    options = ["-std=c++17", *UNDEFINED, "-O1", "-g", "-fPIC", "-shared", f"-I{SHIM}", f"-I{ROSSERIAL}"]
+    run(["g++", *options, *own, *objects, "-o", WORLD_LIBRARY])
 
 
 @cache

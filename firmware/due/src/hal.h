@@ -1,6 +1,7 @@
 // What the robot needs of a board, and nothing more. Implementations: board/ (the Due), firmware/host, firmware/qemu.
 #pragma once
 
+#include <ros/link.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -8,12 +9,9 @@
 
 namespace hostlink {
 
-class Hal {
+class Hal : public ros::Link {
  public:
-  virtual uint32_t millis() = 0;                                // wraps after 49.7 days: only differences mean anything
   virtual uint32_t micros() = 0;                                // wraps after 71.6 minutes
-  virtual int read() = 0;                                       // the next byte from the host, -1 when there is none
-  virtual size_t write(const uint8_t* data, size_t size) = 0;   // accepts what fits now, never waits
   virtual void drive(int16_t left_pwm, int16_t right_pwm) = 0;  // signed, -4095..4095; 0 brakes as hard as it can
   virtual void edges(uint32_t& left, uint32_t& right) = 0;      // of the encoders, rising and falling; wrap
   virtual float battery_v() { return kNotMeasured; }            // of the motors' supply; NaN: nothing measures it

@@ -7,9 +7,11 @@ namespace hostlink {
 
 namespace {
 
-const uint8_t kInfo = 1;
-const uint8_t kWarn = 2;
-const uint8_t kError = 3;
+using ros::FlashText;
+using ros::Level;
+using ros::Size;
+
+const size_t kFloatsMax = 8;  // of one parameter
 const float kMostGain = 1e6f;
 const uint32_t kTroubleIntervalMs = 10000;
 const float kLongestStepS = 0.2f;  // a loop that was away does not integrate the time that it missed
@@ -46,17 +48,32 @@ Gains read_gains(const uint8_t* payload) {
 
 }  // namespace
 
-Robot::Robot(Hal& hal, const char* name, Retry retry, Feedback feedback)
-    : hal_(hal), ns_(name), node_(hal, retry), left_(left_gains(), feedback), right_(right_gains(), feedback) {}
+Robot::Robot(Hal& hal, const char* name, ros::Retry retry, Feedback feedback)
+    : hal_(hal),
+      node_(hal, retry),
+      odometry_("odometry", FlashText(kPose2DType), FlashText(kPose2DMd5)),
+      plot_("plot_data", FlashText(kTwistType), FlashText(kTwistMd5)),
+      velocity_("velocity_commands", FlashText(kTwistType), FlashText(kTwistMd5), Size::exactly(kTwistBytes),
+                &Robot::receive_velocity, this),
+      reset_("reset_odometry", FlashText(kEmptyType), FlashText(kEmptyMd5), Size::exactly(0), &Robot::receive_reset,
+             this),
+      left_gains_("pid_tune_l", FlashText(kVector3Type), FlashText(kVector3Md5), Size::exactly(kVector3Bytes),
+                  &Robot::receive_left_gains, this),
+      right_gains_("pid_tune_r", FlashText(kVector3Type), FlashText(kVector3Md5), Size::exactly(kVector3Bytes),
+                   &Robot::receive_right_gains, this),
+      left_(left_gains(), feedback),
+      right_(right_gains(), feedback) {
+  node_.setNamespace(name);
+}
 
 void Robot::setup() {
-  odometry_id_ = node_.advertise(ns_, "odometry", kPose2DType, kPose2DMd5);
-  plot_id_ = node_.advertise(ns_, "plot_data", kTwistType, kTwistMd5);
-  node_.subscribe(ns_, "velocity_commands", kTwistType, kTwistMd5, kTwistBytes, &Robot::receive_velocity, this);
-  node_.subscribe(ns_, "reset_odometry", kEmptyType, kEmptyMd5, 0, &Robot::receive_reset, this);
-  node_.subscribe(ns_, "pid_tune_l", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::receive_left_gains, this);
-  node_.subscribe(ns_, "pid_tune_r", kVector3Type, kVector3Md5, kVector3Bytes, &Robot::receive_right_gains, this);
-  report_.advertise(node_, ns_);
+  node_.advertise(odometry_);
+  node_.advertise(plot_);
+  node_.subscribe(velocity_);
+  node_.subscribe(reset_);
+  node_.subscribe(left_gains_);
+  node_.subscribe(right_gains_);
+  report_.advertise(node_);
   hal_.drive(0, 0);
   hal_.edges(left_edges_, right_edges_);
   turned_at_us_ = due_since_us_ = hal_.micros();
@@ -82,10 +99,10 @@ void Robot::guard() {
   if (!is_commanded_) return;
   if (!node_.is_configured()) {
     stop();
-  } else if (hal_.millis() - commanded_at_ms_ > kCommandTimeoutMs) {
+  } else if (hal_.milliseconds() - commanded_at_ms_ > kCommandTimeoutMs) {
     stop();
     raise(Error::kNoCommand);
-    node_.log(kWarn, Text().add("no command for ").add(kCommandTimeoutMs).add(" ms: stopped").chars());
+    node_.log(Level::kWarn, Text().add("no command for ").add(kCommandTimeoutMs).add(" ms: stopped").chars());
   }
 }
 
@@ -105,7 +122,7 @@ void Robot::turn(float dt_s) {
     turns_ = 0;
     publish();
     raise_faults();
-    report_.publish(node_, hal_.battery_v(), hal_.millis());
+    report_.publish(node_, hal_.battery_v(), hal_.milliseconds());
     log_trouble();
   }
 }
@@ -136,7 +153,7 @@ bool Robot::log_fault(const Wheel& wheel, const char* side) {
     text.add(" wheel runs away: ").add(wheel.speed_ticks_s(), 0).add(" of ");
     text.add(wheel.set_point_ticks_s(), 0).add(" ticks/s");
   }
-  node_.log(kError, text.add("; off until a zero").chars());
+  node_.log(Level::kError, text.add("; off until a zero").chars());
   return true;
 }
 
@@ -159,18 +176,18 @@ void Robot::stop() {
 void Robot::greet() {
   const bool is_configured = node_.is_configured();
   if (is_configured && !was_configured_) {
-    node_.log(kInfo, "robot is ready");
+    node_.log(Level::kInfo, "robot is ready");
     if (hal_.was_hung() && !was_hung_logged_) {
       was_hung_logged_ = true;
       raise(Error::kHung);
-      node_.log(kError, "started by its watchdog: the loop had not turned for 500 ms");
+      node_.log(Level::kError, "started by its watchdog: the loop had not turned for 500 ms");
     }
     requested_ = 1;
-    node_.request_parameter(ns_, kParameters[0].name, &Robot::receive_parameter, this);
-    requested_at_ms_ = hal_.millis();
-  } else if (is_configured && requested_ != 0 && hal_.millis() - requested_at_ms_ > kParameterTimeoutMs) {
+    node_.request_parameter(kParameters[0].name, &Robot::receive_parameter, this);
+    requested_at_ms_ = hal_.milliseconds();
+  } else if (is_configured && requested_ != 0 && hal_.milliseconds() - requested_at_ms_ > kParameterTimeoutMs) {
     // The constants apply. An answer does not name its parameter: one that comes now must not be used for the next.
-    node_.log(kWarn,
+    node_.log(Level::kWarn,
               Text().add("no answer to ").add(kParameters[requested_ - 1].name).add(": no more questions").chars());
     requested_ = 0;
   }
@@ -186,8 +203,8 @@ void Robot::use_parameter(const float* values, size_t count) {
     log_geometry();
     return;
   }
-  node_.request_parameter(ns_, kParameters[requested_ - 1].name, &Robot::receive_parameter, this);
-  requested_at_ms_ = hal_.millis();
+  node_.request_parameter(kParameters[requested_ - 1].name, &Robot::receive_parameter, this);
+  requested_at_ms_ = hal_.milliseconds();
 }
 
 // False: it makes no sense. One number for both wheels, or one for each, the left one first.
@@ -232,7 +249,7 @@ void Robot::refuse_parameter() {
       .add(parameter.low, 3)
       .add(" to ")
       .add(parameter.high, 1);
-  node_.log(kWarn, text.chars());
+  node_.log(Level::kWarn, text.chars());
 }
 
 // In two lines, because the host's own log cuts one at 64 characters; each in a function, for the stack's sake.
@@ -247,13 +264,13 @@ void Robot::log_radii() {
   Text text;
   text.add("wheel radius ").add(drive_.left().radius_m * 1000.0f, 3).add(" and ");
   text.add(drive_.right().radius_m * 1000.0f, 3).add(" mm, ").add(drive_.separation_m() * 1000.0f, 2).add(" mm apart");
-  node_.log(kInfo, text.chars());
+  node_.log(Level::kInfo, text.chars());
 }
 
 void Robot::log_ticks() {
   Text text;
   text.add("ticks a turn ").add(drive_.left().ticks_per_turn, 3).add(" and ").add(drive_.right().ticks_per_turn, 3);
-  node_.log(kInfo, text.chars());
+  node_.log(Level::kInfo, text.chars());
 }
 
 void Robot::publish() {
@@ -261,12 +278,12 @@ void Robot::publish() {
   write_float64(pose, static_cast<float>(pose_.x_m));
   write_float64(pose + kFloat64Bytes, static_cast<float>(pose_.y_m));
   write_float64(pose + 2 * kFloat64Bytes, static_cast<float>(pose_.theta_rad));
-  node_.publish(odometry_id_, pose, sizeof pose);
+  odometry_.publish(pose, sizeof pose);
   const float plot[6] = {left_.speed_ticks_s(),     right_.speed_ticks_s(),     static_cast<float>(left_.pwm()),
                          left_.set_point_ticks_s(), right_.set_point_ticks_s(), static_cast<float>(right_.pwm())};
   uint8_t twist[kTwistBytes];
   for (size_t i = 0; i < 6; ++i) write_float64(twist + i * kFloat64Bytes, plot[i]);
-  node_.publish(plot_id_, twist, sizeof twist);
+  plot_.publish(twist, sizeof twist);
 }
 
 void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
@@ -280,7 +297,7 @@ void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   if (!is_number) {
     robot.stop();
     robot.raise(Error::kNoNumber);
-    robot.node_.log(kError, "a velocity that is no number: stopped");
+    robot.node_.log(Level::kError, "a velocity that is no number: stopped");
     return;
   }
   if (left_ticks_s == 0.0f && right_ticks_s == 0.0f) {
@@ -292,7 +309,7 @@ void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   robot.left_.aim(left_ticks_s);
   robot.right_.aim(right_ticks_s);
   robot.is_commanded_ = true;
-  robot.commanded_at_ms_ = robot.hal_.millis();
+  robot.commanded_at_ms_ = robot.hal_.milliseconds();
 }
 
 void Robot::receive_reset(void* self, const uint8_t*, size_t) {
@@ -315,30 +332,32 @@ void Robot::tune(Wheel& wheel, const Gains& gains) {
   const char* const side = &wheel == &left_ ? "left" : "right";
   if (!is_gain(gains.kp) || !is_gain(gains.ki) || !is_gain(gains.kd)) {
     raise(Error::kRefused);
-    node_.log(kWarn, Text().add(side).add(" gains refused: each is 0 or more").chars());
+    node_.log(Level::kWarn, Text().add(side).add(" gains refused: each is 0 or more").chars());
     return;
   }
   wheel.pid().tune(gains);
   Text text;
   text.add(side).add(" Kp ").add(gains.kp, 2).add(" Ki ").add(gains.ki, 2).add(" Kd ").add(gains.kd, 3);
-  node_.log(kInfo, text.chars());
+  node_.log(Level::kInfo, text.chars());
 }
 
 // What the link has cost so far, when it was something new, at most every ten seconds.
 void Robot::log_trouble() {
   const uint32_t trouble = node_.dropped_from_host() + node_.refused() + node_.dropped_to_host();
-  const bool is_new = trouble != logged_trouble_ && hal_.millis() - logged_trouble_at_ms_ > kTroubleIntervalMs;
+  const bool is_new = trouble != logged_trouble_ && hal_.milliseconds() - logged_trouble_at_ms_ > kTroubleIntervalMs;
   if (!is_new || !node_.is_configured()) return;
   logged_trouble_ = trouble;
-  logged_trouble_at_ms_ = hal_.millis();
+  logged_trouble_at_ms_ = hal_.milliseconds();
   Text text;
   text.add("link: false starts of frames ").add(node_.dropped_from_host());
   text.add(", frames refused ").add(node_.refused()).add(", not sent ").add(node_.dropped_to_host());
-  node_.log(kWarn, text.chars());
+  node_.log(Level::kWarn, text.chars());
 }
 
-void Robot::receive_parameter(void* self, const float* values, size_t count) {
-  static_cast<Robot*>(self)->use_parameter(values, count);
+void Robot::receive_parameter(void* self, ros::ParameterAnswer& answer) {
+  float values[kFloatsMax];
+  const size_t count = answer.numbers(values, kFloatsMax);
+  static_cast<Robot*>(self)->use_parameter(values, count < kFloatsMax ? count : kFloatsMax);
 }
 
 }  // namespace hostlink

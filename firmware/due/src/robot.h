@@ -2,19 +2,22 @@
 // feeds the motors or stops them.
 #pragma once
 
+#include <ros/node_handle.h>
 #include <stdint.h>
 
 #include "drive.h"
 #include "hal.h"
-#include "node_handle.h"
 #include "self_report.h"
 #include "wheel.h"
 
 namespace hostlink {
 
+// Ids from 100 and 125, messages of 512 bytes at most, and 2048 bytes of them on their way to the host.
+typedef ros::BufferedNode<25, 25, 512, 512, 2048> RobotNode;
+
 class Robot {
  public:
-  explicit Robot(Hal& hal, const char* name = "/robot_0/", Retry retry = Retry::kKeepState,
+  explicit Robot(Hal& hal, const char* name = "/robot_0/", ros::Retry retry = ros::Retry::kKeepState,
                  Feedback feedback = Feedback::kWashedOut);
 
   void setup();
@@ -25,20 +28,20 @@ class Robot {
   const Pose& pose() const { return pose_; }
   const Wheel& left() const { return left_; }
   const Wheel& right() const { return right_; }
-  NodeHandle& node() { return node_; }
+  RobotNode& node() { return node_; }
 
  private:
   static void receive_velocity(void* self, const uint8_t* payload, size_t size);
   static void receive_reset(void* self, const uint8_t* payload, size_t size);
   static void receive_left_gains(void* self, const uint8_t* payload, size_t size);
   static void receive_right_gains(void* self, const uint8_t* payload, size_t size);
-  static void receive_parameter(void* self, const float* values, size_t count);
+  static void receive_parameter(void* self, ros::ParameterAnswer& answer);
 
   void guard();
   void turn(float dt_s);
   void watch();
   bool log_fault(const Wheel& wheel, const char* side);
-  void raise(Error error) { report_.raise(error, hal_.millis()); }
+  void raise(Error error) { report_.raise(error, hal_.milliseconds()); }
   void raise_faults();
   void stop();
   void greet();
@@ -53,15 +56,18 @@ class Robot {
   void log_trouble();
 
   Hal& hal_;
-  const char* ns_;
-  NodeHandle node_;
+  RobotNode node_;
+  ros::RawPublisher odometry_;
+  ros::RawPublisher plot_;
+  ros::RawSubscriber velocity_;
+  ros::RawSubscriber reset_;
+  ros::RawSubscriber left_gains_;
+  ros::RawSubscriber right_gains_;
   SelfReport report_;
   Drive drive_;
   Wheel left_;
   Wheel right_;
   Pose pose_ = {0.0, 0.0, 0.0};
-  uint16_t odometry_id_ = 0;
-  uint16_t plot_id_ = 0;
   uint32_t turned_at_us_ = 0;  // the last turn
   uint32_t due_since_us_ = 0;  // the steady grid of the turns
   uint32_t commanded_at_ms_ = 0;

@@ -9,7 +9,6 @@ namespace {
 
 const float kSmoothing = 0.1f;   // of the newest tenth of a second
 const float kRecoveredV = 0.3f;  // above the limit
-const uint8_t kError = 3;
 
 }  // namespace
 
@@ -61,12 +60,12 @@ void Battery::add(float volts) {
   }
 }
 
-void SelfReport::advertise(NodeHandle& node, const char* ns) {
-  battery_id_ = node.advertise(ns, "battery", kBatteryStateType, kBatteryStateMd5);
-  errors_id_ = node.advertise(ns, "errors", kUInt16MultiArrayType, kUInt16MultiArrayMd5);
+void SelfReport::advertise(ros::NodeApi& node) {
+  node.advertise(battery_topic_);
+  node.advertise(errors_topic_);
 }
 
-void SelfReport::publish(NodeHandle& node, float battery_v, uint32_t now_ms) {
+void SelfReport::publish(ros::NodeApi& node, float battery_v, uint32_t now_ms) {
   check_battery(node, battery_v, now_ms);
   check_link(node, now_ms);
   uint8_t numbers[Errors::kMost];
@@ -75,13 +74,13 @@ void SelfReport::publish(NodeHandle& node, float battery_v, uint32_t now_ms) {
   for (size_t i = 0; i < count; ++i) payload[kUInt16MultiArrayBytes + 2 * i] = numbers[i];
   payload[kUInt16MultiArrayBytes - 4] = static_cast<uint8_t>(count);
   const bool is_due = ++turns_ >= kEvery;
-  if (errors_.has_changed() || is_due) node.publish(errors_id_, payload, kUInt16MultiArrayBytes + 2 * count);
+  if (errors_.has_changed() || is_due) errors_topic_.publish(payload, kUInt16MultiArrayBytes + 2 * count);
   if (!is_due) return;
   turns_ = 0;
-  if (battery_.is_measured()) publish_battery(node);
+  if (battery_.is_measured()) publish_battery();
 }
 
-void SelfReport::check_battery(NodeHandle& node, float battery_v, uint32_t now_ms) {
+void SelfReport::check_battery(ros::NodeApi& node, float battery_v, uint32_t now_ms) {
   const bool was_low = battery_.is_low();
   battery_.add(battery_v);
   if (!battery_.is_low()) return;
@@ -89,10 +88,10 @@ void SelfReport::check_battery(NodeHandle& node, float battery_v, uint32_t now_m
   if (was_low) return;
   Text text;
   text.add("battery low: ").add(battery_.volts(), 1).add(" V, below ").add(battery_.low_v(), 1).add(" V");
-  node.log(kError, text.chars());
+  node.logerror(text.chars());
 }
 
-void SelfReport::check_link(const NodeHandle& node, uint32_t now_ms) {
+void SelfReport::check_link(const ros::NodeApi& node, uint32_t now_ms) {
   if (node.dropped_from_host() != from_host_) errors_.raise(Error::kFromHost, now_ms);
   if (node.refused() != not_expected_) errors_.raise(Error::kNotExpected, now_ms);
   if (node.dropped_to_host() != not_sent_) errors_.raise(Error::kNotSent, now_ms);
@@ -101,13 +100,13 @@ void SelfReport::check_link(const NodeHandle& node, uint32_t now_ms) {
   not_sent_ = node.dropped_to_host();
 }
 
-void SelfReport::publish_battery(NodeHandle& node) {
+void SelfReport::publish_battery() {
   uint8_t payload[kBatteryStateBytes] = {};  // no stamp, no frame, no cells, no names
   write_float32(payload + kBatteryVoltageAt, battery_.volts());
   // Temperature, current, charge, capacities and percentage: NaN says that nothing measures them.
   for (size_t i = 1; i < kBatteryFloats; ++i) write_float32(payload + kBatteryVoltageAt + 4 * i, kNotMeasured);
   payload[kBatteryPresentAt] = 1;
-  node.publish(battery_id_, payload, sizeof payload);
+  battery_topic_.publish(payload, sizeof payload);
 }
 
 }  // namespace hostlink

@@ -2,10 +2,12 @@
 // (docs/robot.md#what-the-robot-knows-of-itself). The lines of the log say the same to people.
 #pragma once
 
+#include <ros/node_handle.h>
 #include <stddef.h>
 #include <stdint.h>
 
-#include "node_handle.h"
+#include "constants.h"
+#include "messages.h"
 
 namespace hostlink {
 
@@ -64,23 +66,24 @@ class Battery {
 
 class SelfReport {
  public:
-  void advertise(NodeHandle& node, const char* ns);
+  void advertise(ros::NodeApi& node);
   void raise(Error error, uint32_t now_ms) { errors_.raise(error, now_ms); }
   // Ten times a second: the errors each second and when they change, the battery each second where it is measured.
-  void publish(NodeHandle& node, float battery_v, uint32_t now_ms);
+  void publish(ros::NodeApi& node, float battery_v, uint32_t now_ms);
   Battery& battery() { return battery_; }
 
  private:
   static const uint8_t kEvery = 10;
 
-  void check_battery(NodeHandle& node, float battery_v, uint32_t now_ms);
-  void check_link(const NodeHandle& node, uint32_t now_ms);
-  void publish_battery(NodeHandle& node);
+  void check_battery(ros::NodeApi& node, float battery_v, uint32_t now_ms);
+  void check_link(const ros::NodeApi& node, uint32_t now_ms);
+  void publish_battery();
 
   Errors errors_;
   Battery battery_;
-  uint16_t battery_id_ = 0;
-  uint16_t errors_id_ = 0;
+  ros::RawPublisher battery_topic_ = {"battery", ros::FlashText(kBatteryStateType), ros::FlashText(kBatteryStateMd5)};
+  ros::RawPublisher errors_topic_ = {"errors", ros::FlashText(kUInt16MultiArrayType),
+                                     ros::FlashText(kUInt16MultiArrayMd5)};
   uint8_t turns_ = 0;
   uint32_t from_host_ = 0;  // as they were counted last
   uint32_t not_expected_ = 0;

@@ -5,9 +5,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "backoff.h"
+#include <hostlink/backoff.h>
+#include <hostlink/key_proof.h>
+
 #include "frame_assembler.h"
-#include "key_proof.h"
 #include "ports.h"
 #include "signal_report.h"
 

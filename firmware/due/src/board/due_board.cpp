@@ -115,7 +115,7 @@ void DueBoard::run() {
   }
 }
 
-uint32_t DueBoard::millis() { return ::millis(); }
+uint32_t DueBoard::milliseconds() { return ::millis(); }
 
 uint32_t DueBoard::micros() { return ::micros(); }
 

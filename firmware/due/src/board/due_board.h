@@ -11,7 +11,7 @@ class DueBoard : public Hal {
   void begin();
   void run();  // on each turn of loop()
 
-  uint32_t millis() override;
+  uint32_t milliseconds() override;
   uint32_t micros() override;
   int read() override;
   size_t write(const uint8_t* data, size_t size) override;

@@ -1,0 +1,15 @@
+// Stand-in: no update ever comes.
+#pragma once
+
+#include <functional>
+
+class ArduinoOTAClass {
+ public:
+  void setHostname(const char*) {}
+  void setPassword(const char*) {}
+  void onStart(std::function<void()>) {}
+  void begin() {}
+  void handle() {}
+};
+
+static ArduinoOTAClass ArduinoOTA;

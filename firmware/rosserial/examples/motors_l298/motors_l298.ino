@@ -1,0 +1,61 @@
+// cmd_vel to two motors on an L298 (IN1, IN2, and EN with PWM), with a watchdog: they stop half a second after the last
+// command, and at once when the host is gone.
+#include <geometry_msgs/Twist.h>
+#include <hostlink/command_watchdog.h>
+#include <ros.h>
+
+const float kWheelSeparationM = 0.2f;
+const float kTopSpeedMS = 0.5f;
+
+struct Motor {
+  uint8_t forwards;
+  uint8_t backwards;
+  uint8_t enable;
+
+  void begin() {
+    pinMode(forwards, OUTPUT);
+    pinMode(backwards, OUTPUT);
+    pinMode(enable, OUTPUT);
+    drive(0);
+  }
+  void drive(int duty) {
+    digitalWrite(forwards, duty > 0 ? HIGH : LOW);
+    digitalWrite(backwards, duty < 0 ? HIGH : LOW);
+    analogWrite(enable, duty < 0 ? -duty : duty);
+  }
+};
+
+Motor left = {7, 8, 5};
+Motor right = {9, 10, 6};
+
+ros::NodeHandle nh;
+hostlink::CommandWatchdog watchdog([]() {
+  left.drive(0);
+  right.drive(0);
+});
+
+int duty_of(float speed_m_s) {
+  const float duty = speed_m_s / kTopSpeedMS * 255.0f;
+  if (!(duty > -255.0f)) return duty != duty ? 0 : -255;  // what is no number stands
+  return duty > 255.0f ? 255 : static_cast<int>(duty);
+}
+
+void drive(const geometry_msgs::Twist& command) {
+  if (!watchdog.feed()) return;
+  const float linear = static_cast<float>(command.linear.x);
+  const float difference = static_cast<float>(command.angular.z) * kWheelSeparationM / 2.0f;
+  left.drive(duty_of(linear - difference));
+  right.drive(duty_of(linear + difference));
+}
+
+ros::Subscriber<geometry_msgs::Twist> velocity("cmd_vel", &drive);
+
+void setup() {
+  left.begin();
+  right.begin();
+  nh.initNode();
+  nh.attach(watchdog);
+  nh.subscribe(velocity);
+}
+
+void loop() { nh.spinOnce(); }

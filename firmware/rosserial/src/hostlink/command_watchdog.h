@@ -1,0 +1,46 @@
+// CommandWatchdog: who drives motors stops them when no command has come for a while, or the host is gone: also while a
+// service or a parameter is waited for. Attach it to the node: nh.attach(watchdog).
+#pragma once
+
+#include "../ros/callable.h"
+#include "../ros/node.h"
+
+namespace hostlink {
+
+const uint32_t kCommandTimeoutMs = 500;
+
+/*
+  state    event                                                next
+  stopped  feed()                                               running
+  running  no feed() for the time-out, or the host is gone      stopped, the stop is called
+           stop()                                               stopped, the stop is called
+  any      feed() in a callback whose message may have waited   stopped, the stop is called
+           for longer than the time-out
+*/
+class CommandWatchdog : public ros::Task {
+ public:
+  // `stop`: a function, or a lambda that captures at most three references.
+  template <class F>
+  explicit CommandWatchdog(F stop, uint32_t timeout_ms = kCommandTimeoutMs) : stop_(stop), timeout_ms_(timeout_ms) {}
+
+  // A command has come: call it in its callback, before the motors start. False: nothing would stop them, as the
+  // watchdog is not attached to a node, or the host is gone; or the loop stood still, and the command is an old one.
+  // The stop was called then.
+  bool feed();
+  void stop();
+  bool is_running() const { return is_running_; }
+  uint32_t stops() const { return stops_; }  // of its own
+
+ private:
+  void spin(ros::Node& node) override;
+  bool is_late();
+
+  ros::Callable<void()> stop_;
+  uint32_t timeout_ms_;
+  uint32_t fed_at_ms_ = 0;
+  uint32_t stops_ = 0;
+  bool is_running_ = false;
+  bool has_logged_late_ = false;
+};
+
+}  // namespace hostlink

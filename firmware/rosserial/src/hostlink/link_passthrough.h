@@ -1,0 +1,90 @@
+// A board with a network in front of one without: what the device says on its UART goes to the host, and back. Bytes
+// pass as they are, so topics, services and parameters are the device's own; whose connection is lost is stopped.
+#pragma once
+
+#include <string.h>
+
+#include "../ros/link.h"
+
+namespace hostlink {
+
+template <size_t kBytes = 512>
+class LinkPassthrough {
+  static_assert(kBytes >= 32, "a frame that stops the device needs its room");
+
+ public:
+  // `device` and `host` are initialised by the sketch.
+  LinkPassthrough(ros::Link& device, ros::Link& host) : device_(device), host_(host) {}
+
+  // One turn, which never waits: each direction at most what its buffer takes.
+  void spin() {
+    read_host();
+    to_device_.flush(device_);
+    read_device();
+    to_host_.flush(host_);
+  }
+
+  uint32_t dropped() const { return dropped_; }  // bytes of the device that the host did not accept in time
+
+ private:
+  class Waiting {
+   public:
+    bool has_room() const { return size_ < kBytes; }
+    void put(int byte) { bytes_[size_++] = static_cast<uint8_t>(byte); }
+    void clear() { size_ = 0; }
+    void flush(ros::Link& link) {
+      if (size_ == 0) return;
+      const size_t accepted = ros::accepted_of(size_, link.write(bytes_, size_));
+      size_ -= accepted;
+      memmove(bytes_, bytes_ + accepted, size_);
+    }
+
+   private:
+    uint8_t bytes_[kBytes] = {};
+    size_t size_ = 0;
+  };
+
+  // What has no room stays with the host: TCP slows it down.
+  void read_host() {
+    for (size_t count = 0; count < kBytes && to_device_.has_room(); ++count) {
+      const int byte = host_.read();
+      if (byte == ros::Link::kRestarted) {
+        restart();
+      } else if (byte < 0) {
+        return;
+      } else {
+        to_device_.put(byte);
+      }
+    }
+  }
+
+  // A UART cannot be slowed down: what has no room is dropped, so that nothing old is waiting for a host.
+  void read_device() {
+    for (size_t count = 0; count < kBytes; ++count) {
+      const int byte = device_.read();
+      if (byte < 0) return;
+      if (to_host_.has_room()) {
+        to_host_.put(byte);
+      } else {
+        ++dropped_;
+      }
+    }
+  }
+
+  // The host is gone, or another one: nothing of the old one reaches anybody, and the device stops what it drives.
+  void restart() {
+    static const uint8_t kStop[] = {0xFF, 0xFE, 0x00, 0x00, 0xFF, 0x0B, 0x00, 0xF4};  // id 11: docs/protocol.md
+    to_device_.clear();
+    to_host_.clear();
+    for (size_t count = 0; count < kBytes && device_.read() >= 0;) ++count;
+    for (size_t i = 0; i < sizeof kStop; ++i) to_device_.put(kStop[i]);
+  }
+
+  ros::Link& device_;
+  ros::Link& host_;
+  Waiting to_device_;
+  Waiting to_host_;
+  uint32_t dropped_ = 0;
+};
+
+}  // namespace hostlink

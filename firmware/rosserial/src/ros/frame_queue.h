@@ -1,0 +1,60 @@
+// The frames that wait for the line to the host, whole ones only. Where there is no room the oldest messages of topics
+// go: the next ones replace them. Lines of the log are sent once, and go only for what the host waits for: topics,
+// requests, and the halves of services, which stay.
+#pragma once
+
+#include "link.h"
+#include "topics.h"
+#include "wire.h"
+
+namespace ros {
+
+const uint16_t kFirstTopicId = 100;
+const uint16_t kIdLog = 7;
+
+class FrameQueue {
+ public:
+  static const size_t kHeaderBytes = 7;
+  static const size_t kOverheadBytes = 8;
+
+  FrameQueue(uint8_t* bytes, size_t capacity, size_t payload_bytes_max, const Topics& topics)
+      : bytes_(bytes), capacity_(capacity), payload_bytes_max_(payload_bytes_max), topics_(topics) {}
+
+  // Where the payload of the next frame is written; valid until the next call.
+  Writer open();
+  bool has_room(size_t payload_bytes) const {
+    return payload_bytes <= payload_bytes_max_ && payload_bytes + kOverheadBytes <= capacity_ - size_;
+  }
+  // Drops what may go for a frame of this id until there is. False: no room even without all of that; none has gone.
+  bool make_room(uint16_t id, size_t payload_bytes);
+  // Ends the frame whose payload was written.
+  void close(uint16_t id, size_t payload_bytes);
+  void flush(Link& link);
+  void clear();
+
+  size_t payload_bytes_max() const { return payload_bytes_max_; }
+  uint32_t dropped() const { return dropped_; }  // messages
+  uint32_t dropped_lines() const { return dropped_lines_; }
+
+ private:
+  // What is lower goes for what is higher, and a message for the next one.
+  enum class Rank : uint8_t { kMessage, kLine, kAwaited };
+
+  Rank rank(uint16_t id) const;
+  uint16_t frame_id(size_t at) const { return static_cast<uint16_t>(bytes_[at + 5] | bytes_[at + 6] << 8); }
+  size_t frame_bytes(size_t at) const;
+  bool drop_oldest(Rank of_rank);
+  void leave(size_t count);
+
+  uint8_t* bytes_;
+  size_t capacity_;
+  size_t payload_bytes_max_;
+  const Topics& topics_;
+  size_t head_ = 0;         // of the bytes before it, all are on the wire
+  size_t size_ = 0;         // behind the head
+  size_t begun_bytes_ = 0;  // of the first frame, which is on the wire in part: what is left of it
+  uint32_t dropped_ = 0;
+  uint32_t dropped_lines_ = 0;
+};
+
+}  // namespace ros

@@ -1,0 +1,11 @@
+// What every message is.
+#pragma once
+
+#include "flash_text.h"
+#include "wire.h"
+
+namespace ros {
+
+class Msg {};
+
+}  // namespace ros

@@ -1,0 +1,143 @@
+// Node: the device side of rosserial, whatever the messages are: topics, services, time, log, parameters. No heap;
+// every length from the wire is bounded. Buffers and endpoints belong to the sketch; node_handle.h has the classes that
+// it uses.
+#pragma once
+
+#include "endpoint.h"
+#include "frame_queue.h"
+#include "frame_reader.h"
+#include "host_clock.h"
+#include "link.h"
+#include "parameter_answer.h"
+#include "task.h"
+
+namespace ros {
+
+// What happens when the bytes of a frame stop coming in its middle (docs/protocol.md#the-retry-clause).
+enum class Retry : uint8_t {
+  kNone,       // the original library: a frame that is not complete 20 ms after its first byte is dropped
+  kPaper,      // the paper's listing 1: the same, but wait 10 ms and read once more before the loop is left
+  kKeepState,  // the default: keep what has come and never wait; after 250 ms read it again from its second byte
+};
+
+enum class Level : uint8_t { kDebug, kInfo, kWarn, kError, kFatal };
+
+class Node : private Topics {
+ public:
+  typedef void (*ParameterCallback)(void* context, ParameterAnswer& answer);
+  typedef bool (*Serialize)(const void* message, Writer& out);
+
+  // In front of every name that begins with neither / nor ~. The text must stay where it is.
+  void set_namespace(const char* name_space) { namespace_ = name_space; }
+
+  // Before the first spin(). False: there are too many, or the announcement does not fit into the output buffer.
+  bool add(Sender& sender);
+  bool add(Receiver& receiver);
+  bool add(Sender& sender, Receiver& receiver);  // both, or none
+  void attach(Task& task);
+
+  // One turn. 0: done; else the clause of the paper wants to be called again after so many milliseconds.
+  uint32_t spin();
+  // Turns until a callback has set `is_done`; the payload of its message then stays until the next turn. False after
+  // timeout_ms, and at once where it cannot wait.
+  bool spin_until(const bool& is_done, uint32_t timeout_ms);
+  bool can_wait() const { return !is_calling_ && awaited_ == nullptr; }  // a callback cannot
+
+  bool is_configured() const { return is_configured_; }
+  // In a callback: how long its message may have waited for this turn, at most; since then the link was not empty.
+  uint32_t waited_ms() { return is_calling_ ? link_.milliseconds() - emptied_at_ms_ : 0; }
+  // The bytes of the payload. -1: dropped and counted; 0: the host has not asked for topics. One that is queued may
+  // still go for a newer one, when the line is full.
+  int publish(const Sender& sender, const void* message, Serialize serialize);
+  void log(Level level, const char* text);
+  void log(Level level, FlashText text);
+  // One at a time: an answer does not name its parameter. False: another one's answer is expected, that of one that
+  // was forgotten for a second; or there is no room.
+  bool request_parameter(const char* name, ParameterCallback callback, void* context);
+  void forget_parameter();
+
+  uint32_t milliseconds() { return link_.milliseconds(); }
+  HostClock& clock() { return clock_; }
+
+  uint32_t delivered() const { return delivered_; }                     // messages that reached their callback
+  uint32_t published() const { return published_ - queue_.dropped(); }  // that went to the host, or will
+  uint32_t dropped_from_host() const { return reader_.dropped(); }
+  uint32_t dropped_to_host() const { return not_queued_ + queue_.dropped() + queue_.dropped_lines(); }
+  // Good frames with an id, a size or a content that no topic of ours has; kKeepState counts a wrong id or size as
+  // dropped, by their header.
+  uint32_t refused() const { return refused_; }
+
+ protected:
+  struct Buffers {
+    uint8_t* from_host;
+    size_t from_host_bytes;
+    uint8_t* to_host;
+    size_t to_host_bytes;
+    size_t message_bytes;  // of a message to the host, at most
+  };
+
+  Node(Link& link, const Buffers& buffers, uint16_t receivers_max, uint16_t senders_max, Retry retry)
+      : link_(link),
+        retry_(retry),
+        receivers_max_(receivers_max),
+        senders_max_(senders_max),
+        reader_(buffers.from_host, buffers.from_host_bytes, retry == Retry::kKeepState, *this),
+        queue_(buffers.to_host, buffers.to_host_bytes, buffers.message_bytes, *this) {}
+  Node(const Node&) = delete;
+  Node& operator=(const Node&) = delete;
+  ~Node() {}
+
+ private:
+  bool is_expected(uint16_t topic_id, size_t size) const override;
+  bool is_replaceable(uint16_t id) const override;
+  bool add(Endpoint& endpoint, Endpoint*& first, uint16_t first_id, uint16_t most);
+  bool begin_turn();
+  bool read_link();
+  bool find_nothing();
+  bool give_up_frame();
+  bool lose_host();
+  bool receive(uint8_t byte);
+  bool act(FrameReader::Result result);
+  bool act_on_frame();
+  Receiver* find_receiver(uint16_t topic_id) const;
+  void deliver(uint16_t topic_id, uint8_t* payload, size_t size);
+  void receive_time(uint8_t* payload);
+  void receive_parameter(uint8_t* payload, size_t size);
+  void request_time();
+  void announce();
+  int send(uint16_t id, const void* message, Serialize serialize);
+  bool send_counted(uint16_t id, const void* message, Serialize serialize);
+
+  Link& link_;
+  Retry retry_;
+  bool is_configured_ = false;
+  bool is_spinning_ = false;  // also while the clause of the paper waits
+  bool is_retrying_ = false;
+  bool is_calling_ = false;  // a callback
+  uint16_t receivers_max_;
+  uint16_t senders_max_;
+  FrameReader reader_;
+  FrameQueue queue_;
+  HostClock clock_;
+  const char* namespace_ = "";
+  Endpoint* senders_ = nullptr;
+  Endpoint* receivers_ = nullptr;
+  Endpoint* announcing_ = nullptr;  // the next one
+  Task* tasks_ = nullptr;
+  const bool* awaited_ = nullptr;  // by spin_until
+  uint32_t began_ms_ = 0;
+  uint32_t emptied_at_ms_ = 0;  // all that had come was read
+  uint32_t frame_began_ms_ = 0;
+  uint32_t time_requested_ms_ = 0;
+  uint32_t time_received_ms_ = 0;
+  ParameterCallback parameter_ = nullptr;
+  void* parameter_context_ = nullptr;
+  uint32_t parameter_forgotten_ms_ = 0;
+  bool is_parameter_late_ = false;  // the answer of one that was forgotten may still come
+  uint32_t not_queued_ = 0;
+  uint32_t refused_ = 0;
+  uint32_t delivered_ = 0;
+  uint32_t published_ = 0;
+};
+
+}  // namespace ros

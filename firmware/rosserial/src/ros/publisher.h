@@ -1,0 +1,30 @@
+// A topic to the host.
+#pragma once
+
+#include "node.h"
+
+namespace ros {
+
+// How a message of type M is written; one function a type.
+template <class M>
+bool serialize_message(const void* message, Writer& out) {
+  return static_cast<const M*>(message)->serialize(out);
+}
+
+class Publisher : public Sender {
+ public:
+  // The message only shows the type.
+  template <class M>
+  Publisher(const char* topic, const M*) : Sender(Kind::kPublisher, topic, M::getType(), M::getMD5()) {}
+
+  // The bytes of the message; 0: the host has not asked for topics; -1: it is too large, the line is full, or the topic
+  // has another type.
+  template <class M>
+  int publish(const M* message) {
+    if (node() == nullptr) return 0;
+    if (type().address() != M::getType().address()) return -1;
+    return node()->publish(*this, message, &serialize_message<M>);
+  }
+};
+
+}  // namespace ros

@@ -1,0 +1,188 @@
+// Services and parameters, and callbacks that wait for others.
+#include <ros/parameter.h>
+#include <string.h>
+
+#include "rosserial_test.h"
+
+namespace {
+
+void answer_double(const Number& request, Number& response) { response.data = 2 * request.data; }
+
+void test_service_server() {
+  TestLink link;
+  TestNode node(link);
+  ros::ServiceServer<Number, Number> server("double", &answer_double);
+  CHECK(node.advertiseService(server));
+  link.request_topics();
+  node.spinOnce();
+  CHECK(link.sent_id(1) == 2 && link.sent_id(2) == 3);
+  link.clear();
+  link.put_number(100, 21);
+  node.spinOnce();
+  const uint8_t* payload = nullptr;
+  size_t size = 0;
+  CHECK(link.sent(0, payload, size) == 104 && size == 4 && payload[0] == 42);
+}
+
+void test_service_client() {
+  TestLink link;
+  TestNode node(link);
+  ros::ServiceClient<Number, Number> client("double");
+  CHECK(node.serviceClient(client));
+  Number request;
+  int32_t answer = 0;
+  int32_t failed = 0;
+  auto on_answer = [&answer, &failed](const Number* response) {
+    if (response == nullptr) ++failed;
+    if (response != nullptr) answer = response->data;
+  };
+  CHECK(!client.begin(request, on_answer));  // not connected
+  link.request_topics();
+  node.spinOnce();
+  CHECK(link.sent_id(1) == 4 && link.sent_id(2) == 5);
+  CHECK(client.begin(request, on_answer, 200));
+  CHECK(!client.begin(request, on_answer, 200));  // one at a time
+  link.put_number(100, 5);
+  node.spinOnce();
+  CHECK(answer == 5 && failed == 0);
+  CHECK(client.begin(request, on_answer, 200));
+  link.now_ms += 250;
+  node.spinOnce();
+  CHECK(failed == 1);
+  CHECK(!client.begin(request, on_answer, 200));  // its answer may still come
+  link.put_number(100, 6);
+  node.spinOnce();
+  CHECK(answer == 5);  // too late: nobody's
+  CHECK(client.begin(request, on_answer, 200));
+  link.put_frame(11, nullptr, 0);  // the host stops
+  node.spinOnce();
+  CHECK(failed == 2);
+}
+
+void test_a_call_that_waits() {
+  TestLink link;
+  link.step_ms = 1;
+  TestNode node(link);
+  ros::ServiceClient<Number, Words, 16> client("words");
+  node.serviceClient(client);
+  connect(link, node);
+  uint8_t payload[64];
+  Words words;
+  words.text = "kept";
+  ros::Writer out(payload, sizeof payload);
+  words.serialize(out);
+  link.put_frame(100, payload, out.size());
+  link.request_topics();  // behind it: must not overwrite it
+  Number request;
+  Words response;
+  CHECK(client.call(request, response, 100));
+  CHECK(strcmp(response.text, "kept") == 0);
+  node.spinOnce();
+  CHECK(link.sent_id(1) == 10);  // what stood behind it was not lost
+  const uint32_t began_ms = link.now_ms;
+  CHECK(!client.call(request, response, 100));
+  CHECK(link.now_ms - began_ms >= 100 && link.now_ms - began_ms < 150);
+}
+
+void test_parameters() {
+  TestLink link;
+  link.step_ms = 1;
+  TestNode node(link);
+  connect(link, node);
+  uint8_t payload[64];
+  ros::Writer ints(payload, sizeof payload);
+  ints.put(static_cast<uint32_t>(2));
+  ints.put(static_cast<int32_t>(-7));
+  ints.put(static_cast<int32_t>(8));
+  ints.put(static_cast<uint64_t>(0));
+  int numbers[2] = {1, 2};
+  link.put_frame(6, payload, ints.size());
+  CHECK(node.getParam("~numbers", numbers, 2) && numbers[0] == -7 && numbers[1] == 8);
+  link.put_frame(6, payload, ints.size());
+  int one = 1;
+  CHECK(!node.getParam("~numbers", &one) && one == 1);  // two are not one
+  float missing = 0.5f;
+  const uint8_t none[12] = {};
+  link.put_frame(6, none, sizeof none);
+  CHECK(!node.getParam("~missing", &missing) && missing == 0.5f);
+  const uint32_t began_ms = link.now_ms;
+  CHECK(!node.getParam("~silent", &missing, 1, 200));
+  CHECK(link.now_ms - began_ms < 250);
+  link.now_ms += 1000;  // its answer does not come any more
+  const uint8_t text[] = {0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 5, 0, 0, 0, 'h', 'e', 'l', 'l', 'o'};
+  char chars[6] = "";
+  link.put_frame(6, text, sizeof text);
+  CHECK(node.getParam("~text", chars) && strcmp(chars, "hello") == 0);
+  char few[5] = "none";
+  link.put_frame(6, text, sizeof text);
+  CHECK(!node.getParam("~text", few) && strcmp(few, "none") == 0);
+}
+
+void test_parameters_with_defaults() {
+  TestLink link;
+  TestNode node(link);
+  ros::Parameter<float> radius("radius", 0.05f, 0.01f, 0.5f);
+  ros::Parameter<int> count("count", 3);
+  ros::Parameters parameters;
+  parameters.add(radius);
+  parameters.add(count);
+  parameters.add(count);
+  node.attach(parameters);
+  connect(link, node);
+  const uint8_t* payload = nullptr;
+  size_t size = 0;
+  node.spinOnce();
+  link.clear();
+  uint8_t answer[20] = {};
+  ros::Writer radius_answer(answer, sizeof answer);
+  radius_answer.put(static_cast<uint32_t>(0));
+  radius_answer.put(static_cast<uint32_t>(1));
+  radius_answer.put(9.0f);  // out of range
+  radius_answer.put(static_cast<uint32_t>(0));
+  link.put_frame(6, answer, radius_answer.size());
+  node.spinOnce();
+  CHECK(radius == 0.05f && !radius.is_from_host());
+  CHECK(link.sent_id(0) == 7);  // the refusal
+  CHECK(link.sent(1, payload, size) == 6 && size == 9);
+  ros::Writer count_answer(answer, sizeof answer);
+  count_answer.put(static_cast<uint32_t>(1));
+  count_answer.put(static_cast<int32_t>(5));
+  count_answer.put(static_cast<uint64_t>(0));
+  link.put_frame(6, answer, count_answer.size());
+  node.spinOnce();
+  CHECK(count == 5 && count.is_from_host() && parameters.is_done());
+}
+
+int nested = 0;
+ros::NodeApi* nested_node = nullptr;
+void spin_again(const Number&) {
+  ++nested;
+  nested_node->spinOnce();
+  int value = 0;
+  CHECK(!nested_node->getParam("~x", &value, 1, 1000000));
+}
+
+void test_a_callback_that_spins() {
+  TestLink link;
+  link.step_ms = 1;
+  TestNode node(link);
+  nested_node = &node;
+  ros::Subscriber<Number> subscriber("a", &spin_again);
+  node.subscribe(subscriber);
+  connect(link, node);
+  link.put_number(100, 1);
+  link.put_number(100, 2);
+  node.spinOnce();
+  CHECK(nested == 2);
+}
+
+}  // namespace
+
+void run_calls_tests() {
+  RUN(test_service_server);
+  RUN(test_service_client);
+  RUN(test_a_call_that_waits);
+  RUN(test_parameters);
+  RUN(test_parameters_with_defaults);
+  RUN(test_a_callback_that_spins);
+}

@@ -1,0 +1,29 @@
+"""What compiles for which family of boards, as far as it is quick; tools/board_sizes.py has every example on each."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.firmware.examples import EXAMPLES, compile_sketch
+from tests.firmware.families import BOARDS, HOST, NEED_WIFI, Family, compiled
+from tests.firmware.sketches import MOVED
+
+NEED_NO_PACKAGE = [family for family in BOARDS if not family.has_wifi]
+
+
+def sketch(name: str) -> Path:
+    return EXAMPLES / name / f"{name}.ino"
+
+
+@pytest.mark.parametrize("family", NEED_NO_PACKAGE, ids=lambda family: family.name)
+def test_an_example_compiles_without_a_warning(family: Family) -> None:
+    compiled(family, sketch("motors_l298"))
+
+
+@pytest.mark.parametrize("chip", ["ESP8266", "ESP32"])
+@pytest.mark.parametrize("name", [*sorted(NEED_WIFI), "ros_lib"])
+def test_a_sketch_for_wifi_compiles_with_the_names_of_the_core(tmp_path: Path, name: str, chip: str) -> None:
+    """By the PC's compiler; the chip's own is only in `make firmware`."""
+    path = MOVED / "tcp_hello_world.ino" if name == "ros_lib" else sketch(name)
+    compiler = ["g++", "-O0", f"-D{chip}", f"-I{HOST}/esp", f"-I{HOST}/any_board"]
+    compile_sketch(path, tmp_path / "x.o", compiler)

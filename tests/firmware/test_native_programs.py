@@ -1,0 +1,13 @@
+"""Programs in which the firmware and the library for boards test themselves; `make firmware` has more of them."""
+
+import subprocess
+
+import pytest
+
+from tests.firmware.boards import build_native
+
+
+@pytest.mark.parametrize("program", ["due_test", "rosserial_test", "links_test"])
+def test_it_finds_nothing(program: str) -> None:
+    done = subprocess.run([build_native() / program], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,93 @@
+"""The codec of generated headers as a program: compiled with sanitizers, driven in batches."""
+
+import struct
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hostlink.board.identifiers import class_name
+from hostlink.board.library import headers
+from hostlink.board.selection import Selection
+from tests.support import compilers
+from tests.support.compilers import CORE, SANITIZERS
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
+SOURCES = FIRMWARE / "rosserial" / "src"
+WRITTEN, NOT_READ, NOT_WRITTEN = range(3)
+NARROW = 0  # instead of a type: what becomes of a double where it has 4 bytes
+AMPLE = 1 << 20
+
+
+class Request(NamedTuple):
+    """`storage_bytes`: for variable arrays; `room_bytes`: for the message when it is written again."""
+
+    type: int
+    payload: bytes
+    storage_bytes: int = AMPLE
+    room_bytes: int = AMPLE
+
+
+class Answer(NamedTuple):
+    """`outcome`: WRITTEN, NOT_READ or NOT_WRITTEN."""
+
+    outcome: int
+    payload: bytes
+
+
+def write_headers(selection: Selection, folder: Path) -> list[str]:
+    """The headers, and all_types.h; the names of the classes."""
+    made = headers(selection)
+    for name, text in made.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    names = [each.name for each in selection.messages]
+    names += [part.name for service in selection.services for part in (service.request, service.response)]
+    (folder / "all_types.h").write_text(
+        "".join(f'#include "{name}"\n' for name in made)
+        + "#define ALL_TYPES(X) \\\n"
+        + " \\\n".join(f"  X({class_name(name)})" for name in names)
+        + "\n"
+    )
+    return names
+
+
+def compile_codec(folder: Path, compiler: Sequence[str] = ("g++", "-O0", *SANITIZERS)) -> Path:
+    """The program of the headers in the folder.
+
+    Raises:
+        AssertionError: the compiler fails or warns.
+    """
+    program = folder / "codec"
+    sources = [FIRMWARE / "tests" / "message_codec.cpp", SOURCES / "ros" / "wire.cpp"]
+    compilers.run([*compiler, *CORE, f"-I{SOURCES}", f"-I{folder}", *sources, "-o", program])
+    return program
+
+
+def run(program: Path, requests: Iterable[Request]) -> list[Answer]:
+    """What the codec makes of each payload.
+
+    Raises:
+        AssertionError: a sanitizer found something.
+    """
+    wire = b"".join(
+        struct.pack("<HIII", each.type, each.storage_bytes, each.room_bytes, len(each.payload)) + each.payload
+        for each in requests
+    )
+    done = subprocess.run([program], input=wire, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    return list(_answers(done.stdout))
+
+
+def _answers(wire: bytes) -> Iterable[Answer]:
+    at = 0
+    while at < len(wire):
+        outcome, size = struct.unpack_from("<BI", wire, at)
+        yield Answer(outcome, wire[at + 5 : at + 5 + size])
+        at += 5 + size
+
+
+def numbers_of(names: Sequence[str]) -> Mapping[str, int]:
+    """What a request calls each type."""
+    return {name: number for number, name in enumerate(names, 1)}
