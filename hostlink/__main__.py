@@ -1,6 +1,6 @@
 """`python -m hostlink` is `hostlink`."""
 
-from hostlink.cli.main import main
+from hostlink.cli.start import main
 
 if __name__ == "__main__":
     main()

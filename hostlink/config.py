@@ -165,8 +165,7 @@ class Ros1Config:
     def __post_init__(self) -> None:
         for network in self.allow:
             ipaddress.ip_network(network)  # its ValueError names it
-        url = urllib.parse.urlsplit(self.master)
-        if self.master and (url.scheme != "http" or not url.hostname):
+        if self.master and not _is_master(self.master):
             raise ValueError(f"{self.master!r} is no master's address; they look like http://localhost:11311")
         if not re.fullmatch(r"[A-Za-z]\w*", self.name, re.ASCII):
             raise ValueError(f"{self.name!r} is no name of a node: letters, digits and _, and a letter first")
@@ -226,6 +225,7 @@ class RecordingConfig:
     max_file_mb: float = 512.0  # then another file is begun
     max_file_s: float = 3600.0
     fsync: bool = False  # each second to the disk itself: survives a power cut, and wears out SD cards
+    drives: bool = True  # keep in this folder who drove which robot, and when
 
     def __post_init__(self) -> None:
         if min(self.max_disk_mb, self.max_file_mb, self.max_file_s) <= 0:
@@ -323,6 +323,12 @@ def _device_address(text: str) -> tuple[str, int]:
     if not port.isdecimal() or not 0 < int(port) <= MAX_PORT:
         raise ValueError(f"udp.devices: {text!r} is not HOST:PORT")
     return str(ipaddress.ip_address(host.strip("[]"))), int(port)
+
+
+def _is_master(text: str) -> bool:
+    """Whether it is an address of a ROS master; raises ValueError where it is no URL, or its port is none."""
+    url = urllib.parse.urlsplit(text)
+    return url.scheme == "http" and bool(url.hostname) and url.port != 0
 
 
 def _beside(part: Any, folder: Path) -> Any:

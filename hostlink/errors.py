@@ -1,6 +1,7 @@
 """Every error that hostlink raises on purpose, with its numbers as attributes."""
 
 import itertools
+import shlex
 from collections.abc import Iterable
 from typing import Self
 
@@ -88,6 +89,10 @@ class BadRequest(HostlinkError):
         self.problem = problem
 
 
+class ReloadRefused(HostlinkError):
+    """The configuration cannot be read again, or not now."""
+
+
 class RecordingFailed(HostlinkError):
     """A recording cannot be written or read."""
 
@@ -103,7 +108,7 @@ class RobotHeld(HostlinkError):
         why = (
             f"{owner} drives it with a higher priority"
             if lock_reason is None
-            else f"locked: {lock_reason}; POST /api/robots/{robot}/unlock"
+            else f"locked: {lock_reason}; to drive it again: hostlink unlock {shlex.quote(robot)}"
         )
         super().__init__(f"{robot}: {why}")
         self.robot, self.owner, self.lock_reason = robot, owner, lock_reason

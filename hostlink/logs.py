@@ -10,13 +10,11 @@ Services         service.late, service.failed, service.crashed, service.cut, ser
 Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
                  client.unknown_op, client.crowded, client.malformed, client.origin_refused
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
-                 task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, descriptors.exhausted,
-                 loop.error, library.complained
-Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost
-A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, ros1.registered_again, ros1.crashed,
-                 ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
-                 ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,
-                 ros1.parameter_unusable
+                 daemon.stalled,
+                 task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, config.reloaded,
+                 config.refused, descriptors.exhausted, loop.error, library.complained
+Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost,
+                 drives.lost
 A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, ros1.registered_again, ros1.crashed,
                  ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
                  ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,

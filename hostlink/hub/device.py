@@ -25,6 +25,7 @@ from hostlink.messages.fields import Field
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
+from hostlink.robot.directory import is_played
 from hostlink.robot.velocity import TWIST_TYPE
 from hostlink.robot.velocity_gate import Limits, VelocityGate
 
@@ -56,6 +57,11 @@ def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
 class Device:
     """A link in the graph, from its first negotiation to its end."""
 
+    __slots__ = (
+        "_node", "_odometry", "_parts", "_stamped", "early", "infos", "is_played", "is_undecided", "link", "names",
+        "parameters", "received_at_s", "routes", "services", "shown",
+    )  # fmt: skip
+
     def __init__(self, link: Link, parts: Parts, node: Node) -> None:
         """`node` is the key under which hostlink itself subscribes to the odometry."""
         self.link = link
@@ -66,6 +72,7 @@ class Device:
         self.early = EarlyMessages()
         self.is_undecided = False  # whether it is known who it is
         self.infos: tuple[TopicInfo, ...] = ()  # what it announced last
+        self.is_played = False  # it is a recording
         self.received_at_s = float("-inf")  # of the last read that was noted
         self.parameters: dict[str, Parameter] = {}  # what it was answered, by the names that are shown
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
@@ -76,6 +83,7 @@ class Device:
         """Put the device's endpoints into the graph in place of those that it had."""
         self.leave()
         self.shown = shown
+        self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in infos])
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
         own = {} if robot is None else robot.shown.own
         for info in sorted(infos, key=lambda info: own.get(shown.of(info.name)) != info.type):  # its own types first
@@ -100,12 +108,15 @@ class Device:
                 self._route_refused(info, robot)
 
     def receive(self, message: MessageReceived, at_s: float | None = None) -> None:
-        """Pass a message of the device to whoever subscribes; `at_s`: when it arrived, if not in the last read."""
+        """Pass a message of the device to whoever subscribes; `at_s`: when it arrived, if not in the last read.
+
+        What was recorded drives no robot.
+        """
         topic_id, now_s = message.topic.topic_id, self.link.received_at_s
         if topic_id in self._stamped:
             self._observe_stamp(message.payload, now_s)
         topic = self.routes.get(topic_id)
-        if topic is not None:
+        if topic is not None and not (self.is_played and topic.is_gated):
             try:
                 topic.publish(message.payload, source=self.link, at_s=now_s if at_s is None else at_s)
             except HostlinkError as error:

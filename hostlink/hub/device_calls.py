@@ -137,7 +137,7 @@ class DeviceCalls:
         waiting = of_link[topic_id]
         try:
             while waiting:
-                await self._turns.wait(CALL_S)
+                await self._turns.wait(CALL_S, is_flooding=_count(of_link) > 1)  # ros_lib makes one, and waits
                 await self._finish(waiting[0])
                 waiting.popleft()
         except Exception:  # a bug here must not leave a device waiting

@@ -11,9 +11,11 @@ from hostlink.hub.drivable import Drivable
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.node import address_of
 from hostlink.hub.remote_robot import Elsewhere, RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind, RobotEvents
+from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.link.link import Link, LinkEnd
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
 from hostlink.robot.velocity_gate import VelocityGate
@@ -39,6 +41,7 @@ class Gates:
         self._topic_ids: dict[Link, list[int]] = {}  # that the guard knows
         self._active: dict[Drivable, None] = {}  # whose gate may have something to send
         self._wake = asyncio.Event()
+        self._stalls = StallWatch()
 
     # -- which there are ----------------------------------------------------------------------------------------------
 
@@ -103,21 +106,24 @@ class Gates:
         owner: Hashable,
         priority: int = PROGRAM_PRIORITY,
         now_s: float | None = None,
+        stops: int | None = None,
     ) -> Velocity:
         """Drive for the length of a lease; returns the velocity after the limits.
+
+        `stops`: as the sender knew them, of a robot of another daemon, which refuses the command after a stop since.
 
         Raises:
             DeviceGone: the device is not connected, or the daemon stops.
             RobotHeld: another drives with a higher priority, or it is locked.
-            BadRequest: the velocity is not finite.
+            BadRequest: the velocity is not finite, or the daemon stood still and the command may be old.
             FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
         """
         if isinstance(drivable, RemoteRobot):
             if self.is_closed:
                 raise DeviceGone(drivable.name, ENDING)
-            return drivable.command(velocity, owner=owner, priority=priority)
+            return drivable.command(velocity, owner=owner, priority=priority, stops=stops)
         now_s = _now_s() if now_s is None else now_s
-        facts = {"owner": str(owner), "priority": priority, "velocity": velocity}
+        facts = {"owner": str(owner), "address": address_of(owner), "priority": priority, "velocity": velocity}
         try:
             limited = self._command(drivable, velocity, owner=owner, priority=priority, now_s=now_s)
         except HostlinkError as error:
@@ -133,9 +139,13 @@ class Gates:
             raise DeviceGone(drivable.name, ENDING)
         if drivable.link is None:
             raise DeviceGone(drivable.name)
+        if not velocity.is_zero:
+            self._stalls.check(_now_s())
         gate = drivable.gate
+        # Two zeros of one moment would leave a slow line as one.
+        is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
         limited = gate.command(owner, velocity, priority=priority, now_s=now_s)
-        if gate.owner in (owner, None):  # another's idle zero changes nothing, so the device need not hear it
+        if gate.owner in (owner, None) and not is_stopping:  # another's idle zero is nothing that the device must hear
             refusal = self._send_news(drivable)
             if refusal is not None:
                 gate.release(owner, now_s=now_s)
@@ -159,9 +169,10 @@ class Gates:
         """A source of commands is gone: what it drives stops."""
         if self.elsewhere is not None:
             self.elsewhere.release(owner)
+        now_s = _now_s()
         for drivable in list(self._active):
             is_driving = drivable.gate.owner == owner
-            drivable.gate.release(owner, now_s=_now_s())  # also what it has claimed without driving now
+            drivable.gate.release(owner, now_s=now_s)  # also what it has claimed without driving now
             if is_driving:
                 self._note_stop(drivable, "owner left", str(owner))
                 self._send_news(drivable)
@@ -236,6 +247,7 @@ class Gates:
         """Step every gate that is active; sleep while none is."""
         while True:
             now_s = _now_s()
+            self._stalls.beat(now_s)
             for drivable in list(self._active):
                 if drivable.gate.may_move or (drivable.gate.is_active and drivable.link is not None):
                     self._step(drivable, now_s)
@@ -244,7 +256,15 @@ class Gates:
             if self._active:
                 await asyncio.sleep(TICK_S)
             else:
-                self._wake.clear()
+                await self._idle()
+
+    async def _idle(self) -> None:
+        """Wait until a gate is active, or for a beat while there are any."""
+        self._wake.clear()
+        if not self._of_link:
+            self._stalls.rest()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(BEAT_S if self._of_link else None):
                 await self._wake.wait()
 
     def _stop(self, drivables: Iterable[Drivable]) -> None:
@@ -283,10 +303,10 @@ class Gates:
 
     def _send(self, drivable: Drivable, now_s: float, *, is_news: bool) -> HostlinkError | None:
         gate, link = drivable.gate, drivable.link
-        previous_owner, is_first = gate.owner_name, gate.is_new_device
+        previous_owner, is_first = gate.owner, gate.is_new_device
         velocity = gate.step(now_s)
-        if previous_owner is not None and gate.owner_name is None:
-            self._note_stop(drivable, "no command came", previous_owner)
+        if previous_owner is not None and gate.owner is None:
+            self._note_stop(drivable, "no command came", str(previous_owner))
         if velocity is None or link is None:
             return None
         is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news

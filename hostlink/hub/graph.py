@@ -1,12 +1,10 @@
 """Graph: the topics and services that another graph is to know, as a value."""
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 
-from hostlink.hub.node import Node
-from hostlink.hub.services import Services
+from hostlink.hub.node import Node, is_of
+from hostlink.hub.services import DeviceService, Provider
 from hostlink.hub.topic import Topic
-from hostlink.hub.topic_graph import TopicGraph
 from hostlink.messages.message_type import MessageType
 
 OBSERVERS = "recording"  # a group that receives what there is: no reason to bring a topic from another graph
@@ -43,33 +41,24 @@ class Graph:
     services: tuple[GraphService, ...]
 
 
-def graph_of(topics: TopicGraph, services: Services, group: str) -> Graph:
-    """What others than this group have."""
-    seen_topics = (_graph_topic(topic, group) for topic in topics.all())
-    return Graph(
-        tuple(topic for topic in seen_topics if topic.is_published or topic.is_subscribed),
-        tuple(
-            GraphService(name, type_name)
-            for name, type_name in services.all()
-            if not name.startswith(ROSAPI) and not _is_of(services.find(name).key, group)
-        ),
-    )
-
-
-def _graph_topic(topic: Topic, group: str) -> GraphTopic:
-    publishers = [key for key in topic.publishers if not _is_of(key, group)]
-    subscribers = [each.key for each in topic.subscribers if not _is_of(each.key, OBSERVERS)]
-    return GraphTopic(
+def graph_topic(topic: Topic, group: str) -> GraphTopic | None:
+    """The topic as the group sees it; None: nobody outside of it uses it."""
+    publishers = [key for key in topic.publishers if not is_of(key, group)]
+    subscribers = [each.key for each in topic.subscribers if not is_of(each.key, OBSERVERS)]
+    found = GraphTopic(
         topic.name,
         topic.type_name,
         topic.type,
         is_published=bool(publishers),
-        is_subscribed=bool(topic.devices) or any(not _is_of(key, group) for key in subscribers),
+        is_subscribed=bool(topic.devices) or any(not is_of(key, group) for key in subscribers),
         is_latched=any(key in topic.latched for key in publishers),
         is_velocity=topic.is_gated,
         is_derived=bool(topic.publishers) and all(isinstance(key, Node) and key.is_daemon for key in topic.publishers),
     )
+    return found if found.is_published or found.is_subscribed else None
 
 
-def _is_of(key: Hashable, group: str) -> bool:
-    return bool(group) and isinstance(key, Node) and key.group == group
+def graph_service(name: str, service: DeviceService | Provider, group: str) -> GraphService | None:
+    """The service as the group sees it; None: the group answers it itself, or it is no part of another graph."""
+    is_shown = not name.startswith(ROSAPI) and not is_of(service.key, group)
+    return GraphService(name, service.type_name) if is_shown else None

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import dataclasses
+import functools
 import itertools
 import time
 from collections import Counter
@@ -20,7 +21,8 @@ from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import Gates
-from hostlink.hub.graph_changes import GraphChanges
+from hostlink.hub.graph_changes import GraphChanges, Kind
+from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.guard import Guard
 from hostlink.hub.identities import Affected, Identities
 from hostlink.hub.isolation import Isolation
@@ -31,13 +33,14 @@ from hostlink.hub.participant import Participant, Parts
 from hostlink.hub.remote_robots import RemoteRobots
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind, RobotEvents
+from hostlink.hub.robot_settings import limits_of
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
 from hostlink.hub.services import Services
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Authenticate, Link, LinkEnd, trust
 from hostlink.logs import log_what_is_missing, of_peer, printable
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter
@@ -51,6 +54,7 @@ DAEMON = "hostlink"  # the name of the daemon's own parts in the graph
 STOP_REPEATS = 3  # a single stop can be lost on a radio
 STOP_INTERVAL_S = 0.05
 SHUTDOWN_TIMEOUT_S = 0.5
+END_S = 0.0005  # what it costs to take a device out of the graph
 LOG_INTERVAL_S = 10.0  # between two lines about lines that are missing
 
 
@@ -63,13 +67,12 @@ class Hub:
     def __init__(self, config: Config, catalog: Catalog, *, reraises: bool = False, guard: Guard | None = None) -> None:
         self.config, self.catalog = config, catalog
         self.is_running = asyncio.Event()  # once set, it can `spawn`
-        self.graph_counts: dict[str, Counter[str]] = {}  # of each graph that this daemon is a part of
+        self.graph_counts: dict[str, Callable[[], Mapping[str, int]]] = {}  # of each graph that it is a part of
         self.refused: Counter[str] = Counter()  # connections that were not served or were evicted, by cause
         self.datagrams_dropped: Counter[str] = Counter()  # of UDP, either way, by cause
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.parameter_source: ParameterSource | None = None  # of those that are not set here
         self.wall_ns: Callable[[], int] = time.time_ns  # the time that devices are given
-        self.counters: dict[str, Callable[[], Mapping[str, int]]] = {}  # of a graph, for /metrics
         self.isolation = Isolation(reraises=reraises)
         self._numbers = itertools.count(1)
         changes = GraphChanges()
@@ -78,9 +81,11 @@ class Hub:
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
         self.diagnoses = Diagnoses(self.isolation, self.events)
-        self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes)
+        views = GraphViews(self.topics, self.services, changes)
+        self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes, views)
         self._node = Node(DAEMON, is_daemon=True)
         self._share = FairShare()
+        self._ends = self.turns()  # of links
         self.device_calls = DeviceCalls(
             self.services,
             catalog,
@@ -94,14 +99,14 @@ class Hub:
             self.gates,
             forget_after_s=config.link.forget_robot_after_s,
             on_forgotten=self._forget_robot,
-            on_change=changes.note,
+            on_change=functools.partial(changes.note, Kind.ROBOT),
         )
         self.emergency_stop = EmergencyStop(self.robots, self.gates, self.join_daemon())
         self.remote_robots = RemoteRobots(self.robots, self.topics, self.emergency_stop, self.new_number)
         robot_topics = RobotTopicPublisher(config.robots, self.topics, self.gates, self._node, catalog)
         self._identities = Identities(
             Affected(self.topics, self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses),
-            Directory({name: robot.address for name, robot in config.robots.items()}),
+            Directory(_addresses(config)),
             spawn=lambda work, name: self.spawn(work, name=name),
         )
         self._device_events = DeviceEvents(
@@ -139,6 +144,21 @@ class Hub:
     def turns(self) -> Turns:
         """The part of one more link or participant in what the loop does for all."""
         return Turns(self._share)
+
+    def reconfigure(self, config: Config) -> dict[str, str]:
+        """Other names and limits of robots from now on; returns the new names of those that are connected, by the old.
+
+        Raises:
+            ConfigError: limits of a robot cannot be kept; nothing has changed.
+            ReloadRefused: a robot that is driven or locked would have another name; nothing has changed.
+        """
+        for robot in config.robots.values():
+            limits_of(robot)
+        addresses = _addresses(config)
+        self._identities.check_addresses(addresses)
+        self.config = config
+        self.robots.reconfigure(config.robots)
+        return self._identities.reconfigure(addresses)
 
     # -- participants -------------------------------------------------------------------------------------------------
 
@@ -188,15 +208,16 @@ class Hub:
         """For one more connection of a device, here or to another daemon."""
         return next(self._numbers)
 
-    async def serve(self, link: Link) -> LinkEnd:
-        """Serve an opened link to its end."""
+    async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
+        """Serve an opened link to its end; rosserial begins when `authenticate` returns."""
         end = LinkEnd.CRASHED
         with bound_contextvars(link=link.number, peer=printable(link.peer), **of_peer(link.address)):
             log.info("link.opened")
             self.events.note(EventKind.LINK_OPENED, "", link=link.number, peer=link.peer)
             try:
                 with self.isolation.around("link"):  # a bug in one link must not stop another robot
-                    end = await link.run()
+                    end = await link.run(authenticate)
+                    await self._ends.wait(END_S, is_flooding=True)  # a crowd that leaves at once leaves one by one
             except asyncio.CancelledError:
                 end = LinkEnd.STOPPED
                 raise
@@ -281,6 +302,10 @@ class Hub:
         """That of the robot's name here, if anybody provides it; else the name that all of its kind call."""
         shown = self.shown_name(link, name)
         return shown if self.services.is_offered(shown) else name
+
+
+def _addresses(config: Config) -> dict[str, str | None]:
+    return {name: robot.address for name, robot in config.robots.items()}
 
 
 async def _log_what_is_missing() -> None:

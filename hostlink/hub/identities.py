@@ -3,11 +3,12 @@
 import asyncio
 import contextlib
 import dataclasses
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, NamedTuple
 
 import structlog
 
+from hostlink.errors import ReloadRefused
 from hostlink.hub.device import Device
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.emergency_stop import EmergencyStop
@@ -78,6 +79,34 @@ class Identities:
         self._directory.forget(robot.name)
         self._affected.robot_topics.forget(robot)
         self._affected.emergency_stop.withdraw(robot.name)
+
+    def check_addresses(self, addresses: Mapping[str, str | None]) -> None:
+        """Whether robots may be named by these.
+
+        Raises:
+            ReloadRefused: they change the name of one that is driven or locked, and is known by it to who did that.
+        """
+        for name in self._directory.misplaced(addresses):
+            robot = self._affected.robots.get_here(name)
+            if robot is None:
+                continue
+            if any(drivable.gate.is_driven for drivable in self._affected.gates.beside(robot)):
+                raise ReloadRefused(f"{name} is driven: stop it before its name changes")
+            if robot.gate.lock_reason is not None:
+                raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
+
+    def reconfigure(self, addresses: Mapping[str, str | None]) -> dict[str, str]:
+        """Name robots by these addresses from now on; returns the new names of those that are connected, by the old."""
+        misplaced = self._directory.reconfigure(addresses)
+        links = {name: link for name, link in misplaced.items() if link is not None}
+        for link in links.values():
+            self._leave_graph(self.devices[link])
+        for name in misplaced:
+            self._affected.robots.forget(name)
+        for link in links.values():
+            self._identify(self.devices[link])
+        found = {name: self._affected.robots.of_link(self.devices[link].link) for name, link in links.items()}
+        return {name: robot.name for name, robot in found.items() if robot is not None}
 
     def _identify(self, device: Device) -> None:
         """Find out which device it is, as far as that can be known by now."""

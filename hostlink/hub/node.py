@@ -1,5 +1,6 @@
 """Node: whatever has a place in the graph without being a device."""
 
+from collections.abc import Hashable
 from enum import IntEnum
 
 
@@ -20,6 +21,17 @@ class Node:
         graph for which it stands, with others; empty: none.
         """
         self.name, self.is_daemon, self.group = name, is_daemon, group
+        self.address = ""  # from which it connects, for readers of the API alone: no graph and no recording has it
 
     def __str__(self) -> str:
         return self.name
+
+
+def is_of(key: Hashable, group: str) -> bool:
+    """Whether a source, or a subscriber, belongs to the group; a link or a gate belongs to none."""
+    return bool(group) and isinstance(key, Node) and key.group == group
+
+
+def address_of(key: Hashable) -> str:
+    """From which it connects; empty: it is no program, or a part of the daemon."""
+    return key.address if isinstance(key, Node) else ""

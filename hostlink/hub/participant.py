@@ -11,16 +11,17 @@ from typing import ParamSpec
 from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
 from hostlink.hub.gates import ENDING, Gates
-from hostlink.hub.graph import Graph, graph_of
+from hostlink.hub.graph import Graph
 from hostlink.hub.graph_changes import GraphChanges
+from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.services import Answer, Notify, Provider, Services
-from hostlink.hub.subscription import Subscription
+from hostlink.hub.subscription import Subscription, nothing_to_close
 from hostlink.hub.topic import Receive, Subscriber, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
@@ -33,7 +34,6 @@ MAX_LATCHED = 16  # topics; each keeps a message
 MAX_SUBSCRIPTIONS = 256
 MAX_SERVICES = 64
 MAX_CALLS = 64  # of services, under way at once
-
 
 Given = ParamSpec("Given")
 
@@ -48,6 +48,7 @@ class Parts:
     gates: Gates
     isolation: Isolation
     changes: GraphChanges
+    views: GraphViews
 
 
 class Participant(Node):
@@ -75,6 +76,7 @@ class Participant(Node):
         super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority
         self.has_left = False
+        self.view = parts.views.of(group)  # of the graph; its news cost what has changed
         self._parts, self._on_end = parts, on_end
         self._freshness = Freshness()
         self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
@@ -167,9 +169,11 @@ class Participant(Node):
         self.check(Role.READ, "subscribe")
         if not self.is_daemon and len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
             raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
-        subscription = Subscription(receive, on_throttled, interval_s=interval_s, queue_length=queue_length)
+        subscription = Subscription(
+            receive, on_throttled, interval_s=interval_s, queue_length=queue_length, group=self.group
+        )
         self._subscriptions[subscription] = None
-        subscriber = Subscriber(self._without_own_group(subscription.receive), self, type_name, self.fail)
+        subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
         try:
             unsubscribe = self._parts.topics.subscribe(topic, subscriber)
         except WrongType:
@@ -178,6 +182,7 @@ class Participant(Node):
 
         def close() -> None:
             subscription.is_closed = True
+            subscription.close = nothing_to_close  # else the two keep each other until the garbage collector comes
             unsubscribe()
             self._subscriptions.pop(subscription, None)
 
@@ -185,17 +190,6 @@ class Participant(Node):
         if self.has_left:  # what was latched ended it
             close()
         return subscription
-
-    def _without_own_group(self, receive: Receive) -> Receive:
-        """Messages that go out to the graph from which they come would come again."""
-        if not self.group:
-            return receive
-
-        def receive_from_others(message: Message) -> None:
-            if not isinstance(message.source, Node) or message.source.group != self.group:
-                receive(message)
-
-        return receive_from_others
 
     def flush(self, now_s: float) -> float | None:
         """Deliver what subscriptions held back until now; returns when the next is due."""
@@ -249,7 +243,7 @@ class Participant(Node):
         """
         self.check(Role.READ, "call_service")
         if self.role < Role.DRIVE and not self._parts.services.is_reading(service):
-            raise BadRequest("the token may only read: of the services it may call rosapi's")
+            raise BadRequest("the token may only read: it may call no service but those of rosapi")
         if len(self._calls) >= MAX_CALLS:
             raise BadRequest(f"more than {MAX_CALLS} calls under way")
         try:
@@ -272,21 +266,26 @@ class Participant(Node):
         priority: int | None = None,
         link: int | None = None,
         sent_s: float | None = None,
+        stops: int | None = None,
     ) -> Velocity:
         """Drive for the length of a lease; returns the velocity after the limits.
 
-        `link`: the connection for which it is meant, if not any; `sent_s`: when it was sent, by the sender's clock.
+        `link`: the connection for which it is meant, if not any; `sent_s`: when it was sent, by the sender's clock;
+        `stops`: the robot's, as the sender knew them: whoever has stopped it since refuses the command.
 
         A command that was delayed on its way for longer than a lease is refused: a network that comes back must not
         deliver a motion that nobody means any more. So is one for a device that has connected again since.
 
         Raises:
-            BadRequest: it may not drive, the command is late or for another connection, or it is not finite.
+            BadRequest: it may not drive, the command is late, or may be because the daemon stood still, or is for
+                another connection, or of before a stop, or it is not finite.
             DeviceGone: the device is not connected, or the daemon stops.
             RobotHeld: another drives with a higher priority, or the robot is locked.
             FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
         """
         self.check(Role.DRIVE, "drive")
+        if stops not in (None, robot.gate.stops):
+            raise BadRequest(f"{robot.name}: somebody has stopped it since; drive again if it is still meant")
         if sent_s is not None:
             late_s = self._freshness.late_s(sent_s, asyncio.get_running_loop().time())
             if late_s > robot.gate.lease_s:
@@ -295,7 +294,7 @@ class Participant(Node):
             raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
         wanted_priority = self.priority if priority is None else priority
         with self._parts.topics.deliveries.sending(self):
-            return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority)
+            return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority, stops=stops)
 
     async def driven(self, robot: Robot | RemoteRobot, limited: Velocity) -> Velocity:
         """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
@@ -322,7 +321,7 @@ class Participant(Node):
 
     def graph(self) -> Graph:
         """The topics and services of all who do not belong to its group."""
-        return graph_of(self._parts.topics, self._parts.services, self.group)
+        return self.view.graph()
 
     def watch_graph(self, on_change: Callable[[], None]) -> None:
         """Call `on_change` soon, and soon after every change of topics, services and robots, until it leaves.

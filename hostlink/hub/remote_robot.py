@@ -18,7 +18,9 @@ from hostlink.robot.velocity_gate import LEASE_S
 class Elsewhere(Protocol):
     """How the daemons that have other robots are reached. What is no coroutine does not wait."""
 
-    def drive(self, robot: "RemoteRobot", velocity: Velocity, *, owner: Hashable, priority: int) -> None:
+    def drive(
+        self, robot: "RemoteRobot", velocity: Velocity, *, owner: Hashable, priority: int, stops: int | None
+    ) -> None:
         """Send a command of an owner; what it was refused for is raised by the next one, or by `answer`."""
         ...
 
@@ -63,6 +65,7 @@ class RemoteGate:
     lock_reason: str | None = None
     current: Velocity = ZERO
     lease_s: float = LEASE_S
+    stops: int | None = None  # as its daemon's newest answer to a command here has counted them
 
 
 class RemoteOdometry:
@@ -104,8 +107,10 @@ class RemoteRobot:
     refusals: Refusals = field(default_factory=Refusals)
     followers: dict[Hashable, Callable[[Message | None], None]] = field(default_factory=dict)
 
-    def command(self, velocity: Velocity, *, owner: Hashable, priority: int) -> Velocity:
+    def command(self, velocity: Velocity, *, owner: Hashable, priority: int, stops: int | None = None) -> Velocity:
         """Send a command to the daemon that has the robot; returns it as it was sent.
+
+        `stops`: the robot's, as its sender knew them; a stop since refuses the command there.
 
         Raises:
             DeviceGone: it is not connected, or it is not known which robot is meant.
@@ -117,7 +122,7 @@ class RemoteRobot:
             raise DeviceGone(self.name, f"its device is not connected to {self.host}")
         if self.gate.lock_reason is not None:
             raise RobotHeld(self.name, None, lock_reason=self.gate.lock_reason)
-        self.elsewhere.drive(self, velocity, owner=owner, priority=priority)
+        self.elsewhere.drive(self, velocity, owner=owner, priority=priority, stops=stops)
         return velocity
 
     def check_unique(self) -> None:

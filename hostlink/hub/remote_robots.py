@@ -36,13 +36,13 @@ class RemoteRobots:
     def add(self, robot: RemoteRobot) -> None:
         """It is known from now on, by its name."""
         self.remove(robot.name)
-        self._robots.remote[robot.name] = robot
+        self._robots.put_remote(robot)
         self._nodes[robot.name] = Node(f"{robot.name} at {robot.host}")
         self._emergency_stop.serve(robot.name)
 
     def remove(self, name: str) -> None:
         """It is known no more; it may be removed already."""
-        robot = self._robots.remote.pop(name, None)
+        robot = self._robots.pop_remote(name)
         if robot is not None:
             self._topics.leave(self._nodes.pop(name))
             self._velocities.pop(name, None)

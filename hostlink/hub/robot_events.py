@@ -3,15 +3,15 @@
 import asyncio
 import time
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 
 class EventKind(Enum):
     """What happened."""
 
-    COMMANDED = "commanded"  # a velocity was accepted: owner, priority, velocity, limited
-    REFUSED = "refused"  # a velocity was not: owner, priority, velocity, reason
+    COMMANDED = "commanded"  # a velocity was accepted: owner, address, priority, velocity, limited
+    REFUSED = "refused"  # a velocity was not: owner, address, priority, velocity, reason
     STOPPED = "stopped"  # what it drove stops: reason, owner
     LOCKED = "locked"  # reason
     UNLOCKED = "unlocked"
@@ -24,8 +24,7 @@ class EventKind(Enum):
     LINK_CLOSED = "link_closed"  # link, peer, reason
 
 
-@dataclass(frozen=True, slots=True)
-class RobotEvent:
+class RobotEvent(NamedTuple):
     """`robot` is empty for a device that is none, or not known yet. The facts of each kind are named with it."""
 
     kind: EventKind

@@ -39,9 +39,9 @@ class Robots:
         *,
         forget_after_s: float = math.inf,
         on_forgotten: Callable[[Robot], None] = lambda _: None,
-        on_change: Callable[[], None] = lambda: None,
+        on_change: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Make a table without robots; `on_change` is called when one comes, leaves or is forgotten.
+        """Make a table without robots; `on_change` is called with its name when one comes, leaves or is forgotten.
 
         Raises:
             ConfigError: limits of a robot cannot be kept. They belong to the start, not to its first connection.
@@ -53,7 +53,7 @@ class Robots:
             limits_of(config)
         self._on_forgotten, self._on_change = on_forgotten, on_change
         self._robots: dict[str, Robot] = {}
-        self.remote: dict[str, RemoteRobot] = {}  # of other daemons
+        self.remote: dict[str, RemoteRobot] = {}  # of other daemons; to be read alone
         self._of_link: dict[Hashable, Robot] = {}
         self._away = Away(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
@@ -136,7 +136,7 @@ class Robots:
         self._of_link[link] = robot
         self._away.remove(name)
         self._gates.attach(robot, link)
-        self._on_change()
+        self._on_change(name)
         self._gates.events.note(EventKind.APPEARED, name, link=link.number, peer=link.peer)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
         return robot
@@ -151,8 +151,41 @@ class Robots:
         log.warning("robot.gone", robot=robot.name)
         self._gates.events.note(EventKind.GONE, robot.name, was_moving=was_moving)
         self.put_away(robot)
-        self._on_change()
+        self._on_change(robot.name)
         return robot
+
+    def put_remote(self, robot: RemoteRobot) -> None:
+        """Another daemon has it."""
+        self.remote[robot.name] = robot
+        self._on_change(robot.name)
+
+    def pop_remote(self, name: str) -> RemoteRobot | None:
+        """No other daemon has it any more; None: none had."""
+        robot = self.remote.pop(name, None)
+        if robot is not None:
+            self._on_change(name)
+        return robot
+
+    def reconfigure(self, configs: Mapping[str, RobotConfig]) -> None:
+        """Limits, and who is never forgotten, from now on."""
+        self.max_robots += len(configs) - len(self._configs)
+        before, self._configs = self._configs, configs
+        for robot in list(self._robots.values()):
+            robot.config = self._config_of(robot.name, robot.topics.name)
+            robot.odometry.change_fastest(_fastest(robot.config))
+            for drivable in self._gates.beside(robot):
+                drivable.gate.change_limits(limits_of(robot.config))
+            if robot.name in configs:
+                self.keep(robot)
+            elif robot.name in before:
+                self.put_away(robot)
+
+    def forget(self, name: str) -> None:
+        """A robot without a device has another name now."""
+        robot = self._robots.get(name)
+        if robot is not None and robot.link is None and name not in self._configs:
+            self._away.remove(name)
+            self._forget(name)
 
     def keep(self, robot: Robot) -> None:
         """It must not be forgotten."""
@@ -176,10 +209,11 @@ class Robots:
             self._forget_some()
 
     def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> Robot:
-        config = self._configs.get(name) or of_namesake(self._configs.get(topics.name))
-        fastest = Twist(config.max_linear_m_s, config.max_angular_rad_s)
+        config = self._config_of(name, topics.name)
         odometry = OdometryEstimator(
-            continues=config.odometry_after_restart == "continue", fastest=fastest, correction=correction_of(config)
+            continues=config.odometry_after_restart == "continue",
+            fastest=_fastest(config),
+            correction=correction_of(config),
         )
         return Robot(
             name=name,
@@ -190,6 +224,9 @@ class Robots:
             topics=topics,
             shown=shown,
         )
+
+    def _config_of(self, name: str, own_name: str) -> RobotConfig:
+        return self._configs.get(name) or of_namesake(self._configs.get(own_name))
 
     def _forget_some(self) -> None:
         for name in self._away.pop_forgotten(_now_s()):
@@ -202,7 +239,11 @@ class Robots:
             log.info("robot.forgotten", robot=name)
             self._gates.events.note(EventKind.FORGOTTEN, name)
             self._on_forgotten(robot)
-            self._on_change()
+            self._on_change(name)
+
+
+def _fastest(config: RobotConfig) -> Twist:
+    return Twist(config.max_linear_m_s, config.max_angular_rad_s)
 
 
 def _now_s() -> float:

@@ -7,7 +7,7 @@ must not pass for the answer to the next call.
 import asyncio
 import itertools
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Hashable, Mapping
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping
 from typing import TypeVar
 
 import structlog
@@ -22,7 +22,7 @@ from hostlink.errors import (
     UnknownTopic,
     WrongType,
 )
-from hostlink.hub.graph_changes import GraphChanges
+from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.node import Node
 from hostlink.hub.topic_graph import resolve
 from hostlink.logs import printable
@@ -215,7 +215,7 @@ class Services:
             log.warning("service.taken_over", service=printable(service.name), by=str(service.key))
         offers[service.key] = service
         self._names[service.key].add(service.name)
-        self._changes.note()
+        self._changes.note(Kind.SERVICE, service.name)
 
     def provide(self, provider: Provider) -> None:
         """A program offers a service.
@@ -237,7 +237,7 @@ class Services:
         offers.pop(provider.key, None)
         offers[provider.key] = provider
         self._names[provider.key].add(name)
-        self._changes.note()
+        self._changes.note(Kind.SERVICE, name)
 
     def _remove_device_services(self, name: str) -> None:
         for key, service in self._devices.pop(name, {}).items():
@@ -251,12 +251,12 @@ class Services:
         if provider is not None:
             provider.withdraw()
             self._names[key].discard(name)
-            self._changes.note()
+            self._changes.note(Kind.SERVICE, name)
 
     def leave(self, key: Hashable) -> None:
         """`key` is gone with all that it offered."""
-        self._changes.note()
         for name in self._names.pop(key, set()):
+            self._changes.note(Kind.SERVICE, name)
             service = _remove(self._devices, name, key)
             if service is not None:
                 service.close()
@@ -285,9 +285,13 @@ class Services:
         found = self.provider(name)
         return found is not None and found.is_reading
 
+    def names(self) -> Iterable[str]:
+        """Of every service, in no order."""
+        return self._providers.keys() | self._devices.keys()
+
     def all(self) -> list[tuple[str, str]]:
         """(name, type) of every service."""
-        return sorted((name, self.find(name).type_name) for name in self._providers.keys() | self._devices.keys())
+        return sorted((name, self.find(name).type_name) for name in self.names())
 
     def find(self, name: str) -> DeviceService | Provider:
         """Who gets the calls of that name.
@@ -295,14 +299,18 @@ class Services:
         Raises:
             UnknownTopic: nobody offers it.
         """
-        program = self.provider(name)
-        if program is not None and program.is_daemon:
-            return program
-        found = self.of_device(name) or program
+        found = self.find_or_none(name)
         if found is None:
             others = itertools.chain(self._devices, self._providers)
             raise UnknownTopic("service", name, (known for known in others if not known.startswith("/rosapi/")))
         return found
+
+    def find_or_none(self, name: str) -> DeviceService | Provider | None:
+        """Who gets the calls of that name, if anybody does."""
+        program = self.provider(name)
+        if program is not None and program.is_daemon:
+            return program
+        return self.of_device(name) or program
 
     def type_of(self, name: str) -> ServiceType | None:
         """The type of a service, if it has a definition.

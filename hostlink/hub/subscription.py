@@ -3,11 +3,14 @@
 from collections.abc import Callable
 
 from hostlink.hub.message import Message
+from hostlink.hub.node import is_of
 from hostlink.hub.throttle import Throttle
 
 
 class Subscription:
     """`close` ends it."""
+
+    __slots__ = ("_deliver", "_group", "_on_throttled", "_throttle", "close", "is_closed")
 
     def __init__(
         self,
@@ -16,10 +19,12 @@ class Subscription:
         *,
         interval_s: float = 0.0,
         queue_length: int = 0,
+        group: str = "",
     ) -> None:
-        self.close: Callable[[], None] = lambda: None  # until it is in the graph
+        """`group`: what it publishes is not received: messages that go out to a graph must not come again from it."""
+        self.close: Callable[[], None] = nothing_to_close  # until it is in the graph
         self.is_closed = False  # then nothing is delivered, not even of what is on its way
-        self._deliver, self._on_throttled = deliver, on_throttled
+        self._deliver, self._on_throttled, self._group = deliver, on_throttled, group
         self._throttle = Throttle(interval_s=interval_s, queue_length=queue_length)
 
     def change(self, *, interval_s: float, queue_length: int) -> None:
@@ -28,7 +33,7 @@ class Subscription:
 
     def receive(self, message: Message) -> None:
         """Deliver a message, or hold it back."""
-        if self.is_closed:
+        if self.is_closed or is_of(message.source, self._group):
             return
         ready = self._throttle.offer(message, message.at_s)
         if ready is not None:
@@ -41,3 +46,7 @@ class Subscription:
         while not self.is_closed and (message := self._throttle.pop(now_s)) is not None:
             self._deliver(message)
         return None if self.is_closed else self._throttle.due_s()
+
+
+def nothing_to_close() -> None:
+    """It is not in the graph, or no more."""

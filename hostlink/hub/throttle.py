@@ -8,6 +8,8 @@ from hostlink.hub.message import Message
 class Throttle:
     """At most one message in `interval_s`. In between, messages are dropped, or the newest `queue_length` kept."""
 
+    __slots__ = ("_free_at_s", "_waiting", "interval_s")
+
     def __init__(self, *, interval_s: float, queue_length: int) -> None:
         self.interval_s = interval_s
         self._waiting: deque[Message] = deque(maxlen=queue_length)

@@ -40,6 +40,11 @@ class Topic:
     the other subscribers.
     """
 
+    __slots__ = (
+        "__weakref__", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers", "devices",
+        "latched", "messages", "name", "publishers", "rank", "type", "type_name",
+    )  # fmt: skip
+
     def __init__(self, name: str, deliveries: Deliveries | None = None) -> None:
         """`deliveries`: those of the graph, for a topic that is in it."""
         self.name = name

@@ -4,7 +4,7 @@ from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
 from hostlink.hub.deliveries import Deliveries
-from hostlink.hub.graph_changes import GraphChanges
+from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
 from hostlink.messages.catalog import Catalog
 
@@ -148,14 +148,14 @@ class TopicGraph:
         elif plain_name:
             topic.rank = max(topic.rank, rank)
         self._topics[resolved] = topic
-        self._changes.note()
+        self._changes.note(Kind.TOPIC, resolved)
         return topic
 
     def _settle(self, topic: Topic) -> None:
         """Somebody left: a topic without users goes; one that has subscribers alone has the type that they expect."""
         if self._topics.get(topic.name) is not topic:
             return
-        self._changes.note()
+        self._changes.note(Kind.TOPIC, topic.name)
         topic.rank = topic.highest_rank
         if not topic.is_used:
             del self._topics[topic.name]

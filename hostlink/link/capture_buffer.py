@@ -30,6 +30,8 @@ class Piece(NamedTuple):
 class CaptureBuffer:
     """The last CAPTURE_BYTES and a little more. Of very many pieces, small neighbours share the earlier time."""
 
+    __slots__ = ("_data", "_ends", "_times", "total_bytes")
+
     def __init__(self) -> None:
         self.total_bytes = 0
         self._data = bytearray()

@@ -4,10 +4,13 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import Protocol
+
+from hostlink.transport.base import READ_BYTES
 
 TURN_S = 0.0002  # of all together; what drives a robot comes in between, within a few turns of the loop
+CALM_PARTS = 3  # of four of the time is theirs while they wait: one piece of a flood can cost ten turns
 MAX_DEFERRALS = 3  # then one is let in though the turn is used up: nobody waits without end
-_SOME_S = 1e-9  # enough for one
 _Queue = deque[tuple[Callable[[], None], float]]  # what lets in, and what that is expected to cost
 
 
@@ -15,13 +18,14 @@ class FairShare:
     """Links and clients that read wait here when a turn of the loop is used up.
 
     Those of which no more waits than one read takes go first, in the order in which they came: a robot's own questions
-    do not wait behind a flood. Those that flood take turns in what is left, at least one in each turn of the loop.
+    do not wait behind a flood. Those that flood take turns in what is left: all of it, or a quarter of the time.
     """
 
     def __init__(self, turn_s: float = TURN_S) -> None:
         self.waits = 0  # how often somebody had to wait
         self._turn_s = turn_s
         self._spent_s = 0.0  # in this turn
+        self._owed_s = 0.0  # that calm ones may compute, if they wait, before a flood has its next turn
         self._is_turn_due = False
         self._calm: _Queue = deque()
         self._flooding: _Queue = deque()
@@ -71,11 +75,15 @@ class FairShare:
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
     def _begin_turn(self) -> None:
-        """Let in as many as are expected to fill the turn."""
+        """Let in as many as are expected to fill the turn: calm ones first, if they are owed time or nobody floods."""
         self._is_turn_due = False
         self._spent_s = 0.0
-        left_s = self._admit(self._calm, self._turn_s)
-        self._admit(self._flooding, max(left_s, _SOME_S))
+        left_s = self._turn_s
+        if self._owed_s > 0 or not self._flooding:
+            left_s = self._admit(self._calm, left_s)
+            self._owed_s -= self._turn_s - left_s
+        if self._flooding and left_s > 0:
+            self._owed_s = CALM_PARTS * (left_s - self._admit(self._flooding, left_s))
         if self._calm or self._flooding:
             self._expect_turn()
 
@@ -95,6 +103,8 @@ def _admit(turn: "asyncio.Future[None]") -> None:
 
 class Turns:
     """The part of one link or one client in a FairShare; it remembers what its work costs."""
+
+    __slots__ = ("_cost_s", "_share")
 
     def __init__(self, share: FairShare) -> None:
         self._share = share
@@ -116,6 +126,10 @@ class Turns:
         """Call a piece of work, which raises nothing, when it is its turn."""
         self._share.call(work, self._cost_s, is_flooding=is_flooding)
 
+    def reader(self, source: "Source", read: Callable[[], None], on_end: Callable[[], None]) -> "TurnReader":
+        """What reads `source` in these turns."""
+        return TurnReader(self, source, read, on_end)
+
     async def begin(self, *, is_flooding: bool) -> float:
         """Wait for the turn of a piece of work; returns when it begins."""
         await self._share.wait(self._cost_s, is_flooding=is_flooding)
@@ -128,7 +142,65 @@ class Turns:
         self._share.spend(self._cost_s)
         return now_s
 
-    async def wait(self, cost_s: float) -> None:
+    async def wait(self, cost_s: float, *, is_flooding: bool = False) -> None:
         """Returns when it is its turn, for work of about this cost that can only be begun here."""
-        await self._share.wait(cost_s)
+        await self._share.wait(cost_s, is_flooding=is_flooding)
         self._share.spend(cost_s)
+
+
+class Source(Protocol):
+    """What a connection has received: a Transport, or a Connection itself."""
+
+    @property
+    def unread_bytes(self) -> int: ...
+
+    @property
+    def is_ended(self) -> bool: ...
+
+
+class TurnReader:
+    """Reads a connection piece by piece: at once while it is its turn, else later.
+
+    `read` reads one piece, ends its turn, and raises nothing; `on_end` is called when all is read and nothing more
+    will come.
+    """
+
+    __slots__ = ("_is_due", "_is_flooding", "_is_stopped", "_on_end", "_read", "_source", "_turns")
+
+    def __init__(self, turns: Turns, source: Source, read: Callable[[], None], on_end: Callable[[], None]) -> None:
+        self._turns, self._source = turns, source
+        self._read, self._on_end = read, on_end
+        self._is_due = self._is_flooding = self._is_stopped = False
+
+    def stop(self) -> None:
+        """Nothing is read any more."""
+        self._is_stopped = True
+        self._read = self._on_end = _read_nothing  # else it and its owner keep each other until a collection
+
+    def receive(self) -> None:
+        """Bytes have come, or the end has."""
+        if self._is_due or self._is_stopped:
+            return
+        source = self._source
+        while (unread_bytes := source.unread_bytes) and not self._is_stopped:
+            if unread_bytes >= READ_BYTES:
+                self._is_flooding = True
+            if not self._turns.is_free(is_flooding=self._is_flooding):
+                self._is_due = True
+                self._turns.call(self._read_due, is_flooding=self._is_flooding)
+                return
+            self._read()
+        self._is_flooding = False
+        if source.is_ended and not self._is_stopped:
+            self._on_end()
+
+    def _read_due(self) -> None:
+        """It is its turn."""
+        self._is_due = False
+        if self._source.unread_bytes and not self._is_stopped:
+            self._read()
+        self.receive()
+
+
+def _read_nothing() -> None:
+    """It has been stopped."""

@@ -6,9 +6,10 @@ import contextvars
 import dataclasses
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 
 import structlog
 
@@ -17,17 +18,17 @@ from hostlink.config import LinkConfig
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
 from hostlink.link.fair_share import FairShare, Turns
+from hostlink.link.piece_size import PieceSize
+from hostlink.link.trouble import Trouble
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
 from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import Session, SessionCounts
-from hostlink.transport.base import READ_BYTES, Transport
+from hostlink.transport.base import Transport
 
 log = structlog.get_logger()
 
-TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted, and logged this often
-PIECE_BYTES = 512  # between two pieces others may have their turn; what a robot sends at once is mostly less
 LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due
 
@@ -60,8 +61,22 @@ class LinkFacts:
     clock: ClockReading | None
 
 
+Authenticate = Callable[[], Awaitable[None]]
+
+
+async def trust() -> None:
+    """A device that needs no key."""
+
+
 class Link:
     """The owner of one connection's transport and session."""
+
+    __slots__ = (
+        "__weakref__", "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
+        "_is_behind", "_is_drained", "_is_write_due", "_now_s", "_on_event", "_piece", "_reader", "_regular_limit_s",
+        "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns", "address",
+        "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s", "session",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -82,22 +97,25 @@ class Link:
         self.last_frame = b""  # of a robot: its zero
         self.command_latency = Latency()  # from a velocity's command to the transport
         self._from_device, self._to_device = CaptureBuffer(), CaptureBuffer()
-        self.opened_at_s = self.received_at_s = asyncio.get_running_loop().time()
+        self._now_s = asyncio.get_running_loop().time
+        self.opened_at_s = self.received_at_s = self._now_s()
         self._transport = transport
         self._config = config
         self._on_event, self._wall_ns = on_event, wall_ns
         self._turns = Turns(FairShare() if share is None else share)
+        self._reader = self._turns.reader(transport, self._read_guarded, partial(self._guarded, self._read_end))
+        self._piece = PieceSize()
         self._is_drained = asyncio.Event()
         self._is_behind = asyncio.Event()  # nothing more may be written: not yet open, not keeping up, at an end
         self._is_behind.set()
-        self._is_write_due = self._is_read_due = self._is_flooding = False
+        self._is_write_due = False
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s = math.inf
         self._context = contextvars.copy_context()
         self._finished: asyncio.Future[LinkEnd] = asyncio.get_running_loop().create_future()
         self._failure: Exception | None = None
         self._end: LinkEnd | None = None
-        self._trouble = _Trouble(self.opened_at_s)
+        self._trouble = Trouble(self.opened_at_s)
         self._idle_limit_s = math.inf if config.idle_timeout_s is None else config.idle_timeout_s
         silence_s = math.inf if config.silence_timeout_s is None else config.silence_timeout_s
         self._regular_limit_s = min(self._idle_limit_s, silence_s)
@@ -105,20 +123,23 @@ class Link:
     def __repr__(self) -> str:
         return f"link {self.number} ({self.peer})"
 
-    async def run(self) -> LinkEnd:
-        """Serve the connection until it ends; returns why."""
+    async def run(self, authenticate: Authenticate = trust) -> LinkEnd:
+        """Serve the connection until it ends; returns why.
+
+        `authenticate`: returns when rosserial may begin, or raises ConnectionRefusedError.
+        """
         end = LinkEnd.BROKEN
         self._context = contextvars.copy_context()  # log lines have what the caller has bound
         try:
             async with asyncio.TaskGroup() as tasks:
-                writer = tasks.create_task(self._catch_up(), name=f"link {self.number} writer")
+                writer = tasks.create_task(self._catch_up(authenticate), name=f"link {self.number} writer")
                 try:
                     end = await self._finished
                 finally:
                     writer.cancel()
                 if self._failure is not None:
                     raise self._failure
-        except* ConnectionRefusedError:  # by the transport: the device has no key
+        except* ConnectionRefusedError:  # the device has no key
             end = LinkEnd.UNAUTHENTICATED
         except* OSError as broken:
             end = LinkEnd.BROKEN
@@ -136,6 +157,7 @@ class Link:
         """Nothing is read or written any more."""
         self._is_behind.set()
         self._is_drained.set()
+        self._reader.stop()
         if not self._finished.done():
             self._finished.cancel()
         if self._timer is not None:
@@ -181,11 +203,11 @@ class Link:
     @property
     def silent_s(self) -> float:
         """Since the last byte of the device."""
-        return asyncio.get_running_loop().time() - self.received_at_s
+        return self._now_s() - self.received_at_s
 
     def facts(self) -> LinkFacts:
         """The counts and times of the link: for its last log line and for the API."""
-        now_s = asyncio.get_running_loop().time()
+        now_s = self._now_s()
         return LinkFacts(
             seconds=now_s - self.opened_at_s,
             counts=dataclasses.replace(self.session.counts),
@@ -203,42 +225,23 @@ class Link:
     # -- from the device ----------------------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        """The transport is open."""
-        now_s = asyncio.get_running_loop().time()
+        """Rosserial may begin."""
+        now_s = self._now_s()
         self._dispatch(self.session.open(now_s=now_s), now_s)
-        self._transport.start(self._readable)
+        self._transport.start(self._reader.receive)
 
-    def _readable(self) -> None:
-        """Read at once while it is this link's turn, else later."""
-        if self._is_read_due or self._finished.done():
-            return
-        transport = self._transport
-        while transport.unread_bytes and not self._finished.done():
-            if transport.unread_bytes >= READ_BYTES:
-                self._is_flooding = True
-            if not self._turns.is_free(is_flooding=self._is_flooding):
-                self._is_read_due = True
-                self._turns.call(self._read_due, is_flooding=self._is_flooding)
-                return
-            self._context.run(self._guarded, self._read)
-        self._is_flooding = False
-        if transport.is_ended and not self._finished.done():
-            self._guarded(self._read_end)
-
-    def _read_due(self) -> None:
-        """It is this link's turn."""
-        self._is_read_due = False
-        if self._transport.unread_bytes and not self._finished.done():
-            self._context.run(self._guarded, self._read)
-        self._readable()
+    def _read_guarded(self) -> None:
+        self._context.run(self._guarded, self._read)
 
     def _read(self) -> None:
         """One piece, so that others may have their turn between two."""
-        now_s = self.received_at_s = asyncio.get_running_loop().time()
-        data = self._transport.read(PIECE_BYTES)
+        now_s = self.received_at_s = self._now_s()
+        data = self._transport.read(self._piece.size_bytes)
         self._from_device.add(data, now_s)
         self._dispatch(self.session.receive(data, now_s=now_s), now_s)
-        self._trouble.report(self.session, self._turns.end(now_s))
+        ended_s = self._turns.end(now_s)
+        self._piece.update(ended_s - now_s)
+        self._trouble.report(self.session, ended_s)
 
     def _read_end(self) -> None:
         self._transport.read(1)  # raises what broke the connection
@@ -272,14 +275,15 @@ class Link:
             self._finish(LinkEnd.CRASHED)
 
     def _finish(self, end: LinkEnd) -> None:
+        self._reader.stop()
         if not self._finished.done():
             self._finished.set_result(end)
 
     # -- to the device ------------------------------------------------------------------------------------------------
 
-    async def _catch_up(self) -> None:
-        """Open the transport; then wait for a device that is behind."""
-        await self._transport.open()
+    async def _catch_up(self, authenticate: Authenticate) -> None:
+        """Let the device authenticate itself; then wait for one that is behind."""
+        await authenticate()
         self._is_behind.clear()
         self._begin()
         while True:
@@ -287,11 +291,11 @@ class Link:
             async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
                 await self._transport.drain()
             self._is_behind.clear()
-            self._write(asyncio.get_running_loop().time())
+            self._write(self._now_s())
 
     def _write_due(self) -> None:
         if self._is_write_due:
-            self._write(asyncio.get_running_loop().time())
+            self._write(self._now_s())
 
     def _write(self, now_s: float) -> None:
         """Write what may leave by now, and do what is due; then expect what is next."""
@@ -316,7 +320,7 @@ class Link:
         if not self._transport.write(outgoing.frame):
             self._is_behind.set()
         if outgoing.waiting_since_s is not None:
-            self.command_latency.add(asyncio.get_running_loop().time() - outgoing.waiting_since_s)
+            self.command_latency.add(self._now_s() - outgoing.waiting_since_s)
         self._to_device.add(outgoing.frame, now_s)
 
     def _expect(self, now_s: float) -> None:
@@ -337,30 +341,4 @@ class Link:
     def _timer_due(self) -> None:
         self._timer, self._timer_s = None, math.inf
         if not self._finished.done():
-            self._write(asyncio.get_running_loop().time())
-
-
-class _Trouble:
-    """Logs damage on the wire: at most one line in TROUBLE_INTERVAL_S, with what came since the last one."""
-
-    def __init__(self, now_s: float) -> None:
-        self._logged_at_s = now_s
-        self._logged: dict[str, int] = {}
-
-    def report(self, session: Session, now_s: float) -> None:
-        if now_s < self._logged_at_s + TROUBLE_INTERVAL_S:
-            return
-        self._logged_at_s = now_s
-        counts = session.counts
-        total = {
-            "skipped_bytes": counts.skipped_bytes,
-            "unknown_ids": counts.unknown_ids,
-            "refused_frames": counts.refused_frames,
-            "malformed": counts.malformed,
-            **session.rejected,
-        }
-        before = self._logged
-        new = {name: count - before.get(name, 0) for name, count in total.items() if count > before.get(name, 0)}
-        self._logged = total
-        if new:
-            log.warning("link.trouble", **new)
+            self._write(self._now_s())

@@ -2,11 +2,11 @@
 
 from hostlink.config import TcpConfig
 from hostlink.hub.hub import Hub
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Authenticate, Link, LinkEnd, trust
 from hostlink.listeners.admission import Admission, OpenConnection
 from hostlink.listeners.refusals import Refusals
 from hostlink.transport.base import Transport
-from hostlink.transport.keyed import KeyedTransport, read_key
+from hostlink.transport.keyed import KeyProof, read_key
 
 
 class TcpAcceptor:
@@ -40,20 +40,19 @@ class TcpAcceptor:
             leaving = self._links.pop(verdict.evicts)
             self._refusals.count(LinkEnd.EVICTED.value, leaving.peer)
             leaving.end(LinkEnd.EVICTED)
-        link = self._hub.open(self._guarded(transport))
+        link = self._hub.open(transport)
         self._links[link.number] = link
-        self._hub.spawn(self._serve(link), name=f"link to {transport.peer}")
+        self._hub.spawn(self._serve(link, self._authentication(transport)), name=f"link to {transport.peer}")
 
-    def _guarded(self, transport: Transport) -> Transport:
+    def _authentication(self, transport: Transport) -> Authenticate:
         if self._key is None or not self._admission.needs_key(transport.address):
-            return transport
-        return KeyedTransport(
-            transport, self._key, on_refused=lambda cause: self._refusals.count(cause, transport.peer)
-        )
+            return trust
+        proof = KeyProof(transport, self._key, on_refused=lambda cause: self._refusals.count(cause, transport.peer))
+        return proof.authenticate
 
-    async def _serve(self, link: Link) -> None:
+    async def _serve(self, link: Link, authenticate: Authenticate) -> None:
         try:
-            if await self._hub.serve(link) is LinkEnd.REFUSED:
+            if await self._hub.serve(link, authenticate) is LinkEnd.REFUSED:
                 self._refusals.pause(link.address)
         finally:
             self._links.pop(link.number, None)

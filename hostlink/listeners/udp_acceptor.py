@@ -20,11 +20,10 @@ from dataclasses import dataclass
 from hostlink.config import UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.link.greeting import INVITATION, has_frame
-from hostlink.link.link import Link, LinkEnd
+from hostlink.link.link import Authenticate, Link, LinkEnd, trust
 from hostlink.listeners.admission import Admission, OpenConnection, is_within
 from hostlink.listeners.refusals import Refusals
-from hostlink.transport.base import Transport
-from hostlink.transport.keyed import HELLO, KeyedTransport, read_key
+from hostlink.transport.keyed import HELLO, KeyProof, read_key
 from hostlink.transport.tcp import spelled
 from hostlink.transport.udp import UdpTransport
 from hostlink.transport.udp_port import Datagram, UdpPort
@@ -110,7 +109,7 @@ class UdpAcceptor:
             on_other=lambda other: self.receive(port, other),
             on_limited=lambda: self._refusals.count("unverified", peer),
         )
-        session = _Session(self._hub.open(self._guarded(transport)), transport)
+        session = _Session(self._hub.open(transport), transport)
         self._sessions[datagram.source[:2]] = session
         self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")
         return True
@@ -138,19 +137,20 @@ class UdpAcceptor:
         self._refusals.count(LinkEnd.EVICTED.value, session.link.peer)
         session.link.end(LinkEnd.EVICTED)
 
-    def _guarded(self, transport: UdpTransport) -> Transport:
+    def _authentication(self, transport: UdpTransport) -> Authenticate:
         if self._key is None or not self._needs_key(transport.address):
-            return transport
-        return KeyedTransport(
+            return trust
+        proof = KeyProof(
             transport,
             self._key,
             on_refused=lambda cause: self._refusals.count(cause, transport.peer),
             on_proven=transport.verify,
         )
+        return proof.authenticate
 
     async def _serve(self, session: _Session, source: tuple[str, int]) -> None:
         try:
-            if await self._hub.serve(session.link) is LinkEnd.REFUSED:
+            if await self._hub.serve(session.link, self._authentication(session.transport)) is LinkEnd.REFUSED:
                 self._refusals.pause(session.link.peer)
         finally:
             if self._sessions.get(source) is session:

@@ -41,6 +41,14 @@ class Catalog:
         if folders:
             self._build_all()
 
+    def message_names(self) -> list[str]:
+        """Of all types that are known, "pkg/Type", sorted."""
+        return sorted({*self._store, *self._message_files})
+
+    def service_names(self) -> list[str]:
+        """Of all service types that are known, "pkg/Type", sorted."""
+        return sorted(self._service_files)
+
     def message(self, name: str) -> MessageType | None:
         """The type of that name, "pkg/Type" or "pkg/msg/Type"; None: unknown."""
         return self._message(_short(name), ())

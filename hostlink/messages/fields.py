@@ -25,6 +25,7 @@ FORMATS: Final = {
     "float32": "f",
     "float64": "d",
 }
+_BOOLS: Final = {"True": True, "true": True, "False": False, "false": False}
 SIZES: Final = {name: struct.calcsize(f"<{code}") for name, code in FORMATS.items()}
 FLOATS: Final = frozenset({"float32", "float64"})
 OCTETS: Final = frozenset({"uint8", "char"})  # arrays of these are bytes
@@ -116,6 +117,11 @@ class Layout:
 
 TIME: Final = Layout("time", (Field("secs", "uint32"), Field("nsecs", "uint32")), {})
 DURATION: Final = Layout("duration", (Field("secs", "int32"), Field("nsecs", "int32")), {})
+
+
+def bool_value(text: str) -> bool:
+    """The value of a bool constant, as `+1` or `True`."""
+    return _BOOLS[text] if text in _BOOLS else int(text) == 1
 
 
 def integer_range(type_name: str) -> range:

@@ -12,6 +12,7 @@ from hostlink.messages.fields import DURATION, TIME, Constant, Field, Layout
 from hostlink.messages.parsing import Definition
 
 SEPARATOR: Final = "=" * 80
+_EMPTY: Final = "\n"
 
 
 class MessageType:
@@ -59,11 +60,14 @@ class MessageType:
 
     @cached_property
     def full_definition(self) -> str:
-        """The definition and those of all types in it, each once, as `gendeps --cat` of ROS prints them."""
+        """The definition and those of all types in it, each once, as `gendeps --cat` of ROS prints them.
+
+        An empty one is an empty line: rospy, which reads such texts, needs an end of the line behind its name.
+        """
         dependencies: dict[str, str] = {}
         _collect_definitions(self, dependencies)
         return self.definition + "".join(
-            f"{SEPARATOR}\nMSG: {name}\n{definition}" for name, definition in dependencies.items()
+            f"{SEPARATOR}\nMSG: {name}\n{definition or _EMPTY}" for name, definition in dependencies.items()
         )
 
     def encode(self, message: Mapping[str, object]) -> bytes:

@@ -47,7 +47,7 @@ def parse_message(name: str, text: str, where: str, *, first_line: int = 1) -> D
     for number, line, code in _lines(text, first_line):
         try:
             entry = _constant(line, code) if "=" in code else _field(code, package)
-            _check_name(entry.name, {*constants, *fields})
+            _check_name(entry.name, is_there=entry.name in constants or entry.name in fields)
         except ValueError as error:
             raise ConfigError(f"{where}:{number}", str(error)) from None
         if isinstance(entry, Constant):
@@ -66,7 +66,7 @@ def parse_message(name: str, text: str, where: str, *, first_line: int = 1) -> D
 
 def parse_service(name: str, text: str, where: str) -> tuple[Definition, Definition]:
     """Read a service definition: its request and its response, named as ROS names them."""
-    lines = text.splitlines()
+    lines = text.split("\n")
     cuts = [index for index, line in enumerate(lines) if line.startswith("---")]
     if len(cuts) != 1:
         raise ConfigError(where, f"a service needs one line of ---, this has {len(cuts)}")
@@ -79,7 +79,7 @@ def parse_service(name: str, text: str, where: str) -> tuple[Definition, Definit
 
 def _lines(text: str, first_line: int) -> Iterator[tuple[int, str, str]]:
     """Number, line, and the line without its comment, of every line that is not empty."""
-    for number, line in enumerate(text.splitlines(), first_line):
+    for number, line in enumerate(text.split("\n"), first_line):  # nothing else ends a line, in a comment or a text
         if code := line.partition("#")[0].strip():
             yield number, line, code
 
@@ -100,11 +100,20 @@ def _two_words(declaration: str, wanted: str, code: str) -> tuple[str, str]:
     match declaration.split():
         case [first, second]:
             return first, second
-    raise ValueError(f"wanted {wanted}, got {code!r}")
+    raise ValueError(f"wanted {wanted}, got {code!r}{_ros2_hint(code)}")
 
 
-def _check_name(name: str, known: set[str]) -> None:
-    if name in known:
+def _ros2_hint(code: str) -> str:
+    """What to do with a line of ROS 2, whose definitions have more than those of ROS 1 and rosserial."""
+    if "<=" in code:
+        return "; bounded types are of ROS 2: leave the bound out"
+    if len(code.split()) > len(("TYPE", "NAME")) and "=" not in code:
+        return "; default values are of ROS 2: leave it out"
+    return ""
+
+
+def _check_name(name: str, *, is_there: bool) -> None:
+    if is_there:
         raise ValueError(f"{name} is there twice")
     if not _NAME.fullmatch(name):
         raise ValueError(f"{name!r} is no name: letters, digits and _, a letter first")
@@ -145,6 +154,8 @@ def _array_length(written: str, length: str | None) -> int:
         return SCALAR
     if not length:
         return VARIABLE
+    if length != "0" and length.startswith("0"):
+        raise ValueError(f"{written}: the length of an array begins with no 0")  # ROS has it in its md5 sum
     if not 0 < int(length) <= ARRAY_LENGTH_MAX:
         raise ValueError(f"{written}: the length of an array is 1 to {ARRAY_LENGTH_MAX}, or left out")
     return int(length)

@@ -58,6 +58,11 @@ class NegotiationScheduler:
     A request waits until the last one is REQUEST_INTERVAL_S old.
     """
 
+    __slots__ = (
+        "_is_damaged", "_last_time_request_s", "_pending", "_requested_at_s", "_same_requests",
+        "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s", "state",
+    )  # fmt: skip
+
     def __init__(self) -> None:
         self.state = SessionState.REQUESTING
         self.received_at_s = 0.0  # the last byte

@@ -50,6 +50,11 @@ class Outbox:
     Age counts from the first `begin_waiting` or `pop_frame` after a frame was put; the link calls it at once.
     """
 
+    __slots__ = (
+        "_commands", "_is_request_due", "_is_stop_due", "_is_stopped", "_is_time_due", "_new", "_replies", "_uart",
+        "_urgent", "replaced", "robot_moves", "slowest_wait_s",
+    )  # fmt: skip
+
     def __init__(self, *, uart_bytes_s: int | None = None) -> None:
         self.replaced = 0
         self.slowest_wait_s = 0.0  # of all frames that left
@@ -217,6 +222,8 @@ class Outbox:
 
 class _Uart:
     """How much of what was sent the device's UART has not passed on yet; one of unknown speed passes all on at once."""
+
+    __slots__ = ("_busy_until_s", "_bytes_s", "_turn_bytes", "prompt_bytes")
 
     def __init__(self, bytes_s: int | None) -> None:
         self._bytes_s = bytes_s

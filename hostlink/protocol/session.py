@@ -161,31 +161,33 @@ class Session(MessagesToDevice):
                 self._skip(item.data, found)
                 continue
             self.counts.frames_from_device += 1
-            topic_id = item.topic_id
+            topic_id, payload = item
             if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
-                self._add_topic_info(Id(topic_id), item.payload, now_s, found)
+                self._add_topic_info(Id(topic_id), payload, now_s, found)
                 continue
             if self._negotiation.state is SessionState.NEGOTIATING:
                 found.append(self._finish_negotiation())
             if topic_id >= FIRST_TOPIC_ID:
-                self._dispatch(item, found)
+                self._dispatch(topic_id, payload, found)
             else:
                 self._answer(item, now_s, found)
 
-    def _dispatch(self, frame: Frame, found: list[events.Event]) -> None:
-        info = self._topics.get(frame.topic_id)
+    def _dispatch(self, topic_id: int, payload: bytes, found: list[events.Event]) -> None:
+        info = self._topics.get(topic_id)
         if info is None:
             self.counts.unknown_ids += 1
-            self._negotiation.request_about(frame.topic_id, "unknown_id")
-            found.append(events.UnknownTopicUsed(frame.topic_id))
-        elif info.kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a type that was refused: the device waits
-            found.append(events.ServiceRequested(info, frame.payload))
-        elif info.topic_id in self._refused or info.kind not in _KINDS_FROM_DEVICE:
+            self._negotiation.request_about(topic_id, "unknown_id")
+            found.append(events.UnknownTopicUsed(topic_id))
+            return
+        kind = info.kind
+        if kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a type that was refused: the device waits
+            found.append(events.ServiceRequested(info, payload))
+        elif topic_id in self._refused or kind not in _KINDS_FROM_DEVICE:
             self.counts.refused_frames += 1
-        elif info.kind is Id.PUBLISHER:
-            found.append(events.MessageReceived(info, frame.payload))
+        elif kind is Id.PUBLISHER:
+            found.append(events.MessageReceived(info, payload))
         else:
-            found.append(events.ServiceResponded(info, frame.payload))
+            found.append(events.ServiceResponded(info, payload))
 
     def _answer(self, frame: Frame, now_s: float, found: list[events.Event]) -> None:
         """A control frame: the time is answered here, the rest is the hub's."""

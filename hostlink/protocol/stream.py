@@ -50,6 +50,11 @@ class FrameStream:
     it, the candidate that ends last is dropped: `too_many`. With a limit of 1024 bytes it is never reached.
     """
 
+    __slots__ = (
+        "_base", "_buffer", "_candidates", "_claimed_bytes", "_ends", "_fixed_bytes", "_searched", "limit_bytes",
+        "rejected",
+    )  # fmt: skip
+
     def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
         """`limit_bytes`: the largest payload that a header may claim; `fixed_bytes`: id -> its only right size."""
         self.limit_bytes = limit_bytes

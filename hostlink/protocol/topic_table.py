@@ -21,6 +21,8 @@ class TopicTable:
     `max_topics` is not added: `excess` counts it, in the present negotiation.
     """
 
+    __slots__ = ("_announced", "_by_name", "_complete", "_missed", "_topics", "excess", "fixed_bytes", "max_topics")
+
     def __init__(self, max_topics: int = MAX_TOPICS) -> None:
         self.fixed_bytes: dict[int, int] = {}
         self.max_topics = max_topics

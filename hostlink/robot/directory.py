@@ -8,11 +8,12 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hostlink.robot.presence import Presence
-from hostlink.robot.robot_names import LONGEST_NAME, Named, Origin, RobotNames
+from hostlink.robot.robot_names import LONGEST_NAME, PLAYED, Named, Origin, RobotNames
 from hostlink.robot.velocity import TWIST_TYPE
 
 ODOMETRY_TYPES = ("geometry_msgs/Pose2D", "nav_msgs/Odometry")
 RESET_TYPE = "std_msgs/Empty"
+_MARK, _MARK_TYPE = "played", "std_msgs/String"  # a topic of a recording that is played as a device
 _USUAL_NAMES = ("velocity_commands", "cmd_vel")  # the likelier first
 _DEFAULT_NAME = "robot"
 
@@ -107,7 +108,8 @@ class Directory:
 
     Where two were seen, or one was replaced less than 10 s ago, only after a silence of 3 s one counts as gone.
 
-    A robot whose name lives at another address waits for up to 3 s if that one is silent: it may have moved.
+    A robot whose name lives at another address waits for up to 3 s if that one is silent: it may have moved. A
+    recording that is played has a robot's name only until the robot itself comes, whose link replaces its own.
     """
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
@@ -139,6 +141,8 @@ class Directory:
         """A device has announced its topics (again); `announced`: all of it, if that is more than the topics."""
         self.note_read(link, now_s)
         robot = find_robot(topics)
+        if is_played(topics):
+            address = peer = PLAYED
         key = (address, announced or frozenset(topics)) if robot is None else (address, robot.name)
         entry, is_new = self._entries.get(link), False
         if entry is None or entry.key != key:
@@ -154,12 +158,29 @@ class Directory:
             named = None if robot is None else self._name(entry, gone, now_s)
             if robot is not None and named is None:
                 return Undecided(probe=())
-            replaces = gone
+            replaces = self._played_as(named) if gone is None else gone
             self._settle(link, entry, named, replaces)
+            entry.replaced_at_s = -math.inf if gone is None else entry.since_s
         if robot is None or entry.name is None:
             return Accepted(None, replaces)
         is_numbered = self._names.is_numbered(entry.name, entry.origin)
         return Accepted(replace(robot, name=entry.name), replaces, robot.name, entry.is_certain, is_numbered)
+
+    def misplaced(self, addresses: Mapping[str, str | None]) -> dict[str, int | None]:
+        """The names that these addresses would change, and the link of each; None: its device is away."""
+        return {name: self._by_name.get(name) for name in self._names.misplaced(addresses)}
+
+    def reconfigure(self, addresses: Mapping[str, str | None]) -> dict[str, int | None]:
+        """Names by these addresses from now on; each device whose name they change must claim again.
+
+        Returns what was `misplaced`.
+        """
+        misplaced = self.misplaced(addresses)
+        for link in misplaced.values():
+            if link is not None:
+                self._release(link)
+        self._names.reconfigure(addresses)
+        return misplaced
 
     def leave(self, link: int) -> None:
         """The device's link is gone."""
@@ -196,17 +217,20 @@ class Directory:
             return Named(name, not self._names.has_twins(entry.origin))
         named = self._names.choose(entry.origin)
         other = self._by_name.get(entry.origin.own)
-        if other is not None and named.is_new_number:
+        if other is not None and named.is_new_number and entry.origin.address != PLAYED:
             is_elsewhere = self._entries[other].origin.address != entry.origin.address
             is_silent = self._presences[other].is_probably_gone(now_s) or self._presences[other].is_surely_gone(now_s)
             if is_elsewhere and is_silent and now_s < entry.since_s + MOVING_S:
                 return None
         return named
 
+    def _played_as(self, named: Named | None) -> int | None:
+        """The link of a recording that has this name; a device gets it only if it is none."""
+        return None if named is None else self._by_name.get(named.name)
+
     def _settle(self, link: int, entry: _Entry, named: Named | None, replaces: int | None) -> None:
         if replaces is not None:
             self.leave(replaces)
-            entry.replaced_at_s = entry.since_s
         entry.is_settled = True
         self._settled[entry.key][link] = None
         if named is not None:
@@ -246,6 +270,14 @@ def find_robot(topics: Sequence[TopicClaim]) -> RobotTopicNames | None:
     ]
     reset = min(resets, key=lambda topic: ("odom" not in _leaf(topic), topic), default=None)
     return RobotTopicNames(_name(*namespaces), velocity, odometry, odometry_type, reset)
+
+
+def is_played(topics: Sequence[TopicClaim]) -> bool:
+    """Whether it is a recording that is played: it says so by a topic."""
+    return any(
+        type_name == _MARK_TYPE and not is_to_device and _leaf(topic) == _MARK
+        for topic, type_name, is_to_device in topics
+    )
 
 
 def _parts(topic: str) -> list[str]:

@@ -11,6 +11,7 @@ from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wra
 from hostlink.robot.odometry_correction import OdometryCorrection
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
+CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
 SHORTEST_S = 0.05  # poses that a network delivered together carry no speed
 SHORTEST_SPAN_S = 0.1  # between poses of one read, in truth
 LONGEST_S = 2.0  # over a longer silence anything may have happened, a restart too
@@ -71,8 +72,9 @@ _ORIGIN = _NO_FRAME = Pose()
 class OdometryEstimator:
     """The newest pose, and the motion over the poses of the last WINDOW_S.
 
-    Poses that came in one read have one arrival time; only the last of them counts for the motion. One pose from
-    before the window is kept, so that a motion is never measured over the few milliseconds between two late poses.
+    Poses that came in one read have one arrival time; only the last of them counts for the motion, and of a device that
+    publishes hundreds in a second one in CLOSEST_S: each snapshot goes through all of them. One pose from before the
+    window is kept, so that a motion is never measured over the few milliseconds between two late poses.
 
     A device that restarts begins at the origin again. What is shown continues from where the robot was (REP 105: an
     odometry does not jump), or begins again with the device if it is not to continue; `restarts` counts them. A reset
@@ -83,6 +85,11 @@ class OdometryEstimator:
     is judged as it comes.
     """
 
+    __slots__ = (
+        "_back_at_once", "_continues", "_correction", "_doubtful", "_fastest", "_frame", "_newest", "_reset_until_s",
+        "_small_m", "_small_rad", "_stamp_ns", "_twist", "_window", "count", "ignored", "restarts",
+    )  # fmt: skip
+
     def __init__(
         self, *, continues: bool = True, fastest: Twist = FASTEST, correction: OdometryCorrection | None = None
     ) -> None:
@@ -90,11 +97,8 @@ class OdometryEstimator:
         self.count = 0
         self.restarts = 0  # how often the device began anew without a request
         self.ignored = 0  # poses that cannot be true
-        self._continues, self._fastest = continues, fastest
-        self._correction = correction
-        self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
-        self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
-        self._small_rad = min(self._back_at_once.angular_rad_s, LEAP.angular_rad_s) * SHORTEST_SPAN_S
+        self._continues, self._correction = continues, correction
+        self.change_fastest(fastest)
         self._frame = _NO_FRAME  # where the device's origin is in what is shown
         self._newest: _Sample | None = None  # the newest, as the device published it
         self._doubtful: _Sample | None = None
@@ -102,6 +106,13 @@ class OdometryEstimator:
         self._twist: Twist | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
         self._window: deque[_Sample] = deque()
+
+    def change_fastest(self, fastest: Twist) -> None:
+        """What the robot may be commanded from now on."""
+        self._fastest = fastest
+        self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
+        self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
+        self._small_rad = min(self._back_at_once.angular_rad_s, LEAP.angular_rad_s) * SHORTEST_SPAN_S
 
     def anew(self) -> "OdometryEstimator":
         """Another with the same settings, which has seen nothing."""
@@ -122,7 +133,8 @@ class OdometryEstimator:
             return
         self.count += 1
         window = self._window
-        if window and window[-1].at_s == now_s:
+        is_close = len(window) > 1 and now_s - window[-2].at_s < CLOSEST_S
+        if is_close or (window and window[-1].at_s == now_s):
             window.pop()
         is_framed = self._frame is not _NO_FRAME
         window.append(_Sample(now_s, self.count, placed(self._frame, pose)) if is_framed else new)

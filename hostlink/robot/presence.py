@@ -12,6 +12,8 @@ _KEPT, _ENOUGH = 16, 8  # gaps; their median stands a few that are long
 class Presence:
     """Of one link. Times are monotonic, in seconds."""
 
+    __slots__ = ("_gaps_s", "received_at_s")
+
     def __init__(self, now_s: float) -> None:
         self.received_at_s = now_s
         self._gaps_s: deque[float] = deque(maxlen=_KEPT)

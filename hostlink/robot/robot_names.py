@@ -8,6 +8,7 @@ from typing import NamedTuple, TypeVar
 
 Key = TypeVar("Key")
 
+PLAYED = "a recording"  # the address of whatever is played, wherever that is
 LONGEST_NAME = 64  # characters; a name goes into logs, paths and labels
 
 
@@ -31,6 +32,26 @@ class Named:
     is_new_number: bool = False
 
 
+class _Places:
+    """Where robots are configured to be."""
+
+    def __init__(self, addresses: Mapping[str, str | None]) -> None:
+        self._names: defaultdict[str, list[str]] = defaultdict(list)
+        self._with_place = {name for name, address in addresses.items() if address is not None}
+        for name, address in addresses.items():
+            if address is not None:
+                self._names[address].append(name)
+
+    def has(self, name: str) -> bool:
+        """Whether this robot has a place."""
+        return name in self._with_place
+
+    def at(self, origin: Origin) -> list[str]:
+        """The robots that are configured where the device is."""
+        names = self._names.get(origin.peer, [])
+        return names if origin.peer == origin.address else [*names, *self._names.get(origin.address, [])]
+
+
 class RobotNames:
     """A name is chosen in this order:
 
@@ -42,23 +63,39 @@ class RobotNames:
        address, or several were seen that announce it, and it is the one of a device elsewhere;
     5. that name with a number: robot_0_2, robot_0_3, ...
 
+    A recording that is played leaves its name to the robot, and counts as none of those that announce it.
+
     A name without a device stays its last owner's until it is forgotten.
     """
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port."""
-        self._configured = {name: address for name, address in addresses.items() if address is not None}
-        self._at: defaultdict[str, list[str]] = defaultdict(list)
-        for name, address in self._configured.items():
-            self._at[address].append(name)
-        self._live: set[str] = set()
+        self._places = _Places(addresses)
+        self._live: set[str] = set()  # that a device has now
         self._owners: dict[str, Origin] = {}
         self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
         self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
 
+    def reconfigure(self, addresses: Mapping[str, str | None]) -> None:
+        """Whoever has another's name by these, or should have another, has none from now on."""
+        misplaced = self.misplaced(addresses)
+        self._places = _Places(addresses)
+        for name in misplaced:
+            self.forget(name)
+
+    def misplaced(self, addresses: Mapping[str, str | None]) -> list[str]:
+        """The names that would be others' by these addresses, or whose devices would have others."""
+        places = _Places(addresses)
+        right = {name for name, owner in self._owners.items() if name in places.at(owner)}
+        return [
+            name
+            for name, owner in self._owners.items()
+            if name not in right and (places.has(name) or any(here not in right for here in places.at(owner)))
+        ]
+
     def choose(self, origin: Origin) -> Named:
         """The name of a device that has none."""
-        here = self._configured_at(origin)
+        here = self._places.at(origin)
         free = [name for name in here if name not in self._live]
         is_only_one = len(here) == 1
         if origin.own in free:
@@ -80,7 +117,8 @@ class RobotNames:
         self._live.add(name)
         self._owners[name] = origin
         self._of_origin[origin.own, origin.address][name] = None
-        self._of_own[origin.own][name] = None
+        if origin.address != PLAYED:
+            self._of_own[origin.own][name] = None
 
     def leave(self, name: str) -> None:
         """Its device is gone; the name stays its own."""
@@ -100,26 +138,23 @@ class RobotNames:
 
     def is_numbered(self, name: str, origin: Origin) -> bool:
         """Whether a device was given a number, because nothing distinguished it from another."""
-        return name != origin.own and name not in self._configured_at(origin)
-
-    def _configured_at(self, origin: Origin) -> list[str]:
-        names = self._at.get(origin.peer, [])
-        return names if origin.peer == origin.address else [*names, *self._at.get(origin.address, [])]
+        return name != origin.own and name not in self._places.at(origin)
 
     def _names_of(self, origin: Origin) -> list[str]:
         return list(self._of_origin.get((origin.own, origin.address), ()))
 
     def _is_free(self, origin: Origin) -> bool:
-        name = origin.own
-        if name in self._live or name in self._configured:
+        name, owner = origin.own, self._owners.get(origin.own)
+        if owner is not None and owner.address == PLAYED != origin.address:
+            return not self._places.has(name)
+        if name in self._live or self._places.has(name):
             return False
-        owner = self._owners.get(name)
-        return owner is None or (owner.own == name and len(self._of_own[name]) == 1)
+        return owner is None or (owner.own == name and len(self._of_own.get(name, ())) <= 1)
 
     def _numbered(self, own: str) -> str:
         numbers = (f"_{number}" for number in itertools.count(2))
         names = (own[: LONGEST_NAME - len(number)] + number for number in numbers)
-        return next(name for name in names if name not in self._owners and name not in self._configured)
+        return next(name for name in names if name not in self._owners and not self._places.has(name))
 
 
 def _drop(names: defaultdict[Key, dict[str, None]], key: Key, name: str) -> None:

@@ -14,6 +14,7 @@ LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own wa
 ZEROS = 3  # a single stop can be lost on a radio
 LONGEST_STEP_S = 0.1  # a step that comes late must not jump
 _ALL_OF_IT = 1 - 1e-9  # whatever the rounding, a way to zero loses speed to its very end, and a step reaches it
+_LIMITS = ("max_linear_m_s", "max_angular_rad_s", "max_wheel_m_s")
 LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot receives its zero again and again: it may have no watchdog of its own
 
 
@@ -44,15 +45,27 @@ class Limits:
 
     def apply(self, velocity: Velocity) -> Velocity:
         """The same curve, slow enough for every limit."""
-        factor = min(
+        factor = min(self._factors(velocity))
+        return velocity if factor >= 1 else velocity.scaled(factor)
+
+    def slowest(self, velocity: Velocity) -> str | None:
+        """The limit that slows this velocity down most; None: it keeps every limit."""
+        factors = self._factors(velocity)
+        smallest = min(factors)
+        return _LIMITS[factors.index(smallest)] if smallest < 1 else None
+
+    def _factors(self, velocity: Velocity) -> tuple[float, float, float]:
+        """By how much each of _LIMITS slows it down."""
+        return (
             _factor(velocity.linear_m_s, self.max_linear_m_s),
             _factor(velocity.angular_rad_s, self.max_angular_rad_s),
-            _factor(self._fastest_wheel_m_s(velocity), self.max_wheel_m_s),
+            1.0 if self.max_wheel_m_s is None else _factor(self._fastest_wheel_m_s(velocity), self.max_wheel_m_s),
         )
-        return velocity if factor >= 1 else velocity.scaled(factor)
 
     def step(self, current: Velocity, target: Velocity, step_s: float) -> Velocity:
         """From `current` straight towards `target`, as far as accelerations and decelerations allow in `step_s`."""
+        if current == target:
+            return target
         linear = _reach(
             current[:3],
             target[:3],
@@ -129,7 +142,7 @@ class VelocityGate:
         self.lock_reason: str | None = None
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
-        self._robot, self._limits = robot, limits
+        self._robot, self.limits = robot, limits
         self._lease: Claim | None = None
         self._target = ZERO
         self._zeros = 0
@@ -154,6 +167,16 @@ class VelocityGate:
     def may_move(self) -> bool:
         """Whether the robot is driven, slows down, or may not have received its stop yet."""
         return self._lease is not None or self._zeros > 0 or not self.current.is_zero
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether the device has a zero of several; `step` gives the others, without a command."""
+        return self._lease is None and self._zeros > 0 and not self.is_new_device
+
+    @property
+    def stops(self) -> int:
+        """How often somebody has stopped or locked it."""
+        return self.counts.stops + self.counts.locks
 
     @property
     def is_driven(self) -> bool:
@@ -192,7 +215,7 @@ class VelocityGate:
             self._stepped_at_s = now_s
         deadline_s = lease.deadline_s if lease is not None and velocity.is_zero else now_s + self.lease_s
         self._lease = self._claim(Claim(owner, priority, deadline_s))
-        self._target = self._limits.apply(velocity)
+        self._target = self.limits.apply(velocity)
         self._zeros = int(self.is_new_device)
         self.counts.commands += 1
         self.counts.limited += self._target != velocity
@@ -257,17 +280,22 @@ class VelocityGate:
         """Commands are accepted again; nothing moves before one comes."""
         self.lock_reason = None
 
+    def change_limits(self, limits: Limits) -> None:
+        """From now on; a robot that is driven too fast slows down as far as they allow."""
+        self.limits = limits
+        self._target = limits.apply(self._target)
+
     def step(self, now_s: float) -> Velocity | None:
         """The velocity to send now; None: nothing. Call it often while `is_active`, and after every command."""
         self._expire(now_s)
         step_s = max(now_s - self._stepped_at_s, 0.0)
         self._stepped_at_s = now_s
         if self._lease is None:  # braking keeps its time even when a step comes late
-            self.current = self._limits.step(self.current, ZERO, step_s)
+            self.current = self.limits.step(self.current, ZERO, step_s)
             return self._stand(now_s) if self.current.is_zero else self.current
         if self._zeros > 0:
             return self._stand(now_s)
-        self.current = self._limits.step(self.current, self._target, min(step_s, LONGEST_STEP_S))
+        self.current = self.limits.step(self.current, self._target, min(step_s, LONGEST_STEP_S))
         return self.current
 
     def _stand(self, now_s: float) -> Velocity | None:
@@ -289,7 +317,7 @@ class VelocityGate:
         if self._lease is not None:
             self._stepped_at_s = max(self._stepped_at_s, at_s)
         self._lease = None
-        self.current = self._limits.step(self.current, ZERO, 0.0)  # zero, unless a deceleration is to be kept
+        self.current = self.limits.step(self.current, ZERO, 0.0)  # zero, unless a deceleration is to be kept
         self._target = ZERO
         self._zeros = ZEROS
 

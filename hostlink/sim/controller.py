@@ -6,7 +6,7 @@ The firmware's, operation by operation and in its single precision: the same edg
 import math
 from collections import deque
 from dataclasses import dataclass
-from enum import Enum, auto
+from enum import Enum, StrEnum, auto
 
 import numpy as np
 
@@ -56,6 +56,34 @@ LEFT_GAINS = Gains(23.0, 36.0, 0.1)
 RIGHT_GAINS = Gains(24.0, 35.0, 0.1)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Temper:
+    """How quickly a robot's control goes to a new speed; the defaults are the firmware's."""
+
+    left: Gains = LEFT_GAINS
+    right: Gains = RIGHT_GAINS
+    s_per_tick_s: float = S_PER_TICK_S
+    filter: float = FILTER
+
+
+PAPER = Temper()
+NIMBLE = Temper(  # at a new speed within 0.3 s, as small robots are today
+    left=Gains(12.0, 120.0, 0.0), right=Gains(12.0, 120.0, 0.0), s_per_tick_s=0.002, filter=0.6
+)
+
+
+class RobotKind(StrEnum):
+    """Of simulated robots, by how quickly they follow."""
+
+    NIMBLE = "nimble"
+    PAPER = "paper"
+
+    @property
+    def temper(self) -> Temper:
+        """Of its control."""
+        return PAPER if self is RobotKind.PAPER else NIMBLE
+
+
 class MinimumJerk:
     """A set-point that goes from where it is to a target without a jerk; the firmware's, operation by operation.
 
@@ -64,8 +92,9 @@ class MinimumJerk:
     zero slope.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, s_per_tick_s: float = S_PER_TICK_S) -> None:
         self.value = self.target = 0.0
+        self._s_per_tick_s = s_per_tick_s
         self._from = 0.0
         self._elapsed_s = self._length_s = 0.0
 
@@ -80,7 +109,7 @@ class MinimumJerk:
         way = rest / (1.0 - travelled(1.0, s))
         self._from = self.value - travelled(way, s)
         self.target = target
-        self._length_s = abs(way) * S_PER_TICK_S
+        self._length_s = abs(way) * self._s_per_tick_s
         self._elapsed_s = s * self._length_s
 
     def stop(self) -> None:
@@ -200,9 +229,10 @@ class WheelController:
     |                  | no edge meanwhile             |                                                       |
     """
 
-    def __init__(self, gains: Gains, feedback: Feedback = Feedback.WASHED_OUT) -> None:
+    def __init__(self, gains: Gains, feedback: Feedback = Feedback.WASHED_OUT, temper: Temper = PAPER) -> None:
         self.pid = Pid(gains, feedback)
-        self.set_point = MinimumJerk()
+        self.set_point = MinimumJerk(temper.s_per_tick_s)
+        self._filter = temper.filter
         self.speed_ticks_s = 0.0  # filtered, signed
         self.pwm = 0
         self.direction = 1  # the sign that the encoder's ticks are given
@@ -238,7 +268,7 @@ class WheelController:
         dt_s = np.float32(dt_s)  # type: ignore[assignment]  # it makes each number that it meets a single one
         ticks = edges / EDGES_PER_TICK
         signed = ticks * self.direction
-        self.speed_ticks_s += FILTER * (signed / dt_s - self.speed_ticks_s)
+        self.speed_ticks_s += self._filter * (signed / dt_s - self.speed_ticks_s)
         self.recent.add(ticks, dt_s)
         self._still_s = 0.0 if edges or self.pwm else min(self._still_s + dt_s, 1.0)
         wanted = self.set_point.step(dt_s)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.protocol.control import TopicInfo, encode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, Frame, Id, encode
+from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.device import MAX_SUBSCRIBERS
 
@@ -39,9 +39,10 @@ class PlayedDevice:
     source: str
     topics: list[PlayedTopic]
     dropped: int = 0  # messages that came while it was not connected
+    left_out: int = 0  # messages that no device can send, or that are none of its topics
     is_ready: asyncio.Event = field(default_factory=asyncio.Event)  # a host has requested its topics
     _writer: asyncio.StreamWriter | None = None
-    _ids: dict[str, int] = field(default_factory=dict)
+    _ids: dict[str, int] = field(default_factory=dict)  # of what it publishes
     _infos: list[TopicInfo] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -53,15 +54,25 @@ class PlayedDevice:
 
     def _add(self, kind: Id, first_id: int, topics: list[PlayedTopic]) -> None:
         for topic_id, topic in enumerate(topics, first_id):
-            self._ids[topic.name] = topic_id
+            if kind is Id.PUBLISHER:
+                self._ids[topic.name] = topic_id
             self._infos.append(TopicInfo(kind, topic_id, topic.name, topic.type_name, topic.md5, BUFFER_BYTES))
 
     def publish(self, topic: str, payload: bytes) -> None:
         """Send a message of one of its topics now."""
-        if self._writer is None or not self.is_ready.is_set():
+        topic_id = self._ids.get(topic)
+        if topic_id is None or len(payload) > MAX_PAYLOAD_BYTES:
+            self.left_out += 1
+        elif self._writer is None or not self.is_ready.is_set():
             self.dropped += 1
         else:
-            self._writer.write(encode(self._ids[topic], payload))
+            self._writer.write(encode(topic_id, payload))
+
+    async def drained(self) -> None:
+        """Wait while the host reads more slowly than messages come."""
+        if self._writer is not None:
+            with contextlib.suppress(OSError):  # the host is gone: what comes is counted as dropped
+                await self._writer.drain()
 
     async def run(self, host: str, port: int) -> None:
         """Connect, talk, connect again, until cancelled.

@@ -8,7 +8,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import Parameter
 from hostlink.robot.kinematics import Pose
-from hostlink.sim.controller import LEFT_GAINS, LOOP_S, RIGHT_GAINS, Gains, WheelController, WheelFault
+from hostlink.sim.controller import LOOP_S, PAPER, Gains, Temper, WheelController, WheelFault
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.geometry import PARAMETERS, Geometry
 from hostlink.sim.self_report import Battery, Error, Errors
@@ -39,15 +39,22 @@ class SimulatedRobot:
     """Call `turn` thirty times a second; what it sends is in `device.to_host`."""
 
     def __init__(
-        self, name: str, catalog: Catalog, *, device: SimulatedDevice | None = None, world: AnyWorld | None = None
+        self,
+        name: str,
+        catalog: Catalog,
+        *,
+        device: SimulatedDevice | None = None,
+        world: AnyWorld | None = None,
+        temper: Temper = PAPER,
     ) -> None:
         self.name = name
+        self._temper = temper
         self.device = SimulatedDevice() if device is None else device
         self.pose = Pose()  # as the robot believes
         self.geometry = Geometry()  # as the robot believes
         self.world = open_world() if world is None else world
         self._edges = (0, 0)  # as the encoders showed last
-        self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
+        self.controllers = self._new_controllers()
         self._turns = 0
         self._commanded_at_s: float | None = None
         self._is_faulted = False  # a wheel stalled or ran away
@@ -115,9 +122,13 @@ class SimulatedRobot:
         """Power off and on: it stands at the origin of a new odometry."""
         self.device.reboot()
         self.pose = Pose()
-        self.controllers = (WheelController(LEFT_GAINS), WheelController(RIGHT_GAINS))
+        self.controllers = self._new_controllers()
         self._commanded_at_s = None
         self._is_faulted = self._has_zero = self._is_greeted = False
+
+    def _new_controllers(self) -> tuple[WheelController, WheelController]:
+        temper = self._temper
+        return WheelController(temper.left, temper=temper), WheelController(temper.right, temper=temper)
 
     def _watch(self) -> None:
         """A wheel that does not follow its command stops both; they go on after a zero, when both stand."""

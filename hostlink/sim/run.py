@@ -2,12 +2,13 @@
 
 import asyncio
 import contextlib
+import os
 import socket
 from collections.abc import AsyncIterator, Callable
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.messages.catalog import Catalog
-from hostlink.sim.controller import LOOP_S
+from hostlink.sim.controller import LOOP_S, RobotKind
 from hostlink.sim.device import SimulatedDevice
 from hostlink.sim.faults import HEALTHY, Fault, FaultyLine
 from hostlink.sim.robot import SimulatedRobot
@@ -29,6 +30,7 @@ async def run_fleet(  # noqa: PLR0913 - as `hostlink sim` has it
     is_udp: bool = False,
     fault: Fault = HEALTHY,
     world: WorldParameters | None = None,
+    kind: RobotKind = RobotKind.PAPER,
     log: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Run robot_0, robot_1, ... until cancelled; each connects again when its connection ends."""
@@ -36,7 +38,9 @@ async def run_fleet(  # noqa: PLR0913 - as `hostlink sim` has it
     async with asyncio.TaskGroup() as tasks:
         for number in range(first, first + robots):
             device = SimulatedDevice(clock_rate=fault.clock_rate)
-            robot = SimulatedRobot(f"robot_{number}", catalog, device=device, world=world_of(number, world))
+            robot = SimulatedRobot(
+                f"robot_{number}", catalog, device=device, world=world_of(number, world), temper=kind.temper
+            )
             run = run_over_udp if is_udp else run_over_tcp
             tasks.create_task(run(robot, host, port, fault=fault, log=log), name=robot.name)
 
@@ -67,7 +71,8 @@ async def run_over_tcp(
             except OSError as error:
                 if last_error != str(error):
                     last_error = str(error)
-                    log(f"{robot.name}: waiting for a host at {host}:{port}: {error.strerror or error}")
+                    why = os.strerror(error.errno) if error.errno else error
+                    log(f"{robot.name}: waiting for a host at {host}:{port}: {why}")
             else:
                 last_error = ""
                 _give_up_soon(writer)

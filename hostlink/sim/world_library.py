@@ -81,6 +81,7 @@ def load_library(path: Path = LIBRARY) -> ctypes.CDLL:
 def _sources() -> list[Path]:
     """Of the library; none where hostlink is installed without them."""
     firmware = [path for suffix in ("h", "cpp") for path in (_FIRMWARE / "due" / "src").glob(f"*.{suffix}")]
+    firmware += (_FIRMWARE / "rosserial" / "src" / "ros").iterdir()
     own = [path for name in _PARTS for path in (_FIRMWARE / "host").glob(f"{name}.*")]
     return firmware + own
 

@@ -17,14 +17,6 @@ class Transport(Protocol):
     peer: str  # for people: "192.168.4.2:53122" or "/dev/ttyACM0"
     address: str  # what stays when the peer comes back: "192.168.4.2" or "/dev/ttyACM0"
 
-    async def open(self) -> None:
-        """Returns when rosserial may begin.
-
-        Raises:
-            ConnectionRefusedError: the device cannot prove that it may connect.
-        """
-        ...
-
     def start(self, on_readable: Callable[[], None]) -> None:
         """From now on `on_readable` is called whenever bytes have come, and at the end."""
         ...

@@ -16,11 +16,16 @@ class Connection(asyncio.BufferedProtocol):
     sender.
     """
 
+    __slots__ = (
+        "_error", "_is_paused", "_lost", "_on_made", "_received", "_writable", "is_ended", "is_writing_paused",
+        "on_readable", "transport",
+    )  # fmt: skip
+
     def __init__(self, on_made: Callable[["Connection"], None] | None = None) -> None:
         self.transport: asyncio.Transport
         self.is_writing_paused = False
         self.is_ended = False
-        self.on_readable: Callable[[], None] = _ignore
+        self.on_readable: Callable[[], None] = ignore
         self._on_made = on_made
         self._received = bytearray()
         self._is_paused = False
@@ -44,11 +49,12 @@ class Connection(asyncio.BufferedProtocol):
         Raises:
             OSError: the connection broke, and everything before was read.
         """
-        if not self._received and self._error is not None:
+        received = self._received
+        if not received and self._error is not None:
             raise self._error
-        data = bytes(self._received[:limit_bytes])
-        del self._received[:limit_bytes]
-        if self._is_paused and not self._received:
+        data = bytes(received[:limit_bytes])
+        del received[:limit_bytes]
+        if self._is_paused and not received:
             self._is_paused = False
             if not self.transport.is_closing():
                 self.transport.resume_reading()
@@ -118,5 +124,5 @@ class Connection(asyncio.BufferedProtocol):
             self._writable.set_result(None)
 
 
-def _ignore() -> None:
+def ignore() -> None:
     """Nobody reads yet: what comes waits."""

@@ -47,8 +47,8 @@ def proof(key: bytes, side: bytes, host_random: bytes, device_random: bytes) -> 
     return hmac.digest(key, side + host_random + device_random, "sha256")
 
 
-class KeyedTransport:
-    """A transport on which rosserial begins when both ends have proven the key."""
+class KeyProof:
+    """Proves the key at the start of a connection."""
 
     def __init__(
         self,
@@ -58,17 +58,16 @@ class KeyedTransport:
         on_refused: Callable[[str], None],
         on_proven: Callable[[], None] = lambda: None,
     ) -> None:
-        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `open` raises.
+        """`on_refused`: called with the reason, "no_key" or "wrong_key", before `authenticate` raises.
 
         `on_proven`: called when the device has proven the key, and so that it is where it seems to be.
         """
-        self.kind, self.peer, self.address = transport.kind, transport.peer, transport.address
         self._transport = transport
         self._key = key
         self._on_refused, self._on_proven = on_refused, on_proven
 
-    async def open(self) -> None:
-        """Prove the key.
+    async def authenticate(self) -> None:
+        """Returns when both ends have proven the key.
 
         Raises:
             ConnectionRefusedError: the device cannot prove it.
@@ -78,45 +77,6 @@ class KeyedTransport:
             self._on_refused(refusal)
             raise ConnectionRefusedError(refusal)
 
-    def start(self, on_readable: Callable[[], None]) -> None:
-        """As the transport below, and so everything that follows."""
-        self._transport.start(on_readable)
-
-    @property
-    def unread_bytes(self) -> int:
-        return self._transport.unread_bytes
-
-    @property
-    def is_ended(self) -> bool:
-        return self._transport.is_ended
-
-    def read(self, limit_bytes: int) -> bytes:
-        return self._transport.read(limit_bytes)
-
-    def write(self, data: bytes) -> bool:
-        return self._transport.write(data)
-
-    async def drain(self) -> None:
-        await self._transport.drain()
-
-    async def receive(self) -> bytes:
-        return await self._transport.receive()
-
-    async def send(self, data: bytes) -> None:
-        await self._transport.send(data)
-
-    def round_trip_s(self) -> float | None:
-        """As the transport below."""
-        return self._transport.round_trip_s()
-
-    def descriptor(self) -> int | None:
-        """As the transport below."""
-        return self._transport.descriptor()
-
-    async def aclose(self) -> None:
-        """As the transport below."""
-        await self._transport.aclose()
-
     async def _prove(self) -> str | None:
         host_random = secrets.token_bytes(RANDOM_BYTES)
         answer = b""
@@ -125,8 +85,8 @@ class KeyedTransport:
                 await self._transport.send(MAGIC + host_random)
                 while len(answer) < ANSWER_BYTES and (data := await self._transport.receive()):
                     answer += data
-                    while self.kind == "udp" and answer.startswith(HELLO):  # again, before this end's random came
-                        answer = answer[len(HELLO) :]
+                    while self._transport.kind == "udp" and answer.startswith(HELLO):
+                        answer = answer[len(HELLO) :]  # again, before this end's random came
         except TimeoutError:
             return "no_key"
         if len(answer) != ANSWER_BYTES or not answer.startswith(MAGIC):  # a device waits for the host's proof

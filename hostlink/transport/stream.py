@@ -5,7 +5,7 @@ import contextlib
 from collections.abc import Callable
 
 from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES
-from hostlink.transport.connection import Connection
+from hostlink.transport.connection import Connection, ignore
 
 
 class StreamTransport:
@@ -18,9 +18,6 @@ class StreamTransport:
         self._connection = connection
         self._is_closed = False
         connection.transport.set_write_buffer_limits(high=0)
-
-    async def open(self) -> None:
-        """It is open."""
 
     def start(self, on_readable: Callable[[], None]) -> None:
         """From now on `on_readable` is called whenever bytes have come, and at the end."""
@@ -94,6 +91,8 @@ class StreamTransport:
         except asyncio.CancelledError:
             self._abort()
             raise
+        finally:
+            self._connection.on_readable = ignore  # else link and connection keep each other until a collection
 
     async def _leave(self) -> None:
         """What must be waited for before the connection is closed: nothing, closing sends what was written."""

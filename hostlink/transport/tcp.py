@@ -16,6 +16,7 @@ from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import Connection
+from hostlink.transport.socket_options import set_options
 from hostlink.transport.stall import Stall
 from hostlink.transport.stream import StreamTransport
 
@@ -26,7 +27,6 @@ BACKLOG = 1024  # connections that may wait to be accepted
 ACCEPTED_AT_ONCE = 1  # before others have their turn: each connection costs about a millisecond
 STALL_POLL_S = 0.01
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged after that: the peer is gone
-KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # seconds, seconds, probes: found within 11 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,12 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
     def accept(connection: Connection) -> None:
         peername = connection.transport.get_extra_info("peername")
         try:
-            set_options(connection.transport.get_extra_info("socket"))
+            set_options(
+                connection.transport.get_extra_info("socket"),
+                send_bytes=SEND_BUFFER_BYTES,
+                receive_bytes=RECEIVE_BUFFER_BYTES,
+                user_timeout_ms=USER_TIMEOUT_MS,
+            )
         except OSError:
             peername = None
         if peername is None:  # it has reset the connection already
@@ -145,18 +150,6 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
         yield Listener(server.sockets[0].getsockname()[:2])
     finally:
         server.close()  # wait_closed would wait for the links, which end after the listener
-
-
-def set_options(connection: socket.socket) -> None:
-    """Frames leave at once, dead peers are found, little waits in the kernel."""
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
-    for name, value in {**KEEPALIVE, "TCP_USER_TIMEOUT": USER_TIMEOUT_MS}.items():
-        option = getattr(socket, name, None)  # not every system has each of them
-        if option is not None:
-            connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def spelled(host: str, port: int) -> str:

@@ -57,9 +57,6 @@ class UdpTransport:
         self._progress = asyncio.Event()
         self.feed(first.data)
 
-    async def open(self) -> None:
-        """It is open."""
-
     @property
     def is_verified(self) -> bool:
         """Whether the device is known to be where its datagrams come from."""
@@ -280,7 +277,8 @@ class UdpTransport:
         ):  # a duplicate in another process gets none of the device's datagrams any more
             self._socket.connect(self._socket.getsockname())
         self._socket.close()
-        self._on_readable()
+        on_readable, self._on_readable = self._on_readable, _ignore
+        on_readable()
 
 
 def _ignore() -> None:

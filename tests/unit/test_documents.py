@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs", "firmware", "hostlink", "tests", "tools")
-NOT_OURS = {"node_modules", "__pycache__", "build", "built"}
+NOT_OURS = {"node_modules", "__pycache__", "build", "built", "reference"}
 SUFFIXES = {".c", ".cpp", ".h", ".ino", ".md", ".mjs", ".py", ".sh", ".toml", ".ts"}
 NAMED = re.compile(r"(?<![\w./-])((?:[\w.-]+/)*[\w.-]+\.md)\b(?:#([\w-]+))?")
 LINKED = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)")

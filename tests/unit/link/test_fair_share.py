@@ -191,3 +191,59 @@ def test_one_that_costs_more_than_was_expected_makes_the_others_wait() -> None:
 
     turns = run_virtual(run())
     assert len(turns) == len(set(turns)) == MAX_DEFERRALS + 1
+
+
+def test_many_calm_ones_do_not_wait_for_a_piece_of_a_flood_each() -> None:
+    piece_s, calm_s, many, floods = 0.003, 0.0004, 17, 16
+
+    async def run() -> float:
+        share, longest_s = FairShare(), 0.0
+
+        async def flood() -> None:
+            while True:
+                await share.wait(piece_s, is_flooding=True)
+                loop().burn(piece_s)
+                share.spend(piece_s)
+
+        async def calm() -> None:
+            nonlocal longest_s
+            for _ in range(100):
+                began_s = loop().time()
+                await share.wait(calm_s)
+                longest_s = max(longest_s, loop().time() - began_s)
+                loop().burn(calm_s)
+                share.spend(calm_s)
+
+        async with asyncio.TaskGroup() as tasks:
+            flooding = [tasks.create_task(flood()) for _ in range(floods)]
+            for waiting in [tasks.create_task(calm()) for _ in range(many)]:
+                await waiting
+            for task in flooding:
+                task.cancel()
+        return longest_s
+
+    assert run_virtual(run()) <= many * calm_s * 4 / 3 + 2 * piece_s  # with a piece after each it was 58 ms
+
+
+def test_who_floods_has_a_part_of_the_time_beside_calm_ones() -> None:
+    async def run() -> dict[str, float]:
+        share, spent_s = FairShare(), {"flood": 0.0, "calm": 0.0}
+
+        async def work(name: str, cost_s: float) -> None:
+            while True:
+                await share.wait(cost_s, is_flooding=name == "flood")
+                loop().burn(cost_s)
+                share.spend(cost_s)
+                spent_s[name] += cost_s
+
+        async with asyncio.TaskGroup() as tasks:
+            running = [tasks.create_task(work("flood", 0.003)) for _ in range(4)]
+            running += [tasks.create_task(work("calm", 0.0004)) for _ in range(8)]
+            while loop().time() < 1.0:  # noqa: ASYNC110 - time stands
+                await asyncio.sleep(0)
+            for task in running:
+                task.cancel()
+        return spent_s
+
+    spent_s = run_virtual(run())
+    assert 0.2 < spent_s["flood"] / sum(spent_s.values()) < 0.3

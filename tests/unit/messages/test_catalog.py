@@ -1,5 +1,6 @@
 """Types by name: md5 sums, full definitions, folders of the user's and what is wrong with them."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -8,8 +9,10 @@ from rosbags.typesys import Stores, get_typestore
 from hostlink.errors import ConfigError, WrongType
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import Constant
+from hostlink.messages.full_definition import read_full_definition
 from hostlink.messages.message_type import MessageType, ServiceType
 
+AN_EMPTY_ONE = re.compile(r"(^MSG: \S+\n)(?==|\Z)", re.MULTILINE)
 STORE = get_typestore(Stores.ROS1_NOETIC)
 STORE_NAMES = sorted(name.replace("/msg/", "/") for name in STORE.fielddefs if not name.startswith("builtin"))
 
@@ -51,7 +54,15 @@ def test_every_stored_type_has_the_md5_and_the_text_of_the_store(catalog: Catalo
     assert len(STORE_NAMES) == 162
     for name in STORE_NAMES:
         ours = message(catalog, name)
-        assert (ours.full_definition, ours.md5) == STORE.generate_msgdef(name.replace("/", "/msg/"))
+        text, md5 = STORE.generate_msgdef(name.replace("/", "/msg/"))
+        assert ours.md5 == md5
+        assert ours.full_definition == AN_EMPTY_ONE.sub(r"\1\n", text)  # rospy cannot read one without its line
+
+
+def test_an_empty_type_within_another_has_a_line_of_its_own(catalog: Catalog) -> None:
+    ours = message(catalog, "nav_msgs/GetMapAction")
+    assert "MSG: nav_msgs/GetMapGoal\n\n====" in ours.full_definition
+    assert read_full_definition(ours.name, ours.full_definition).md5 == ours.md5
 
 
 def test_every_stored_type_compiles_and_its_defaults_come_back(catalog: Catalog) -> None:
@@ -240,7 +251,11 @@ def test_shared_dependencies_are_not_walked_twice(tmp_path: Path) -> None:
         ({"msg_A": "int8 x\nA[] a\n"}, "msg/A.msg:2", "field a: robot/A contains itself"),
         ({"msg_A": "B b\n", "msg_B": "A a\n"}, "msg/B.msg:1", "field a: robot/A contains itself"),
         ({"srv_A": "int8 a\n---\n\nB b\n"}, "srv/A.srv:4", "field b: no type is named robot/B"),
-        ({"msg_A": "int8 x y\n"}, "msg/A.msg:1", "wanted TYPE NAME, got 'int8 x y'"),
+        (
+            {"msg_A": "int8 x y\n"},
+            "msg/A.msg:1",
+            "wanted TYPE NAME, got 'int8 x y'; default values are of ROS 2: leave it out",
+        ),
         (
             {"msg_A": "B[300] b\n", "msg_B": "uint8[300] x\n"},
             "msg/A.msg",
@@ -290,6 +305,13 @@ def test_a_file_that_is_not_text(tmp_path: Path) -> None:
     assert str(error.value) == f"{path}:2: not UTF-8"
 
 
+def test_a_byte_order_mark_is_no_part_of_a_definition(tmp_path: Path) -> None:
+    path = tmp_path / "my_msgs" / "msg" / "Count.msg"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"\xef\xbb\xbfint32 number\n")
+    assert [field.name for field in message(Catalog([tmp_path]), "my_msgs/Count").fields] == ["number"]
+
+
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "robot" / "A.msg").mkdir(parents=True)
     with pytest.raises(ConfigError, match=r"A\.msg: Is a directory$"):
@@ -300,3 +322,18 @@ def test_a_file_with_a_name_that_no_type_has(tmp_path: Path) -> None:
     write(tmp_path, **{"msg_A-1": "int8 a\n"})
     with pytest.raises(ConfigError, match=r"A-1\.msg: no name for a type: letters, digits and _, a letter first$"):
         Catalog([tmp_path])
+
+
+def test_the_names_of_all_types_are_sorted(tmp_path: Path) -> None:
+    known = Catalog([write(tmp_path, msg_Arm="float32 angle\n", srv_Grip="---\n")])
+    assert known.message_names() == sorted({*STORE_NAMES, "robot/Arm", *Catalog().message_names()})
+    assert set(known.service_names()) - set(Catalog().service_names()) == {"robot/Grip"}
+    assert known.service_names() == sorted(known.service_names())
+
+
+@pytest.mark.parametrize(
+    ("name", "has_time"),
+    [("std_msgs/Header", True), ("nav_msgs/Odometry", True), ("nav_msgs/Path", True), ("geometry_msgs/Pose2D", False)],
+)
+def test_a_type_has_a_time_in_itself_or_in_what_it_is_made_of(catalog: Catalog, name: str, has_time: bool) -> None:
+    assert message(catalog, name).has_time == has_time

@@ -11,6 +11,7 @@ import pytest
 from hostlink.errors import BadPayload, BadRequest
 from hostlink.messages import validating_codec
 from hostlink.messages.catalog import Catalog
+from hostlink.messages.fields import ENCODED_BYTES_MAX
 from hostlink.messages.message_type import MessageType
 
 DEFINITIONS = {
@@ -280,3 +281,11 @@ def test_text_that_is_not_utf_8_can_still_become_json(catalog: Catalog) -> None:
     assert ours.decode(struct.pack("<I", 4) + b"caf\xe9") == {"data": "caf\ufffd"}
     names = message(catalog, "t/Arrays").encode({"names": ["?"]}).replace(b"?", b"\xff")
     assert message(catalog, "t/Arrays").decode(names)["names"] == ["\ufffd"]
+
+
+def test_a_message_that_is_larger_than_any_receiver_must_accept_is_refused(catalog: Catalog) -> None:
+    type_, value = message(catalog, "t/Arrays"), {"names": [""] * (ENCODED_BYTES_MAX // 4 + 1)}
+    with pytest.raises(BadRequest, match=f"t/Arrays: more than {ENCODED_BYTES_MAX} bytes"):
+        type_.encode(value)
+    with pytest.raises(BadRequest, match=f"names: more than {ENCODED_BYTES_MAX} bytes"):
+        validating_codec.encode(type_.layout, value)

@@ -3,7 +3,7 @@
 import pytest
 
 from hostlink.errors import ConfigError
-from hostlink.messages.fields import SCALAR, VARIABLE, Constant, Field
+from hostlink.messages.fields import SCALAR, VARIABLE, Constant, Field, bool_value
 from hostlink.messages.parsing import parse_message, parse_service
 
 EVERYTHING = """\
@@ -48,6 +48,16 @@ def test_fields_write_their_type_as_a_definition_does() -> None:
     assert [field.type_text for field in fields] == ["int8", "int8[]", "int8[3]"]
 
 
+@pytest.mark.parametrize("separator", ["\x0b", "\x0c", "\x1c", "\x85", "\u2028"])
+def test_only_the_end_of_a_line_ends_it(separator: str) -> None:
+    """As ROS has it, whose md5 sum would be another."""
+    definition = parse_message("pkg/Type", f"# a{separator}b c d\nstring A=x{separator}#y\nint8 z\n", "Type.msg")
+    assert definition.constants == (Constant("A", "string", f"x{separator}#y"),)
+    assert definition.fields == (Field("z", "int8", SCALAR),)
+    request, response = parse_service("pkg/Type", f"# a{separator}---\nint8 a\n---\nint8 b\n", "Type.srv")
+    assert (len(request.fields), len(response.fields)) == (1, 1)
+
+
 def test_text_ends_with_one_newline_or_is_empty() -> None:
     assert parse_message("pkg/Type", "int8 a\n\n\n", "Type.msg").text == "int8 a\n"
     assert parse_message("pkg/Type", " \n\n", "Type.msg").text == ""
@@ -57,7 +67,11 @@ def test_text_ends_with_one_newline_or_is_empty() -> None:
     ("line", "problem"),
     [
         ("float64", "wanted TYPE NAME, got 'float64'"),
-        ("float64 x 0.0", "wanted TYPE NAME, got 'float64 x 0.0'"),
+        ("float64 x 0.0", "wanted TYPE NAME, got 'float64 x 0.0'; default values are of ROS 2: leave it out"),
+        ("string x 'a b'", "wanted TYPE NAME, got \"string x 'a b'\"; default values are of ROS 2: leave it out"),
+        ("string<=10 x", "wanted TYPE NAME=VALUE, got 'string<=10 x'; bounded types are of ROS 2: leave the bound out"),
+        ("uint8[<=5] x", "wanted TYPE NAME=VALUE, got 'uint8[<=5] x'; bounded types are of ROS 2: leave the bound out"),
+        ("uint8[007] x", "uint8[007]: the length of an array begins with no 0"),
         ("X=1", "wanted TYPE NAME=VALUE, got 'X=1'"),
         ("float64[ x", "'float64[' is no type"),
         ("a/b/c x", "'a/b/c' is no type"),
@@ -92,3 +106,8 @@ def test_a_service_is_two_messages() -> None:
 def test_a_service_without_one_cut(text: str, cuts: int) -> None:
     with pytest.raises(ConfigError, match=rf"^Ask.srv: a service needs one line of ---, this has {cuts}$"):
         parse_service("pkg/Ask", text, "Ask.srv")
+
+
+@pytest.mark.parametrize(("text", "value"), [("True", True), ("false", False), ("+1", True), ("0", False), ("1", True)])
+def test_a_bool_constant_is_a_word_or_a_number(text: str, value: bool) -> None:
+    assert bool_value(text) is value

@@ -388,3 +388,27 @@ def test_a_topic_to_the_device_has_its_id() -> None:
     assert host.session.topic_id("/led") == LED.topic_id
     with pytest.raises(UnknownTopic):
         host.session.topic_id("/nope")
+
+
+def test_how_long_frames_wait_is_known_before_and_after_they_leave() -> None:
+    host = Host(LED)
+    assert not host.session.has_waiting
+    host.session.publish("/led", b"\x01")
+    host.session.begin_waiting(host.now_s)
+    assert host.session.has_waiting
+    host.now_s += 0.25
+    assert host.session.oldest_waiting_s(host.now_s) == pytest.approx(0.25)
+    host.sent()
+    assert not host.session.has_waiting
+    assert host.session.oldest_waiting_s(host.now_s) == 0.0
+    assert host.session.slowest_wait_s == pytest.approx(0.25)
+
+
+def test_the_frame_of_a_message_is_the_one_that_publishing_it_sends() -> None:
+    host = Host(LED)
+    frame = host.session.frame_to("/led", b"\x01")
+    assert host.sent() == []
+    host.session.publish("/led", b"\x01")
+    outgoing = host.session.pop_frame(now_s=host.now_s, wall_ns=0)
+    assert outgoing is not None
+    assert outgoing.frame == frame

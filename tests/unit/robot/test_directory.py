@@ -547,3 +547,54 @@ def test_a_robots_own_topics_are_its_velocity_and_what_is_in_its_namespace(
 
 def test_a_name_that_is_both_is_a_velocity() -> None:
     assert RobotTopicNames("x", "/x", "/x", "geometry_msgs/Pose2D", None).own == {"/x": TWIST_TYPE}
+
+
+# -- recordings that are played ---------------------------------------------------------------------------------------
+
+
+def played(name: str = "robot_0") -> list[TopicClaim]:
+    return [*paper_robot(name), from_device(f"/{name}/played", "std_msgs/String")]
+
+
+def test_a_recording_has_the_name_of_a_robot_that_was_never_there() -> None:
+    assert accepted(directory(), 1, HOME, played()) == ("robot_0", None)
+
+
+@pytest.mark.parametrize("address", [HOME, AWAY])
+def test_a_robot_that_comes_gets_its_name_from_a_recording_that_is_played(address: str) -> None:
+    ours = directory()
+    assert beside(ours, 1, HOME, played()) == "robot_0"
+    ours.talk(1)
+    claim = ours.claim(2, address, paper_robot())
+    assert isinstance(claim, Accepted)
+    assert claim.robot is not None
+    assert (claim.robot.name, claim.replaces) == ("robot_0", 1)
+    ours.leave(1)
+    assert beside(ours, 3, HOME, played(), 2) == "robot_0_2"
+
+
+@pytest.mark.parametrize("address", [HOME, AWAY])
+def test_a_robot_that_was_away_gets_its_name_back_from_a_recording(address: str) -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    ours.leave(1)
+    assert accepted(ours, 2, HOME, played()) == ("robot_0", None)
+    assert accepted(ours, 3, address, paper_robot()) == ("robot_0", 2)
+
+
+@pytest.mark.parametrize("address", [HOME, AWAY])
+def test_a_recording_never_replaces_the_link_of_a_silent_robot(address: str) -> None:
+    ours = directory()
+    accepted(ours, 1, HOME, paper_robot())
+    assert accepted(ours, 2, address, played()) == ("robot_0_2", None)
+
+
+def test_two_that_are_played_take_no_name_from_a_robot_that_comes_after_them() -> None:
+    ours = directory()
+    assert [beside(ours, link, HOME, played(), *range(1, link), port=link) for link in (1, 2)] == [
+        "robot_0",
+        "robot_0_2",
+    ]
+    ours.leave(1)
+    ours.leave(2)
+    assert accepted(ours, 3, HOME, paper_robot()) == ("robot_0", None)

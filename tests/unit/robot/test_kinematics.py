@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hostlink.robot.kinematics import wrap_angle
+from hostlink.robot.kinematics import DifferentialDrive, wrap_angle
 
 
 @pytest.mark.parametrize(
@@ -17,3 +17,9 @@ def test_an_angle_is_wrapped_into_one_turn(angle_rad: float, wrapped_rad: float)
 @pytest.mark.parametrize("angle_rad", [math.inf, -math.inf, math.nan])
 def test_an_angle_that_is_not_finite_is_nan(angle_rad: float) -> None:
     assert math.isnan(wrap_angle(angle_rad))
+
+
+def test_the_defaults_are_the_papers_wheels() -> None:
+    drive = DifferentialDrive()
+    assert drive.metres_per_tick * drive.ticks_per_turn == pytest.approx(2 * math.pi * 0.045)
+    assert drive.body_velocity(*drive.wheel_speeds(0.25, 0.8)) == pytest.approx((0.25, 0.8))

@@ -38,6 +38,33 @@ def test_a_robot_may_move_until_its_last_zero_was_sent() -> None:
     assert sent == [(ZERO, True, True), (ZERO, True, True), (ZERO, False, False)]
 
 
+def test_it_is_stopping_from_a_stop_to_its_last_zero() -> None:
+    ours = driven()
+    assert not ours.is_stopping
+    ours.stop(now_s=0.1)
+    stopping = [(ours.is_stopping, ours.step(0.1 + 0.05 * number)) for number in range(4)]
+    assert stopping == [(True, ZERO), (True, ZERO), (True, ZERO), (False, None)]
+
+
+def test_it_is_driven_until_it_stands_though_zeros_are_on_their_way() -> None:
+    ours = driven()
+    assert (ours.is_driven, ours.may_move) == (True, True)
+    ours.release("ann", now_s=0.1)
+    assert (ours.is_driven, ours.may_move) == (False, True)
+    assert outputs(ours, 0.1) == STOPPED
+    assert (ours.is_driven, ours.may_move) == (False, False)
+
+
+def test_it_is_driven_by_a_driver_who_stands_and_while_it_slows_down_for_nobody() -> None:
+    ours = gate()
+    ours.command("ann", ZERO, priority=50, now_s=0.0)
+    ours.command("ann", FORWARD, priority=50, now_s=0.0)
+    assert (ours.current.is_zero, ours.is_driven) == (True, True)
+    slowing = moving(HEAVY)
+    slowing.release("ann", now_s=1.0)
+    assert (slowing.owner_name, slowing.current.is_zero, slowing.is_driven) == (None, False, True)
+
+
 def test_a_command_renews_the_lease() -> None:
     ours = driven()
     ours.command("ann", TURN, priority=50, now_s=0.4)
@@ -91,6 +118,15 @@ def test_anybody_may_stop_it() -> None:
     assert (ours.owner_name, ours.current) == (None, ZERO)
     assert outputs(ours, 0.1) == STOPPED
     assert ours.counts.stops == 1
+
+
+def test_a_command_of_before_a_stop_or_a_lock_can_be_told() -> None:
+    ours = driven()
+    before = ours.stops
+    ours.stop(now_s=0.1)
+    ours.lock("smoke")
+    ours.unlock()
+    assert (before, ours.stops) == (0, 2)
 
 
 def test_a_stop_is_sent_to_a_robot_that_stands() -> None:
@@ -382,7 +418,7 @@ def test_a_locked_robot_refuses_every_command(velocity: Velocity) -> None:
     ours = driven()
     ours.lock("smoke")
     for owner in ("ann", "bob"):
-        with pytest.raises(RobotHeld, match="robot_0: locked: smoke; POST /api/robots/robot_0/unlock"):
+        with pytest.raises(RobotHeld, match="robot_0: locked: smoke; to drive it again: hostlink unlock robot_0"):
             ours.command(owner, velocity, priority=100, now_s=0.1)
     assert ours.step(0.1) == ZERO
     assert ours.counts.refused == 2
@@ -413,3 +449,22 @@ def test_a_locked_robot_that_has_received_its_zeros_stands() -> None:
 
 def test_the_priority_of_the_owner_is_known() -> None:
     assert driven(priority=60).priority == 60
+
+
+@pytest.mark.parametrize(
+    ("linear_m_s", "angular_rad_s", "name"),
+    [
+        (0.4, 1.0, None),
+        (-0.6, 0.0, "max_linear_m_s"),
+        (0.1, -3.0, "max_angular_rad_s"),
+        (0.6, 5.0, "max_angular_rad_s"),
+        (0.45, 1.9, "max_wheel_m_s"),
+    ],
+)
+def test_the_limit_that_slows_a_velocity_down_most_is_named(
+    linear_m_s: float, angular_rad_s: float, name: str | None
+) -> None:
+    limits = Limits(max_linear_m_s=0.5, max_angular_rad_s=2.0, max_wheel_m_s=0.55, wheel_separation_m=0.2)
+    velocity = Velocity(linear_x_m_s=linear_m_s, angular_z_rad_s=angular_rad_s)
+    assert limits.slowest(velocity) == name
+    assert (limits.apply(velocity) == velocity) is (name is None)

@@ -1,0 +1,71 @@
+"""Who is called after a change, when, and what has changed."""
+
+import asyncio
+
+from hostlink.hub.graph_changes import LATEST_S, MAX_KEPT, NOTIFY_AFTER_S, SHARE, GraphChanges, Kind
+from tests.support.virtual_loop import VirtualLoop, run_virtual
+
+
+def loop() -> VirtualLoop:
+    running = asyncio.get_running_loop()
+    assert isinstance(running, VirtualLoop)
+    return running
+
+
+def test_each_watcher_is_called_in_a_turn_of_its_own_once_for_all_changes() -> None:
+    async def run() -> tuple[list[int], float]:
+        changes, called, longest_s = GraphChanges(loop().time), [], 0.0
+
+        def watcher(number: int) -> None:
+            called.append(number)
+            loop().burn(0.001)
+
+        for number in range(20):
+            changes.watch(number, lambda number=number: watcher(number))  # type: ignore[misc]
+        for number in range(100):
+            changes.note(Kind.TOPIC, f"/{number}")
+        await asyncio.sleep(NOTIFY_AFTER_S)
+        while len(called) < 20:
+            before_s = loop().time()
+            await asyncio.sleep(0)
+            longest_s = max(longest_s, loop().time() - before_s)
+        return called, longest_s
+
+    called, longest_s = run_virtual(run())
+    assert called == list(range(20))
+    assert longest_s <= 0.0011
+
+
+def test_watchers_that_cost_much_are_called_less_often_and_leave_most_of_the_loop() -> None:
+    async def run(cost_s: float) -> float:
+        changes, spent_s = GraphChanges(loop().time), 0.0
+
+        def watcher() -> None:
+            nonlocal spent_s
+            spent_s += cost_s
+            loop().burn(cost_s)
+
+        changes.watch("watcher", watcher)
+        while loop().time() < 10.0:
+            changes.note(Kind.ROBOT, "r")
+            await asyncio.sleep(0.01)
+        return spent_s / 10.0
+
+    assert run_virtual(run(0.04)) <= SHARE * 1.1
+    assert run_virtual(run(0.001)) > 0.01  # each 50 ms
+    assert run_virtual(run(1.0)) > 1 / (1 + LATEST_S) - 0.1  # nobody waits without end for news
+
+
+def test_what_changed_is_kept_by_name_newest_first_as_far_as_there_is_room() -> None:
+    changes = GraphChanges()
+    before = changes.version
+    changes.note(Kind.TOPIC, "/a")
+    changes.note(Kind.SERVICE, "/a")
+    changes.note(Kind.TOPIC, "/b")
+    changes.note(Kind.TOPIC, "/a")
+    assert changes.since(before) == [(Kind.TOPIC, "/a"), (Kind.TOPIC, "/b"), (Kind.SERVICE, "/a")]
+    assert changes.since(changes.version) == []
+    for number in range(MAX_KEPT):
+        changes.note(Kind.TOPIC, f"/{number}")
+    assert changes.since(before) is None
+    assert len(changes.since(changes.version - 5) or []) == 5

@@ -1,0 +1,58 @@
+"""How much is read at once: little of what is expensive, so that others have their turn."""
+
+import asyncio
+
+from hostlink.config import LinkConfig
+from hostlink.link.fair_share import FairShare
+from hostlink.link.link import Link
+from hostlink.link.piece_size import LEAST_BYTES, MOST_BYTES, PIECE_S, PieceSize
+from hostlink.protocol.events import Event
+from hostlink.protocol.frame import encode
+from hostlink.protocol.session import Session
+from tests.support.memory_transport import memory_pair
+from tests.support.virtual_loop import VirtualLoop, run_virtual
+
+FRAME = encode(999, b"")
+
+
+def test_expensive_pieces_become_small_and_cheap_ones_large_again() -> None:
+    piece = PieceSize()
+    for _ in range(10):
+        piece.update(2 * PIECE_S)
+    assert piece.size_bytes == LEAST_BYTES
+    piece.update(PIECE_S / 2)
+    assert piece.size_bytes == LEAST_BYTES
+    for _ in range(10):
+        piece.update(PIECE_S / 10)
+    assert piece.size_bytes == MOST_BYTES
+
+
+def test_a_flood_of_expensive_frames_leaves_the_loop_after_each_millisecond() -> None:
+    cost_s = 0.0001  # of a request that is refused
+
+    async def run() -> list[float]:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        virtual = loop
+
+        def burn(_link: Link, _event: Event) -> None:
+            virtual.burn(cost_s)
+
+        host, device = memory_pair(room_bytes=1 << 20)
+        link = Link(
+            host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=burn, share=FairShare()
+        )  # fmt: skip
+        running = loop.create_task(link.run())
+        await device.send(FRAME * 3000)
+        turns_s, before_s = [], loop.time()
+        while link.session.counts.frames_from_device < 3000:
+            await asyncio.sleep(0)
+            turns_s.append(loop.time() - before_s)
+            before_s = loop.time()
+        await device.aclose()
+        await running
+        return turns_s
+
+    turns_s = run_virtual(run())
+    assert max(turns_s) > 0.005  # the first piece: nobody knows yet what it costs
+    assert sorted(turns_s)[-20] <= LEAST_BYTES / len(FRAME) * cost_s + 2 * cost_s

@@ -1,0 +1,43 @@
+"""Folders of definitions: what is found in them, and what is said of one that adds nothing or cannot be read."""
+
+from pathlib import Path
+
+import pytest
+
+from hostlink.errors import ConfigError
+from hostlink.messages.folders import check_not_empty, find_definitions
+
+
+def put(file: Path) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("int8 a\n")
+
+
+def test_a_folder_of_packages_adds_their_types(tmp_path: Path) -> None:
+    put(tmp_path / "robot_msgs" / "msg" / "Wheels.msg")
+    put(tmp_path / "robot_srvs" / "Turn.srv")
+    assert list(find_definitions(tmp_path, ".msg")) == ["robot_msgs/Wheels"]
+    assert list(find_definitions(tmp_path, ".srv")) == ["robot_srvs/Turn"]
+    check_not_empty(tmp_path)
+
+
+@pytest.mark.parametrize(("deeper", "place"), [("ws/src/robot_msgs", "ws/src"), ("robots/robot_msgs", "robots")])
+def test_packages_that_are_deeper_are_named(tmp_path: Path, deeper: str, place: str) -> None:
+    put(tmp_path / deeper / "msg" / "Wheels.msg")
+    with pytest.raises(ConfigError, match=f"its packages are deeper; give the folder of each, as {tmp_path / place}$"):
+        check_not_empty(tmp_path)
+
+
+def test_a_folder_without_a_package_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(ConfigError, match=r"no package with \.msg or \.srv files is in it"):
+        check_not_empty(tmp_path)
+
+
+def test_a_package_that_cannot_be_read_is_named_and_what_is_no_package_is_left_out(tmp_path: Path) -> None:
+    for name in ("lost+found", "robot_msgs"):
+        assert find_definitions(tmp_path, ".msg") == {}
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "msg").symlink_to(tmp_path / name / "msg")  # a loop, which no right can read
+    with pytest.raises(ConfigError, match="robot_msgs/msg: Too many levels of symbolic links"):
+        find_definitions(tmp_path, ".msg")

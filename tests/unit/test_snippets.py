@@ -1,0 +1,60 @@
+"""The snippets of the documents: Python that compiles and names what exists, settings that the daemon accepts."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import hostlink.client
+from hostlink import config
+
+ROOT = Path(__file__).parents[2]
+DOCUMENTS = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
+FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+CLASSES = {"host": "Host", "robot": "Robot", "messages": "Mailbox", "stream": "Stream"}
+BLOCKING = {"host": "BlockingHost", "robot": "BlockingRobot", "messages": "Messages", "stream": "Stream"}
+
+
+def snippets(language: str) -> Iterator[tuple[str, str]]:
+    for path in DOCUMENTS:
+        for found, text in FENCED.findall(path.read_text()):
+            if found == language:
+                yield f"{path.name}: {text.splitlines()[0]}", text
+
+
+def unknown_names(code: str) -> list[str]:
+    """What a snippet uses of hostlink.client, of a host or a robot, and is not there."""
+    tree = compile(code, "snippet", "exec", ast.PyCF_ONLY_AST | ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+    classes = BLOCKING if "connect_blocking" in code else CLASSES
+    wrong = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Attribute):
+            continue
+        owner = ast.unparse(node.value)
+        if owner == "hostlink.client" and not hasattr(hostlink.client, node.attr):
+            wrong.append(f"{owner}.{node.attr}")
+        if owner in classes and not hasattr(getattr(hostlink.client, classes[owner]), node.attr):
+            wrong.append(f"{owner}.{node.attr}")
+    return wrong
+
+
+@pytest.mark.parametrize(("name", "code"), list(snippets("python")))
+def test_python_compiles_and_uses_what_exists(name: str, code: str) -> None:
+    assert unknown_names(code) == [], name
+
+
+@pytest.mark.parametrize(("name", "text"), list(snippets("toml")))
+def test_settings_are_accepted(name: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "hostlink.toml").write_text(text)
+    config.load(tmp_path / "hostlink.toml")
+
+
+def test_a_wrong_snippet_is_found() -> None:
+    assert unknown_names("async with hostlink.client.conect() as host: await host.robotz()") == [
+        "hostlink.client.conect",
+        "host.robotz",
+    ]
+    with pytest.raises(SyntaxError):
+        unknown_names("robot.drive(0.2")
