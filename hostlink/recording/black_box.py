@@ -2,9 +2,12 @@
 
 import asyncio
 import functools
+import itertools
 import re
 import time
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import structlog
@@ -20,8 +23,21 @@ from hostlink.recording.ring import Entry, Rings
 
 log = structlog.get_logger()
 
-MAX_PENDING = 8  # incidents whose half minute after is not over
+MAX_PENDING = 256  # incidents whose half minute after is not over: something happened to all robots
+MAX_WISHES = 8  # among them
+MAX_CHANNELS = 1024  # of one robot, that are in its incidents without a message; the newest
 MAX_DETAIL = 400  # characters
+BURST = 64  # messages, which take about half a millisecond
+REST_S = 0.001
+
+
+def rest_a_moment() -> None:
+    """In a thread that writes: the loop has the interpreter for itself."""
+    time.sleep(REST_S)
+
+
+def _go_on() -> None:
+    """The daemon ends: nobody needs the loop."""
 
 
 class BlackBox:
@@ -40,7 +56,8 @@ class BlackBox:
         self.rings = Rings(keep_s=config.before_s + config.after_s, max_bytes=int(config.max_memory_mb * MEGABYTE))
         self._hub, self._config = hub, config
         self._rules = IncidentRules()
-        self._channels: dict[Channel, None] = {}
+        self._channels: defaultdict[str, dict[Channel, None]] = defaultdict(dict)  # by robot
+        self._writer = ThreadPoolExecutor(1, "incident")  # one at a time: the loop shares the interpreter with it
         self._recorder = Recorder(hub, self, Selection(has_derived=False, has_remote=False))
         self._observer = hub.join_daemon()
 
@@ -55,15 +72,20 @@ class BlackBox:
         self._recorder.stop()
         self._observer.leave()
         for incident in list(self.pending):
-            await self._save(incident)
+            await self._save(incident, rest=_go_on)
+        await asyncio.to_thread(self._writer.shutdown)
 
     def announce(self, channel: Channel) -> None:
         """The channels of a robot are in each of its incidents."""
-        self._channels[channel] = None
+        of_robot = self._channels[channel.robot]
+        of_robot.pop(channel, None)
+        of_robot[channel] = None
+        if len(of_robot) > MAX_CHANNELS:
+            del of_robot[next(iter(of_robot))]
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         """Keep a message."""
-        self.rings.add(robot, Entry(channel, stamp_ns, payload))
+        self.rings.add(robot, channel, stamp_ns, payload)
 
     def save(self, robot: str, reason: str) -> Incident:
         """Save a robot's last minutes because somebody wants it.
@@ -76,18 +98,24 @@ class BlackBox:
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
         incident = Incident(found.name, "wish", reason[:MAX_DETAIL], time.time_ns())
-        if not self._begin(incident):
-            raise RecordingBusy(f"{MAX_PENDING} incidents are being saved; try again in {self._config.after_s:g} s")
+        wishes = sum(each.cause == "wish" for each in self.pending)
+        if wishes >= MAX_WISHES or not self._begin(incident):
+            raise RecordingBusy(f"{wishes} wishes are being saved; try again in {self._config.after_s:g} s")
         return incident
 
     def _receive(self, event: RobotEvent) -> None:
         if event.kind is EventKind.FORGOTTEN:
-            self.rings.forget(event.robot)
-            self._channels = {each: None for each in self._channels if each.robot != event.robot}
             self._rules.forget(event.robot)
+            self._forget(event.robot)
         incident = self._rules.observe(event)
         if incident is not None and not self._begin(incident):
             self.missed += 1
+
+    def _forget(self, robot: str) -> None:
+        """What is kept of a robot that is no more, unless an incident of it is pending."""
+        if all(each.robot != robot for each in self.pending) and not self._hub.robots.has(robot):
+            self.rings.forget(robot)
+            self._channels.pop(robot, None)
 
     def _begin(self, incident: Incident) -> bool:
         if len(self.pending) >= MAX_PENDING:
@@ -101,17 +129,18 @@ class BlackBox:
         await asyncio.sleep(self._config.after_s)
         await self._save(incident)
 
-    async def _save(self, incident: Incident) -> None:
+    async def _save(self, incident: Incident, *, rest: Callable[[], None] = rest_a_moment) -> None:
         if incident not in self.pending:
             return
         self.pending.remove(incident)
-        entries = self.rings.of(incident.robot)
-        channels = [channel for channel in self._channels if channel.robot == incident.robot]
+        entries = self.rings.copies(incident.robot)
+        channels = list(self._channels.get(incident.robot, ()))
+        self._forget(incident.robot)
         write = functools.partial(
-            write_incident, self.folder, incident, channels, entries, before_s=self._config.before_s
+            write_incident, self.folder, incident, channels, entries, before_s=self._config.before_s, rest=rest
         )
         try:
-            path = await asyncio.to_thread(write)
+            path = await asyncio.get_running_loop().run_in_executor(self._writer, write)
         except OSError as error:
             self.missed += 1
             reason = error.strerror or str(error)
@@ -122,9 +151,17 @@ class BlackBox:
 
 
 def write_incident(
-    folder: Folder, incident: Incident, channels: list[Channel], entries: list[Entry], *, before_s: float
+    folder: Folder,
+    incident: Incident,
+    channels: list[Channel],
+    entries: Iterable[Iterable[Entry]],
+    *,
+    before_s: float,
+    rest: Callable[[], None],
 ) -> Path:
     """Write an incident's file, by time; returns where. It waits for the disk.
+
+    `rest` is called after every BURST messages: the loop would be half as fast without the interpreter for itself.
 
     Raises:
         OSError: of the disk.
@@ -151,9 +188,11 @@ def write_incident(
     try:
         for channel in channels:
             writer.announce(channel)
-        for entry in sorted(entries, key=lambda entry: entry.stamp_ns):
-            if entry.stamp_ns >= first_ns:
-                writer.write(*entry)
+        wanted = (entry for entry in itertools.chain(*entries) if entry.stamp_ns >= first_ns)
+        for number, entry in enumerate(sorted(wanted, key=lambda entry: entry.stamp_ns)):
+            writer.write(*entry)
+            if number % BURST == BURST - 1:
+                rest()
         writer.close()
     except BaseException:
         writer.abandon()

@@ -7,6 +7,7 @@ from typing import Protocol
 from hostlink.messages.message_type import MessageType
 
 JSON, ROS1 = "json", "ros1"
+NS_PER_S = 1_000_000_000  # of the stamps of messages
 DEVICE, VELOCITY, HOSTLINK = "device", "velocity", "hostlink"  # who publishes a topic
 EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC = "/hostlink/events", "/hostlink/log", "/hostlink/parameters"
 

@@ -3,10 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hostlink.recording.channel import Channel
+from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.reader import Reader
-
-NS_PER_S = 1e9
 
 
 @dataclass(slots=True)

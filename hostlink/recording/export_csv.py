@@ -1,39 +1,43 @@
 """A recording as tables of text: one CSV file a topic, one line a message."""
 
 import csv
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
+from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.reader import Reader
 from hostlink.recording.tables import Decoders, flat
 
 MAX_ARRAY = 64  # elements of an array that have columns of their own; more are one column, as JSON
+MAX_COLUMNS = 10_000  # of a file; JSON may have other fields in each message
+_LONGEST_NAME = 200  # characters; a file's may have 255 bytes
 _TIME = "time_s"  # since the epoch, when the message arrived
-NS_PER_S = 1_000_000_000
+
+_Key = tuple[str, str]  # a topic may change its type
 
 
 def export_csv(reader: Reader, folder: Path) -> dict[str, int]:
     """Write the tables into a new folder; returns how many lines each file has.
 
-    The columns of a topic are those of its first message. What cannot be decoded is left out.
+    A topic has the columns of all its messages: the recording is read twice. What cannot be decoded is left out.
 
     Raises:
         OSError: of the folder.
         RecordingFailed: the recording cannot be read.
     """
     folder.mkdir()
-    files: dict[str, _File] = {}
-    decoders = Decoders()
+    columns = _columns(Reader(reader.path))
+    files: dict[_Key, _File] = {}
     try:
-        for message in reader.messages():
-            fields = decoders.decode(message)
-            if fields is not None:
-                topic = message.channel.topic
-                if topic not in files:
-                    files[topic] = _File(folder / f"{file_name(topic)}.csv")
-                files[topic].add(message.stamp_ns, dict(_cells(fields)))
+        for channel, stamp_ns, cells in _decoded(reader):
+            key = _key(channel)
+            if key not in files:
+                taken = {file.path.stem.lower() for file in files.values()}
+                files[key] = _File(folder / f"{_free(file_name(channel.topic), taken)}.csv", columns[key])
+            files[key].add(stamp_ns, cells)
     finally:
         for file in files.values():
             file.close()
@@ -42,27 +46,57 @@ def export_csv(reader: Reader, folder: Path) -> dict[str, int]:
 
 def file_name(topic: str) -> str:
     """Of a topic: /robot_0/odometry is robot_0.odometry."""
-    return re.sub(r"[^A-Za-z0-9_.-]", ".", topic.strip("/")) or "topic"
+    return re.sub(r"[^A-Za-z0-9_.-]", ".", topic.strip("/")).strip(".")[:_LONGEST_NAME] or "topic"
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """With a number, if another topic has it; on some disks a and A are one name."""
+    number, free = 1, name
+    while free.lower() in taken:
+        number += 1
+        free = f"{name}_{number}"
+    return free
+
+
+def _columns(reader: Reader) -> dict[_Key, list[str]]:
+    found: dict[_Key, dict[str, None]] = {}
+    for channel, _, cells in _decoded(reader):
+        of_topic = found.setdefault(_key(channel), {})
+        if len(of_topic) < MAX_COLUMNS:
+            of_topic.update(dict.fromkeys(cells))
+    return {key: list(of_topic) for key, of_topic in found.items()}
+
+
+def _decoded(reader: Reader) -> Iterator[tuple[Channel, int, dict[str, object]]]:
+    decoders = Decoders()
+    for message in reader.messages():
+        fields = decoders.decode(message)
+        if fields is not None:
+            yield message.channel, message.stamp_ns, dict(_cells(fields))
+
+
+def _key(channel: Channel) -> _Key:
+    return channel.topic, channel.type_name
 
 
 def _cells(fields: dict[str, Any]) -> Iterator[tuple[str, object]]:
     for path, value in flat(fields):
         if isinstance(value, list) and len(value) <= MAX_ARRAY and not any(isinstance(each, dict) for each in value):
             yield from ((f"{path}[{number}]", each) for number, each in enumerate(value))
+        elif isinstance(value, (list, bytes)):
+            yield path, json.dumps(value, default=list)
         else:
             yield path, value
 
 
 class _File:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, columns: list[str]) -> None:
         self.path, self.lines = path, 0
         self._file = path.open("x", newline="", encoding="utf-8")
-        self._writer: csv.DictWriter[str] | None = None
+        self._writer = csv.DictWriter(self._file, [_TIME, *columns], restval="", extrasaction="ignore")
+        self._writer.writeheader()
 
     def add(self, stamp_ns: int, cells: dict[str, object]) -> None:
-        if self._writer is None:
-            self._writer = csv.DictWriter(self._file, [_TIME, *cells], restval="", extrasaction="ignore")
-            self._writer.writeheader()
         seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
         self._writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}", **cells})
         self.lines += 1

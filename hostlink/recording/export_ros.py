@@ -1,5 +1,6 @@
 """A recording as a bag of ROS 1, or of ROS 2: rosbags writes both, and converts what ROS 2 has otherwise."""
 
+import sqlite3
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -10,6 +11,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from hostlink.messages.full_definition import read_full_definition
+from hostlink.messages.message_type import MessageType
 from hostlink.recording.channel import ROS1, Channel
 from hostlink.recording.reader import Reader, StoredMessage
 
@@ -44,8 +47,11 @@ def export_ros(reader: Reader, path: Path, format_: RosFormat) -> Exported:
         with Ros1Writer(path) as ros1:
             return _export(reader, _Ros1(ros1))
     plugin = StoragePlugin.MCAP if format_ is RosFormat.ROS2_MCAP else StoragePlugin.SQLITE3
-    with Ros2Writer(path, version=_VERSION, storage_plugin=plugin) as ros2:
-        return _export(reader, _Ros2(ros2))
+    try:
+        with Ros2Writer(path, version=_VERSION, storage_plugin=plugin) as ros2:
+            return _export(reader, _Ros2(ros2))
+    except sqlite3.Error as error:  # the disk is full, most of all
+        raise OSError(str(error)) from error
 
 
 class _Ros1:
@@ -83,8 +89,11 @@ class _Ros2:
     def __init__(self, writer: Ros2Writer) -> None:
         self._writer = writer
         self._store = get_typestore(Stores.ROS2_KILTED)
+        self._types: dict[Channel, MessageType] = {}
 
     def open(self, channel: Channel) -> Any:
+        if channel.encoding == ROS1:
+            self._type(channel)
         name = _ros2_name(channel.type_name if channel.encoding == ROS1 else TEXT_TYPE)
         if name not in self._store.fielddefs:
             types = get_types_from_msg(channel.schema, name)
@@ -92,11 +101,18 @@ class _Ros2:
         return self._writer.add_connection(channel.topic, name, typestore=self._store)
 
     def convert(self, payload: bytes, channel: Channel) -> bytes:
+        if channel.encoding == ROS1:  # what is no message would take rosbags hours, or all of the memory
+            self._type(channel).decode(payload)
         name = _ros2_name(channel.type_name if channel.encoding == ROS1 else TEXT_TYPE)
         return bytes(self._store.ros1_to_cdr(payload, name))
 
     def write(self, connection: Any, stamp_ns: int, payload: bytes) -> None:
         self._writer.write(connection, stamp_ns, payload)
+
+    def _type(self, channel: Channel) -> MessageType:
+        if channel not in self._types:
+            self._types[channel] = read_full_definition(channel.type_name, channel.schema)
+        return self._types[channel]
 
 
 def _export(reader: Reader, bag: "_Ros1 | _Ros2") -> Exported:
@@ -114,6 +130,8 @@ def _export(reader: Reader, bag: "_Ros1 | _Ros2") -> Exported:
             if payload is None:
                 opened[channel] = bag.open(channel)
                 payload = bag.convert(_payload(message), channel)
+        except (OSError, sqlite3.Error):  # not the topic's fault, but the disk's
+            raise
         except Exception as error:  # noqa: BLE001 - rosbags raises what it finds, for a definition or a payload that is none
             done.left_out[channel.topic] = f"{type(error).__name__}: {error}"
             continue

@@ -1,6 +1,7 @@
 """FileThread: writes a recording off the event loop, in files that are split by size and time."""
 
 import asyncio
+import contextlib
 import threading
 import time
 from collections import deque
@@ -15,7 +16,8 @@ from hostlink.recording.mcap_writer import McapWriter
 MAX_WAITING_BYTES = 16 * 1024 * 1024  # of messages that the disk is too slow for; a new one is dropped over it
 MESSAGE_BYTES = 200  # that a waiting message takes beside its payload
 WRITE_INTERVAL_S = 0.05
-CHUNK_INTERVAL_S = 0.9  # what a power cut may cost, with the interval of writing: a second
+CHUNK_INTERVAL_S = 0.7  # with the intervals of writing and of poses, on a busy machine: under a second is lost
+MAX_ANNOUNCEMENTS = 16_384  # of topics that come and go; later channels begin with their first message
 BURST = 64  # messages between two looks at the clock; the loop gets the interpreter within half a millisecond
 CLOSE_TIMEOUT_S = 2.0
 
@@ -58,7 +60,9 @@ class FileThread:
         Raises:
             OSError: the first file cannot be made.
         """
-        self.dropped = self.messages = self.written_bytes = 0
+        self.messages = self.written_bytes = 0
+        self._announcements = 0
+        self._not_put = self._not_written = 0  # messages; each is counted by one thread
         self.paths: list[Path] = []
         self.failure: str | None = None
         self._path_of, self._splitting, self._metadata = path_of, splitting, dict(metadata)
@@ -71,32 +75,43 @@ class FileThread:
         self._ended = asyncio.Event()
         self._files_bytes = 0  # of those before the present one
         self._begun_s = self._chunk_due_s = 0.0
+        self._number = 0  # of the next file
         self._writer = self._open()
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
+    @property
+    def dropped(self) -> int:
+        """Messages that are not in the file."""
+        return self._not_put + self._not_written
+
     def announce(self, channel: Channel) -> None:
-        """Every file has this channel from now on, also without a message."""
-        self._waiting.append(_Waiting(channel, 0, None))
+        """Every file has this channel from now on, also without a message, as far as there is room."""
+        self._announcements += 1
+        if self._announcements <= MAX_ANNOUNCEMENTS:
+            self._waiting.append(_Waiting(channel, 0, None))
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str = "") -> None:  # noqa: ARG002 - of a Sink
         """Write it soon; dropped and counted while too much waits, or after the end."""
         size_bytes = len(payload) + MESSAGE_BYTES
         is_full = self._put_bytes - self._taken_bytes + size_bytes > MAX_WAITING_BYTES
         if is_full or self.failure is not None or self._ending.is_set():
-            self.dropped += 1
+            self._not_put += 1
             return
         self._put_bytes += size_bytes
         self._waiting.append(_Waiting(channel, stamp_ns, payload))
 
     async def aclose(self) -> None:
-        """Write what waits and complete the file, within CLOSE_TIMEOUT_S; a disk that is slower is left to itself."""
+        """Write what waits and complete the file; a disk that takes nothing for CLOSE_TIMEOUT_S is left to itself."""
         self._ending.set()
-        try:
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                await self._ended.wait()
-        except TimeoutError:
-            self.failure = self.failure or f"the disk has not taken the rest within {CLOSE_TIMEOUT_S:g} s"
+        taken_bytes = -1
+        while not self._ended.is_set() and self._taken_bytes > taken_bytes:
+            taken_bytes = self._taken_bytes
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                    await self._ended.wait()
+        if not self._ended.is_set():
+            self.failure = self.failure or f"the disk has taken nothing of the rest for {CLOSE_TIMEOUT_S:g} s"
 
     # -- in the thread ------------------------------------------------------------------------------------------------
 
@@ -109,11 +124,12 @@ class FileThread:
         except Exception as error:  # noqa: BLE001 - whatever it is, it ends this recording and nothing else
             self.failure = _reason(error)
             self._writer.abandon()
-            self.dropped += len(self._waiting)
+            self._not_written += len(self._waiting)
             self._waiting.clear()
         finally:
             self.written_bytes = self._files_bytes + self._writer.last_size_bytes
-            self._loop.call_soon_threadsafe(self._note_end)
+            with contextlib.suppress(RuntimeError):  # the loop has ended and does not wait for a disk that stands still
+                self._loop.call_soon_threadsafe(self._note_end)
 
     def _note_end(self) -> None:
         self._ended.set()
@@ -124,12 +140,13 @@ class FileThread:
             for _ in range(min(BURST, len(self._waiting))):
                 channel, stamp_ns, payload = self._waiting.popleft()
                 if payload is None:
-                    self._announced[channel] = None
-                    self._writer.announce(channel)
+                    if self._writer.announce(channel) is not None:
+                        self._announced[channel] = None
                 else:
                     self._taken_bytes += len(payload) + MESSAGE_BYTES
-                    self._writer.write(channel, stamp_ns, payload)
-                    self.messages += 1
+                    is_written = self._writer.write(channel, stamp_ns, payload)
+                    self.messages += is_written
+                    self._not_written += not is_written
             self._keep_time()
         self._keep_time()
 
@@ -148,15 +165,27 @@ class FileThread:
 
     def _open(self) -> McapWriter:
         self._on_file()
-        path = self._path_of(len(self.paths))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        writer = McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+        writer = self._new_file()
+        path = writer.path
         for channel in self._announced:
             writer.announce(channel)
         self.paths.append(path)
         self._begun_s = time.monotonic()
         self._chunk_due_s = self._begun_s + CHUNK_INTERVAL_S
         return writer
+
+    def _new_file(self) -> McapWriter:
+        """With its number; for a later file with the next that is free: the recording must not end for a name."""
+        is_first = not self.paths
+        while True:
+            path = self._path_of(self._number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._number += 1
+            try:
+                return McapWriter(path, metadata=self._metadata, fsync=self._splitting.fsync)
+            except FileExistsError:
+                if is_first:
+                    raise
 
 
 def _reason(error: Exception) -> str:

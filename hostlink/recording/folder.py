@@ -1,5 +1,6 @@
 """The folder of the recordings: where it is, what is in it, and what must go."""
 
+import contextlib
 import os
 import re
 import shutil
@@ -54,10 +55,11 @@ class Folder:
             return []
         found = []
         for entry in os.scandir(self.path):
-            if entry.name.endswith(SUFFIX) and entry.is_file():
-                facts = entry.stat()
-                is_written = self.path / entry.name in is_open
-                found.append(StoredFile(entry.name, facts.st_size, facts.st_mtime, is_open=is_written))
+            with contextlib.suppress(FileNotFoundError):  # it was removed meanwhile
+                if entry.name.endswith(SUFFIX) and entry.is_file():
+                    facts = entry.stat()
+                    is_written = self.path / entry.name in is_open
+                    found.append(StoredFile(entry.name, facts.st_size, facts.st_mtime, is_open=is_written))
         return sorted(found, key=lambda file: (file.modified_s, file.name))
 
     def find(self, name: str) -> Path | None:

@@ -2,25 +2,30 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from hostlink.errors import BadPayload
+from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose, frame_of, placed
-from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
 from hostlink.robot.odometry_reader import READERS
 
-NS_PER_S = 1e9
+MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; of more only every second, third, ... is kept
 
 Decode = Callable[[bytes], dict[str, Any]]
+Sample = TypeVar("Sample")
 
 
 @dataclass(frozen=True, slots=True)
 class PastPose:
-    """Where the robot was, in the frame in which it is shown now."""
+    """Where the robot was, in the frame in which it is shown now, and how it moved."""
 
     stamp_ns: int
     pose: Pose
+    twist: Twist
 
 
 def past_poses(
@@ -42,22 +47,50 @@ def past_poses(
         estimator.update(reading.pose, now_s=entry.stamp_ns / NS_PER_S, wall_ns=entry.stamp_ns, twist=reading.twist)
         snapshot = estimator.snapshot(entry.stamp_ns / NS_PER_S)
         if snapshot is not None:
-            found.append(PastPose(entry.stamp_ns, snapshot.pose))
+            found.append(PastPose(entry.stamp_ns, snapshot.pose, snapshot.twist))
     if present is None or not found:
         return found
     frame = frame_of(present, found[-1].pose)
-    return [PastPose(each.stamp_ns, placed(frame, each.pose)) for each in found]
+    return [PastPose(each.stamp_ns, placed(frame, each.pose), each.twist) for each in found]
 
 
 def past_messages(
-    entries: Iterable[Entry], topic: str, decode: Decode, since_ns: int
+    entries: Iterable[Entry], topic: str, type_name: str, decode: Decode
 ) -> list[tuple[int, dict[str, Any]]]:
-    """(stamp_ns, fields) of a topic's messages; one that cannot be decoded is left out."""
+    """(stamp_ns, fields) of a topic's messages of this type; one that cannot be decoded is left out."""
     found = []
     for entry in entries:
-        if entry.channel.topic == topic and entry.stamp_ns >= since_ns:
+        if entry.channel.topic == topic and entry.channel.type_name == type_name:
             try:
                 found.append((entry.stamp_ns, decode(entry.payload)))
             except BadPayload:
                 continue
     return found
+
+
+def decode_event(payload: bytes) -> dict[str, Any]:
+    """The fields of what happened.
+
+    Raises:
+        BadPayload: it is no JSON of an object.
+    """
+    try:
+        return msgspec.json.decode(payload, type=dict[str, Any])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BadPayload(EVENTS.type_name, str(error)) from None
+
+
+def odometry_of(entries: Iterable[Entry]) -> tuple[str, str] | None:
+    """(topic, type) of the odometry that a device published; None: there is none."""
+    found = {
+        (entry.channel.topic, entry.channel.type_name)
+        for entry in entries
+        if entry.channel.type_name in READERS and entry.channel.origin == DEVICE
+    }
+    return min(found, key=lambda each: (not each[0].endswith("/odometry"), each), default=None)
+
+
+def thinned(samples: list[Sample]) -> list[Sample]:
+    """At most MAX_SAMPLES, at equal steps; the last is always one of them."""
+    step = -(-len(samples) // MAX_SAMPLES)
+    return samples[::-1][::step][::-1] if step > 1 else samples

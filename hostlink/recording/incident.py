@@ -1,7 +1,7 @@
 """Which events are incidents: what somebody will want to look at afterwards. Pure."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.robot.velocity import ZERO
@@ -9,6 +9,7 @@ from hostlink.robot.velocity import ZERO
 Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "wish"]
 
 AGAIN_S = 60.0  # the same cause at the same robot is one incident
+MAX_NAMES = 4096  # of robots, and of topics by which devices are driven that are none; the oldest go
 ERROR_LEVEL = 3
 WATCHDOG_TEXT = "no command for"  # of the project's firmware, when its own watchdog has stopped it
 LEASE_ENDED = "no command came"
@@ -30,23 +31,28 @@ class IncidentRules:
 
     def __init__(self) -> None:
         self._is_driven: dict[str, bool] = {}
-        self._last_s: dict[tuple[str, Cause], float] = {}
+        self._last_s: dict[str, dict[Cause, float]] = {}
+
+    def __len__(self) -> int:
+        """Of how many names it knows something."""
+        return max(len(self._is_driven), len(self._last_s))
 
     def observe(self, event: RobotEvent) -> Incident | None:
         """The incident that this event is, if it is one."""
         cause, detail = self._cause(event)
         if cause is None or not event.robot:
             return None
-        key = (event.robot, cause)
-        if event.at_s < self._last_s.get(key, float("-inf")) + AGAIN_S:
+        of_robot = self._last_s.setdefault(event.robot, {})
+        _drop_oldest(self._last_s)
+        if event.at_s < of_robot.get(cause, float("-inf")) + AGAIN_S:
             return None
-        self._last_s[key] = event.at_s
+        of_robot[cause] = event.at_s
         return Incident(event.robot, cause, detail, event.stamp_ns)
 
     def forget(self, robot: str) -> None:
         """The robot is forgotten."""
         self._is_driven.pop(robot, None)
-        self._last_s = {key: at_s for key, at_s in self._last_s.items() if key[0] != robot}
+        self._last_s.pop(robot, None)
 
     def _cause(self, event: RobotEvent) -> tuple[Cause | None, str]:
         """(cause, detail); no cause: it is no incident."""
@@ -55,6 +61,7 @@ class IncidentRules:
         match event.kind:
             case EventKind.COMMANDED:
                 self._is_driven[event.robot] = facts["limited"] != ZERO
+                _drop_oldest(self._is_driven)
             case EventKind.STOPPED if was_driven and facts["reason"] == LEASE_ENDED:
                 return "lease", f"no command of {facts['owner']} came"
             case EventKind.LOCKED:
@@ -66,6 +73,11 @@ class IncidentRules:
             case EventKind.LOGGED:
                 return _cause_of_line(str(facts["text"]), facts["level"])
         return None, ""
+
+
+def _drop_oldest(names: dict[str, Any]) -> None:
+    if len(names) > MAX_NAMES:
+        del names[next(iter(names))]
 
 
 def _cause_of_line(text: str, level: object) -> tuple[Cause | None, str]:

@@ -40,7 +40,7 @@ class IncidentFiles:
         """
         known: dict[StoredFile, Incident] = {}
         for file in self._folder.files()[-MAX_LISTED:]:
-            incident = self._known.get(file) or _read(self._folder.path / file.name)
+            incident = self._known.get(file) or read_incident(self._folder.path / file.name)
             if incident is not None:
                 known[file] = incident
         self._known = known
@@ -48,7 +48,8 @@ class IncidentFiles:
         return sorted(found, key=lambda saved: saved.incident.stamp_ns, reverse=True)
 
 
-def _read(path: Path) -> Incident | None:
+def read_incident(path: Path) -> Incident | None:
+    """What a file says of itself; None: it is no incident's."""
     try:
         with path.open("rb") as file:
             for record in islice(StreamReader(file, emit_chunks=True).records, _FIRST_RECORDS):

@@ -10,6 +10,7 @@ from mcap.writer import CompressionType, Writer
 from hostlink.recording.channel import Channel
 
 CHUNK_BYTES = 64 * 1024  # 1.2 ms of compression at most, as measured; 3.8 with the library's 1 MiB
+MAX_CHANNELS = 8192  # of a file; the numbers of the format have 16 bits
 PROFILE = "ros1"
 
 
@@ -47,11 +48,14 @@ class McapWriter:
         except OSError:
             return False
 
-    def write(self, channel: Channel, stamp_ns: int, payload: bytes) -> None:
-        """Add a message to the chunk."""
+    def write(self, channel: Channel, stamp_ns: int, payload: bytes) -> bool:
+        """Add a message to the chunk; False: the file has no room for one more channel."""
         channel_id = self.announce(channel)
+        if channel_id is None:
+            return False
         self._writer.add_message(channel_id, stamp_ns, payload, stamp_ns, self.messages)
         self.messages += 1
+        return True
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Facts about the recording."""
@@ -83,10 +87,12 @@ class McapWriter:
         with contextlib.suppress(OSError):  # its buffer cannot be written either; the first error was raised already
             self._file.close()
 
-    def announce(self, channel: Channel) -> int:
-        """Its number in the file; a reader knows of it from now on."""
+    def announce(self, channel: Channel) -> int | None:
+        """Its number in the file; a reader knows of it from now on. None: there are MAX_CHANNELS already."""
         channel_id = self._ids.get(channel)
-        return self._register(channel) if channel_id is None else channel_id
+        if channel_id is None and len(self._ids) < MAX_CHANNELS:
+            return self._register(channel)
+        return channel_id
 
     def _register(self, channel: Channel) -> int:
         key = (channel.type_name, channel.schema)

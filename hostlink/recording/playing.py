@@ -1,12 +1,14 @@
-"""When each message of a recording is due, and which robots are in it. Pure."""
+"""When each message of a recording is due, which robots are in it, and what of it moves a robot. Pure."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from hostlink.recording.channel import DEVICE, VELOCITY, Channel
+from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
 from hostlink.recording.reader import StoredMessage
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity_gate import LEASE_S
 
-NS_PER_S = 1e9
+TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +30,54 @@ def schedule(messages: Iterable[StoredMessage], *, rate: float = 1.0, start_s: f
             yield Due(at_s / rate, message)
 
 
+@dataclass(frozen=True, slots=True)
+class DueVelocity:
+    """A velocity, and when it is due after the beginning of the play."""
+
+    at_s: float
+    velocity: Velocity
+
+
+def drives(due_messages: Iterable[Due], topic: str, *, rate: float = 1.0) -> Iterator[DueVelocity]:
+    """The velocities of a topic, and a zero wherever a robot would have stood: after a lease without another one.
+
+    A recording may lack the zero that ended a drive: the link was lost, the file is cut, a chunk of it is damaged.
+
+    Raises:
+        BadPayload: a velocity is none.
+    """
+    end_s: float | None = None  # of the velocity that moves
+    for due in due_messages:
+        if end_s is not None and due.at_s >= end_s:
+            yield DueVelocity(end_s, Velocity())
+            end_s = None
+        if due.message.channel.topic == topic and is_drive(due.message.channel):
+            velocity = Velocity.decode(due.message.payload)
+            yield DueVelocity(due.at_s, velocity)
+            end_s = None if velocity.is_zero else due.at_s + LEASE_S / rate
+    if end_s is not None:
+        yield DueVelocity(end_s, Velocity())
+
+
+def is_drive(channel: Channel) -> bool:
+    """Whether it has what a gate sent to a robot."""
+    return channel.origin == VELOCITY and channel.encoding == ROS1 and channel.type_name == TWIST_TYPE
+
+
+def may_move(channel: Channel) -> bool:
+    """Whether a robot could take it for a velocity, now or when it comes: by its type, whoever published it."""
+    return channel.origin == VELOCITY or channel.type_name in (TWIST_TYPE, TWIST_STAMPED_TYPE)
+
+
 def robots_of(channels: Iterable[Channel]) -> dict[str, list[Channel]]:
-    """By robot, the channels that its device published, and those of its velocity; others have none of both."""
+    """By robot, the channels that its device published, and those of its velocity; others have none of both.
+
+    What a device published that may be the velocity of another robot is none of its channels.
+    """
     robots: dict[str, dict[str, Channel]] = {}
     for channel in channels:
-        if channel.robot and channel.origin in (DEVICE, VELOCITY):
+        is_of_another = channel.origin == DEVICE and may_move(channel) and "vel" in channel.topic.rpartition("/")[2]
+        if channel.robot and channel.origin in (DEVICE, VELOCITY) and not is_of_another:
             robots.setdefault(channel.robot, {})[channel.topic] = channel
     found = {robot: list(of_robot.values()) for robot, of_robot in robots.items()}
     return {robot: listed for robot, listed in found.items() if any(each.origin == DEVICE for each in listed)}

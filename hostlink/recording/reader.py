@@ -1,19 +1,26 @@
 """Reading MCAP files, also those that were never finished: a daemon was killed, a disk was full, a cable was pulled."""
 
 import struct
+import zlib
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
 
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import Chunk, Header, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 
 from hostlink.errors import RecordingFailed
 from hostlink.recording.channel import Channel
 
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a length that damage has made is not read into memory
+MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; those of other writers have a few MB
 
 
 class StoredMessage(NamedTuple):
@@ -70,15 +77,11 @@ class Reader:
             is_cut = isinstance(error, EndOfFile)
             self.damage.append("it was never finished" if is_cut else f"unreadable from byte {file.tell()}: {error}")
 
-    def _of_chunk(self, chunk: Chunk) -> list[McapRecord]:
-        if chunk.uncompressed_size > MAX_RECORD_BYTES:
-            self.damage.append(f"a chunk of it claims {chunk.uncompressed_size} bytes")
-            return []
+    def _of_chunk(self, chunk: Chunk) -> Iterator[McapRecord]:
         try:
-            return breakup_chunk(chunk, validate_crc=True)
+            yield from _records_in(_unpacked(chunk))
         except Exception as error:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes
             self.damage.append(f"a chunk of it is damaged: {type(error).__name__}: {error}")
-            return []
 
     def _note(self, record: McapRecord) -> None:
         if isinstance(record, Schema):
@@ -89,6 +92,45 @@ class Reader:
             self.metadata |= record.metadata
         elif isinstance(record, Header):
             self.profile = record.profile
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Never more than it claims: a few bytes can become all that the memory has.
+
+    Raises:
+        ValueError: it is something else than it claims, or claims too much; or what the decompressor raises.
+    """
+    size = chunk.uncompressed_size
+    if size > MAX_CHUNK_BYTES:
+        raise ValueError(f"it claims {size} bytes")
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression:
+        raise ValueError(f"its compression {chunk.compression[:20]!r} is unknown")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise ValueError(f"it has {len(data)} bytes{' or more' * (len(data) > size)} and claims {size}")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("its checksum is another")
+    return data
+
+
+def _records_in(data: bytes) -> Iterator[McapRecord]:
+    """One by one: millions of them may be in a chunk."""
+    stream = ReadDataStream(BytesIO(data))
+    while stream.count < len(data):
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == Opcode.CHANNEL:
+            yield McapChannel.read(stream)
+        elif opcode == Opcode.MESSAGE:
+            yield Message.read(stream, length)
+        elif opcode == Opcode.SCHEMA:
+            yield Schema.read(stream)
+        else:
+            stream.read(length)
 
 
 def _channel(record: McapChannel, schema: Schema | None) -> Channel:

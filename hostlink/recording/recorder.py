@@ -3,7 +3,8 @@
 import dataclasses
 import fnmatch
 import functools
-from collections.abc import Hashable, Mapping
+from collections import defaultdict
+from collections.abc import Hashable, Iterable, Mapping
 from typing import Any
 
 import msgspec
@@ -19,6 +20,7 @@ from hostlink.hub.subscription import Subscription
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, LOG, PARAMETERS, VELOCITY, Channel, Sink, ros_channel
 from hostlink.robot.velocity import Velocity
 
+_ENCODER = msgspec.json.Encoder(enc_hook=str)
 GROUP = OBSERVERS  # what recorders subscribe to is not worth recording for that alone
 
 
@@ -47,13 +49,15 @@ class Recorder:
     def __init__(self, hub: Hub, sink: Sink, selection: Selection) -> None:
         self._hub, self._sink, self._selection = hub, sink, selection
         self._participant = hub.join_daemon(group=GROUP)
-        self._subscriptions: dict[GraphTopic, Subscription] = {}
+        self._subscriptions: dict[str, tuple[GraphTopic, Subscription]] = {}
+        self._names = _NamesByRobot()
+        self._version = -1  # of the graph
         self._parameters: dict[str, Any] | None = None
 
     @property
     def topics(self) -> list[str]:
         """What it records at present."""
-        return sorted(topic.name for topic in self._subscriptions)
+        return sorted(self._subscriptions)
 
     def start(self) -> None:
         """Record from now on."""
@@ -75,12 +79,25 @@ class Recorder:
 
     def _follow_graph(self) -> None:
         """Subscribe to the topics that came, and not to those that nobody else uses any more."""
-        wanted = {_fixed(topic): topic for topic in self._participant.graph().topics if self._is_wanted(topic)}
-        for key in self._subscriptions.keys() - wanted.keys():
-            self._subscriptions.pop(key).close()
-        for key, topic in wanted.items():
-            if key not in self._subscriptions:
-                self._subscribe(key, topic)
+        news = self._participant.view.news(self._version)
+        self._version = news.version
+        changed = dict(news.topics)
+        if news.is_whole:
+            changed |= dict.fromkeys(self._subscriptions.keys() - changed.keys())
+        for name, topic in changed.items():
+            self._names.put(name, is_there=topic is not None)
+        for name in self._names.of(news.robots) - changed.keys():  # whose they are may have changed
+            changed[name] = self._participant.view.topic(name)
+        for name, topic in changed.items():
+            self._follow(name, topic)
+
+    def _follow(self, name: str, topic: GraphTopic | None) -> None:
+        wanted = None if topic is None or not self._is_wanted(topic) else _fixed(topic)
+        present = self._subscriptions.get(name)
+        if present is not None and present[0] != wanted:
+            self._subscriptions.pop(name)[1].close()
+        if wanted is not None and topic is not None and (present is None or present[0] != wanted):
+            self._subscribe(wanted, topic)
 
     def _is_wanted(self, topic: GraphTopic) -> bool:
         if not topic.type_name or (topic.is_derived and not self._selection.has_derived):
@@ -102,17 +119,18 @@ class Recorder:
         self._sink.announce(channel)
         receive = functools.partial(self._receive, channel, robot)
         try:
-            self._subscriptions[key] = self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
+            subscription = self._participant.subscribe(topic.name, receive, type_name=topic.type_name)
         except WrongType:  # it has changed since; the next change comes soon
             return
+        self._subscriptions[topic.name] = key, subscription
 
     def _robot_of(self, topic: str) -> str:
         """By its name, or by the device that publishes it."""
-        first = topic.lstrip("/").partition("/")[0]
+        first = _first_part(topic)
         found = self._hub.topics.find_or_none(topic)
         users: tuple[Hashable, ...] = () if found is None else (*found.publishers, *found.devices)
         robots = [robot for robot in map(self._hub.robots.of_link, users) if robot is not None]
-        return robots[0].name if len(robots) == 1 else first if self._is_robot(first) else ""
+        return robots[0].name if len(robots) == 1 else first if self._hub.robots.has(first) else ""
 
     def _origin_of(self, topic: GraphTopic) -> str:
         if topic.is_velocity:
@@ -123,14 +141,11 @@ class Recorder:
 
     def _is_remote(self, topic: str) -> bool:
         """Whether it comes from another graph alone, and no device uses it; or from another daemon."""
-        name = topic.lstrip("/").partition("/")[0]
+        name = _first_part(topic)
         found = self._hub.topics.find_or_none(topic)
         if found is not None and found.publishers and not found.devices and all(map(_is_of_graph, found.publishers)):
             return True
         return name in self._hub.robots.remote and self._hub.robots.get_here(name) is None
-
-    def _is_robot(self, name: str) -> bool:
-        return any(robot.name == name for robot in self._hub.robots.all())
 
     def _receive(self, channel: Channel, robot: str, message: Message) -> None:
         self._sink.put(channel, message.stamp_ns, message.payload, robot)
@@ -138,7 +153,7 @@ class Recorder:
     def _receive_event(self, event: RobotEvent) -> None:
         if event.robot and not self._selection.has_robot(event.robot):
             return
-        facts = {name: _fact(value) for name, value in event.facts.items()}
+        facts = {name: _fact(value) for name, value in event.facts.items() if name != "address"}  # files go to others
         shown = {"kind": event.kind.value, "robot": event.robot, "facts": facts}
         self._put_json(EVENTS, event.stamp_ns, shown, event.robot)
 
@@ -146,7 +161,32 @@ class Recorder:
         self._put_json(LOG, stamp_ns, line, str(line.get("robot", "")))
 
     def _put_json(self, channel: Channel, stamp_ns: int, value: object, robot: str) -> None:
-        self._sink.put(channel, stamp_ns, msgspec.json.encode(value, enc_hook=str), robot)
+        self._sink.put(channel, stamp_ns, _ENCODER.encode(value), robot)
+
+
+class _NamesByRobot:
+    """The names of topics by their first part, which may be a robot's name."""
+
+    def __init__(self) -> None:
+        self._names: defaultdict[str, set[str]] = defaultdict(set)
+
+    def put(self, name: str, *, is_there: bool) -> None:
+        """The topic is there, or is gone."""
+        first = _first_part(name)
+        if is_there:
+            self._names[first].add(name)
+        elif first in self._names:
+            self._names[first].discard(name)
+            if not self._names[first]:
+                del self._names[first]
+
+    def of(self, robots: Iterable[str]) -> set[str]:
+        """Those whose first part is one of these."""
+        return {name for robot in robots for name in self._names.get(robot, ())}
+
+
+def _first_part(name: str) -> str:
+    return name.lstrip("/").partition("/")[0]
 
 
 def _fixed(topic: GraphTopic) -> GraphTopic:

@@ -2,6 +2,7 @@
 
 import asyncio
 import functools
+import itertools
 import re
 import time
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import structlog
 from hostlink.errors import RecordingBusy, RecordingFailed, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.recording.black_box import BlackBox
+from hostlink.recording.drive_log import DriveLog
 from hostlink.recording.file_thread import FileThread, Splitting
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
 from hostlink.recording.recorder import Recorder, Selection
@@ -48,8 +50,10 @@ class Recordings:
         path = default_folder() if config.folder is None else config.folder
         self.folder = Folder(path, max_disk_mb=config.max_disk_mb, min_free_disk_mb=config.min_free_disk_mb)
         self.black_box = BlackBox(hub, self.folder.path)
+        self.drives = DriveLog(hub, self.folder.path, is_kept=config.drives)
         self.removed = 0  # old recordings, for the budget
         self.failed = 0  # recordings that ended before they were stopped
+        self.changes = 0  # of the folder: a recording ended, or files were removed
         self._hub, self._config = hub, config
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
@@ -89,7 +93,7 @@ class Recordings:
             RecordingBusy: it is in use, or too much is recorded already.
             RecordingFailed: the folder cannot be written to, or its disk is full.
         """
-        name = check_name(name) if name else self._new_name(selection)
+        name = check_name(name) if name else await asyncio.to_thread(self._new_name, selection)
         if name in self._under_way or name in self._starting:
             raise RecordingBusy(f"a recording {name} is under way already; choose another name")
         if len(self._under_way) + len(self._starting) >= MAX_UNDER_WAY:
@@ -137,10 +141,17 @@ class Recordings:
             await asyncio.to_thread(path.unlink)
         except OSError as error:
             raise RecordingFailed(f"{path.name}: {error.strerror}") from error
+        self.changes += 1
         return path.name
+
+    async def open(self) -> None:
+        """Keep from now on what nobody has to start."""
+        self.black_box.start()
+        await self.drives.start()
 
     async def aclose(self) -> None:
         """End all."""
+        await self.drives.aclose()
         await self.black_box.aclose()
         async with asyncio.TaskGroup() as tasks:
             for name in list(self._under_way):
@@ -173,7 +184,9 @@ class Recordings:
 
     def _make_room(self) -> None:
         """In the recording's thread, or before it begins."""
-        self.removed += len(self.folder.make_room(self.open_files()))
+        removed = len(self.folder.make_room(self.open_files()))
+        self.removed += removed
+        self.changes += removed > 0
 
     async def _look_after(self, recording: Recording) -> None:
         while self._under_way.get(recording.name) is recording:
@@ -190,6 +203,7 @@ class Recordings:
 
     def _forget(self, recording: Recording) -> None:
         if self._under_way.pop(recording.name, None) is recording:
+            self.changes += 1
             thread = recording.thread
             written_mb = thread.written_bytes / MEGABYTE
             facts = {"messages": thread.messages, "dropped": thread.dropped, "megabytes": written_mb}
@@ -199,8 +213,17 @@ class Recordings:
                 log.error("recording.failed", recording=recording.name, reason=thread.failure, **facts)
 
     def _new_name(self, selection: Selection) -> str:
-        """From the time, as people sort it, and the robots."""
+        """From the time, as people sort it, and the robots. In a thread: it waits for the disk."""
         stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime())
         base = re.sub(r"[^A-Za-z0-9_+-]", "-", "_".join((stamp, *selection.robots)))[:90]
-        names = (base, *(f"{base}.{number}" for number in range(2, MAX_UNDER_WAY + 2)))
-        return next(name for name in names if name not in self._under_way and name not in self._starting)
+        names = itertools.chain((base,), (f"{base}.{number}" for number in itertools.count(2)))
+        return next(name for name in names if not self._is_taken(name))
+
+    def _is_taken(self, name: str) -> bool:
+        """By a recording, or by a file: of the same second, or of an hour to which the clock was set back."""
+        if name in self._under_way or name in self._starting:
+            return True
+        try:
+            return self.folder.file(name, 0).exists()
+        except OSError:  # the attempt to make it will say why
+            return False

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.channel import JSON, ROS1
+from hostlink.recording.mcap_writer import MAX_CHANNELS, PROFILE, McapWriter
 from hostlink.recording.reader import Reader
 
 
@@ -23,7 +24,7 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     `on_progress`: called with the number of messages, now and then. Whatever fails leaves the file as it was.
 
     Raises:
-        RecordingFailed: it cannot be read or written, or is no MCAP file.
+        RecordingFailed: it cannot be read or written, is no MCAP file, or is damaged and another program's.
     """
     reader = Reader(path)
     beside = path.with_name(f"{path.name}.repaired")
@@ -32,7 +33,8 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
         writer = McapWriter(beside, metadata={})
         try:
             for message in reader.messages():
-                writer.write(*message)
+                if not writer.write(*message):
+                    raise RecordingFailed(f"{path} has more than {MAX_CHANNELS} channels")
                 if writer.messages % 10_000 == 0:
                     on_progress(writer.messages)
             for channel in reader.channels:
@@ -40,6 +42,7 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
             writer.add_metadata(reader.metadata)
             writer.close()
             if reader.damage:
+                _check_ours(reader)
                 beside.replace(path)
         finally:
             writer.abandon()
@@ -47,3 +50,9 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     except OSError as error:
         raise RecordingFailed(f"{path}: {error.strerror or error}") from error
     return Repaired(writer.messages, tuple(reader.damage))
+
+
+def _check_ours(reader: Reader) -> None:
+    """Whatever else a file has would be lost: schemas in other languages, attachments."""
+    if reader.profile != PROFILE or any(channel.encoding not in (ROS1, JSON) for channel in reader.channels):
+        raise RecordingFailed(f"{reader.path} is of another program: `mcap recover` may repair it")

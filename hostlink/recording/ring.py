@@ -1,11 +1,13 @@
 """Rings: the newest messages of every robot, bounded in seconds and in bytes. Pure."""
 
 from collections import deque
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from hostlink.recording.channel import Channel
 
 ENTRY_BYTES = 200  # that an entry takes beside its payload
+MOST_AT_ONCE = 500  # that go for one that comes: a robot more makes the room of each less
 
 
 class Entry(NamedTuple):
@@ -17,28 +19,45 @@ class Entry(NamedTuple):
 
 
 class Ring:
-    """The newest of one robot."""
+    """The newest of one robot, in columns: the garbage collector would go through an object for each message."""
 
-    __slots__ = ("entries", "size_bytes")
+    __slots__ = ("_channels", "_payloads", "_stamps_ns", "size_bytes")
 
     def __init__(self) -> None:
-        self.entries: deque[Entry] = deque()
         self.size_bytes = 0
+        self._channels: deque[Channel] = deque()
+        self._stamps_ns: deque[int] = deque()
+        self._payloads: deque[bytes] = deque()
 
-    def add(self, entry: Entry, *, keep_ns: int, max_bytes: int) -> int:
-        """Keep it; returns how many went that were not too old: for want of room."""
-        entries = self.entries
-        entries.append(entry)
-        self.size_bytes += len(entry.payload) + ENTRY_BYTES
-        oldest_ns = entry.stamp_ns - keep_ns
+    def add(self, channel: Channel, stamp_ns: int, payload: bytes, *, keep_ns: int, max_bytes: int) -> int:
+        """Keep a message; returns how many went that were not too old: for want of room."""
+        stamps_ns = self._stamps_ns
+        self._channels.append(channel)
+        stamps_ns.append(stamp_ns)
+        self._payloads.append(payload)
+        self.size_bytes += len(payload) + ENTRY_BYTES
+        oldest_ns = stamp_ns - keep_ns
+        if stamps_ns[0] >= oldest_ns and self.size_bytes <= max_bytes:
+            return 0
+        return self._make_room(oldest_ns, max_bytes)
+
+    def _make_room(self, oldest_ns: int, max_bytes: int) -> int:
         dropped = 0
-        while entries[0].stamp_ns < oldest_ns or self.size_bytes > max_bytes:
-            gone = entries.popleft()
-            self.size_bytes -= len(gone.payload) + ENTRY_BYTES
-            dropped += gone.stamp_ns >= oldest_ns
-            if not entries:
+        for _ in range(MOST_AT_ONCE):
+            if not self._stamps_ns or (self._stamps_ns[0] >= oldest_ns and self.size_bytes <= max_bytes):
                 break
+            self._channels.popleft()
+            self.size_bytes -= len(self._payloads.popleft()) + ENTRY_BYTES
+            dropped += self._stamps_ns.popleft() >= oldest_ns
         return dropped
+
+    def is_used_since(self, oldest_ns: int) -> bool:
+        """Whether its newest message is of then or later."""
+        return bool(self._stamps_ns) and self._stamps_ns[-1] >= oldest_ns
+
+    def copy(self) -> Iterator[Entry]:
+        """What is kept now, copied as fast as can be; the entries are made as they are read, in any thread."""
+        return map(Entry, self._channels.copy(), self._stamps_ns.copy(), self._payloads.copy())
 
 
 class Rings:
@@ -49,22 +68,27 @@ class Rings:
         self._keep_ns, self._max_bytes = int(keep_s * 1e9), max_bytes
         self._rings: dict[str, Ring] = {}
 
-    def add(self, robot: str, entry: Entry) -> None:
+    def add(self, robot: str, channel: Channel, stamp_ns: int, payload: bytes) -> None:
         """Keep a message."""
         ring = self._rings.get(robot)
         if ring is None:
+            self._drop_unused(stamp_ns - self._keep_ns)
             ring = self._rings[robot] = Ring()
         room = self._max_bytes // len(self._rings)
-        self.dropped += ring.add(entry, keep_ns=self._keep_ns, max_bytes=room)
+        self.dropped += ring.add(channel, stamp_ns, payload, keep_ns=self._keep_ns, max_bytes=room)
+
+    def _drop_unused(self, oldest_ns: int) -> None:
+        """Those of which all is too old: they would leave less room for the others."""
+        self._rings = {robot: ring for robot, ring in self._rings.items() if ring.is_used_since(oldest_ns)}
 
     def forget(self, robot: str) -> None:
         """The robot is forgotten."""
         self._rings.pop(robot, None)
 
-    def of(self, robot: str) -> list[Entry]:
-        """What is kept of a robot, then of nobody."""
+    def copies(self, robot: str) -> list[Iterator[Entry]]:
+        """What is kept of a robot, and of nobody; to be read once, also by another thread."""
         names = (robot, "") if robot else ("",)
-        return [entry for name in names if name in self._rings for entry in list(self._rings[name].entries)]
+        return [self._rings[name].copy() for name in names if name in self._rings]
 
     @property
     def size_bytes(self) -> int:

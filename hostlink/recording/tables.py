@@ -1,5 +1,6 @@
 """Tables: a recording as numpy arrays, a table a topic, a column a field."""
 
+import itertools
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 from hostlink.errors import BadPayload, ConfigError
 from hostlink.messages.full_definition import read_full_definition
 from hostlink.messages.message_type import MessageType
-from hostlink.recording.channel import ROS1, Channel
+from hostlink.recording.channel import NS_PER_S, ROS1, Channel
 from hostlink.recording.reader import Reader, StoredMessage
 
 Column = NDArray[Any]
-NS_PER_S = 1e9
+MAX_DEPTH = 64  # of messages in messages, and lists in lists
+MAX_STAMP_NS = 2**63 - 1  # of numpy's int64; the format has twice that
 
 
 class Table(Mapping[str, Column]):
@@ -28,7 +30,7 @@ class Table(Mapping[str, Column]):
     def __init__(self, topic: str, type_name: str, columns: dict[str, Column], stamp_ns: Column, begin_ns: int) -> None:
         self.topic, self.type_name = topic, type_name
         self.stamp_ns: NDArray[np.int64] = stamp_ns
-        self.time_s: NDArray[np.float64] = (stamp_ns - begin_ns) / NS_PER_S
+        self.time_s: NDArray[np.float64] = (stamp_ns - min(begin_ns, MAX_STAMP_NS)) / NS_PER_S
         self._columns = columns
 
     def __getitem__(self, field: str) -> Column:
@@ -103,6 +105,17 @@ def flat(message: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield path, value
 
 
+def _is_deep(value: Any) -> bool:
+    """Whether JSON is nested so that reading it would exhaust Python's stack; decoding it does so in some releases."""
+    level = [value]
+    for _ in range(MAX_DEPTH):
+        inner = itertools.chain.from_iterable(each.values() if isinstance(each, dict) else each for each in level)
+        level = [each for each in inner if isinstance(each, dict | list)]
+        if not level:
+            return False
+    return True
+
+
 class Decoders:
     """How the messages of each channel are decoded; what has no definition is not."""
 
@@ -115,7 +128,7 @@ class Decoders:
         try:
             if channel.encoding != ROS1:
                 found = json.loads(message.payload)
-                return found if isinstance(found, dict) else None
+                return found if isinstance(found, dict) and not _is_deep(found) else None
             if channel not in self._types:
                 schema = channel.schema
                 self._types[channel] = read_full_definition(channel.type_name, schema) if schema else None
@@ -123,7 +136,7 @@ class Decoders:
             return None if type_ is None else type_.decode(message.payload)
         except ConfigError:
             self._types[channel] = None
-        except (BadPayload, ValueError):
+        except (BadPayload, ValueError, RecursionError):  # JSON in JSON, without end
             return None
         return None
 
@@ -146,7 +159,7 @@ class _Rows:
         for path in row:
             if path not in self._values:  # JSON has other fields each time
                 self._values[path] = [None] * len(self.stamps_ns)
-        self.stamps_ns.append(message.stamp_ns)
+        self.stamps_ns.append(min(message.stamp_ns, MAX_STAMP_NS))
         for path, values in self._values.items():
             values.append(row.get(path))
 

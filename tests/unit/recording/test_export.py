@@ -3,12 +3,15 @@
 import csv
 import io
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 from mcap_ros1.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.typesys import Stores, get_typestore
@@ -106,6 +109,24 @@ def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
     assert {each.topic for each, _, _ in messages} >= {"/wheel", EVENTS.topic}
 
 
+def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
+    """By its own CDR reader, from the definitions in the file alone."""
+    export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP)
+    (path,) = (tmp_path / "bag").glob("*.mcap")
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[Ros2DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        found = {
+            channel.topic: (schema.name, message) for schema, channel, _, message in reader.iter_decoded_messages()
+        }
+    assert {name for name, _ in found.values()} >= {"geometry_msgs/msg/Pose2D", "my_msgs/msg/Wheel"}
+    assert (found["/robot_0/odometry"][1].x, found["/robot_0/odometry"][1].theta) == (0.5, 2.0)
+    odometry = found["/robot_0/odom"][1]
+    assert (odometry.header.frame_id, odometry.header.stamp.sec, odometry.pose.pose.position.x) == ("odom", 10, 1.5)
+    wheel = found["/wheel"][1]
+    assert (wheel.name, list(wheel.speeds), wheel.pose.x) == ("left", [1.0, 2.0], 3.0)
+
+
 def test_the_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> None:
     with recording.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -143,3 +164,91 @@ def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recordi
     with pytest.raises(RecordingFailed, match=r"there are: .*/robot_0/odometry"):
         find_field(tables, "/robot_1/odometry.x")
     assert find_field(tables, "/robot_0/odom.header.stamp")[2] == "header.stamp"
+
+
+MANY = """int8[] few
+string[2] names
+time at
+duration[] spans
+uint8[] octets
+uint8[70] more
+geometry_msgs/Pose2D[] poses
+bool flag
+"""
+FIRST = {"few": [], "names": ["a", 'b,\n"c"'], "at": {"secs": 3, "nsecs": 500_000_000}, "octets": b""}
+SECOND = {
+    "few": [1, 2, 3],
+    "names": ["", "é"],
+    "spans": [{"secs": -1, "nsecs": 5}],
+    "octets": b"\x00\xff",
+    "poses": [{"x": 1.0}, {"x": 2.0}],
+    "flag": True,
+}
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+
+
+def write(path: Path, messages: list[tuple[str, Any, bytes]]) -> Path:
+    writer = McapWriter(path, metadata={})
+    for number, (topic, type_, payload) in enumerate(messages):
+        writer.write(ros_channel(topic, type_.name, type_, is_latched=False), BEGIN_NS + number * STEP_NS, payload)
+    writer.close()
+    return path
+
+
+@pytest.fixture
+def many(tmp_path: Path) -> Any:
+    folder = tmp_path / "types" / "my_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Many.msg").write_text(MANY)
+    return Catalog([tmp_path / "types"]).message("my_msgs/Many")
+
+
+def test_csv_has_a_column_for_whatever_any_message_has(tmp_path: Path, many: Any) -> None:
+    path = write(tmp_path / "a.mcap", [("/many", many, many.encode(each)) for each in (FIRST, SECOND)])
+    export_csv(Reader(path), tmp_path / "csv")
+    first, second = rows(tmp_path / "csv" / "many.csv")
+    assert (first["few[0]"], second["few[2]"]) == ("", "3")
+    assert (first["names[1]"], second["names[1]"]) == ('b,\n"c"', "é")
+    assert (first["at"], second["flag"]) == ("3.5", "True")
+    assert json.loads(second["octets"]) == [0, 255]
+    assert len(json.loads(second["more"])) == 70
+    assert [each["x"] for each in json.loads(second["poses"])] == [1.0, 2.0]
+    assert json.loads(second["spans"]) == [{"secs": -1, "nsecs": 5}]
+
+
+def test_events_have_a_column_for_every_fact(tmp_path: Path) -> None:
+    writer = McapWriter(tmp_path / "a.mcap", metadata={})
+    for facts in ({"kind": "gone", "facts": {}}, {"kind": "locked", "facts": {"reason": "a cat"}}):
+        writer.write(EVENTS, BEGIN_NS, json.dumps(facts).encode())
+    writer.close()
+    export_csv(Reader(tmp_path / "a.mcap"), tmp_path / "csv")
+    assert [row["facts.reason"] for row in rows(tmp_path / "csv" / "hostlink.events.csv")] == ["", "a cat"]
+
+
+def test_every_topic_and_type_has_a_file_whatever_their_names_are(tmp_path: Path, catalog: Catalog) -> None:
+    text, number = (catalog.message(f"std_msgs/{name}") for name in ("String", "UInt8"))
+    assert text is not None
+    assert number is not None
+    one, other = text.encode({"data": "a"}), number.encode({"data": 7})
+    long = "/" + "x" * 5000
+    names = ("/a/b", "/a.b", "/A/b", "/a//b", "..", "/", long)
+    path = write(tmp_path / "a.mcap", [*((name, text, one) for name in names), ("/a/b", number, other)])
+    lines = export_csv(Reader(path), tmp_path / "csv")
+    assert list(lines.values()) == [1] * (len(names) + 1)
+    assert sorted(lines) == sorted(file.name for file in (tmp_path / "csv").iterdir())
+    assert len({name.lower() for name in lines}) == len(lines)
+    assert rows(tmp_path / "csv" / "a.b.csv")[0]["data"] == "a"
+
+
+@pytest.mark.parametrize("format_", ["rosbag2", "ros1"])
+def test_a_disk_that_is_full_is_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
+    """A file cannot be larger than a kilobyte here: what the system says then comes in another way, and as late."""
+    target = str(tmp_path / "bag")
+    words = [sys.executable, "-m", "hostlink", "export", str(recording), "--to", format_, "-o", target]
+    limited = ["sh", "-c", 'ulimit -f 1; exec "$@"', "sh", *words]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith(f"hostlink: {target}: ")

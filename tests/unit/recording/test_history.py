@@ -6,8 +6,8 @@ import struct
 import pytest
 
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import Channel, ros_channel
-from hostlink.recording.history import past_messages, past_poses
+from hostlink.recording.channel import DEVICE, Channel, ros_channel
+from hostlink.recording.history import MAX_SAMPLES, odometry_of, past_messages, past_poses, thinned
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import OdometryEstimator
@@ -55,8 +55,8 @@ def test_damage_is_left_out() -> None:
     kept = [*entries((0.0, 0.0, 0.0)), Entry(channel(), 2 * STEP_NS, b"short")]
     assert shown(kept) == [Pose()]
     assert POSE is not None
-    assert [stamp_ns for stamp_ns, _ in past_messages(kept, TOPIC, POSE.decode, 0)] == [STEP_NS]
-    assert past_messages(kept, TOPIC, POSE.decode, 2 * STEP_NS) == []
+    assert [stamp_ns for stamp_ns, _ in past_messages(kept, TOPIC, POSE.name, POSE.decode)] == [STEP_NS]
+    assert past_messages(kept, TOPIC, "std_msgs/String", POSE.decode) == []
 
 
 def test_an_estimator_begins_anew_with_its_settings() -> None:
@@ -66,3 +66,18 @@ def test_an_estimator_begins_anew_with_its_settings() -> None:
     again = past_poses(entries(*moving, (0.0, 0.0, 0.0)), TOPIC, POSE_TYPE, used.anew(), None)
     assert again[0].pose == Pose()
     assert again[-1].pose == Pose()  # it begins again with the device
+
+
+def test_the_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
+    found = [
+        entries((0.0, 0.0, 0.0), of=ros_channel(topic, POSE_TYPE, POSE, is_latched=False, origin=origin))
+        for topic, origin in (("/robot_0/aim", DEVICE), (TOPIC, DEVICE), ("/a/odometry", "a program"))
+    ]
+    assert odometry_of(entry for kept in found for entry in kept) == (TOPIC, POSE_TYPE)
+    assert odometry_of(found[2]) is None
+
+
+def test_more_samples_than_are_shown_lose_every_second_one_and_never_the_last() -> None:
+    assert thinned([1, 2, 3]) == [1, 2, 3]
+    many = thinned(list(range(MAX_SAMPLES + 3)))
+    assert (len(many), many[-1]) == (MAX_SAMPLES // 2 + 2, MAX_SAMPLES + 2)

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.recording.incident import AGAIN_S, IncidentRules
+from hostlink.recording.incident import AGAIN_S, MAX_NAMES, IncidentRules
 from hostlink.robot.velocity import ZERO, Velocity
 
 FAST = Velocity(0.2)
@@ -75,3 +75,11 @@ def test_a_robot_that_is_forgotten_leaves_nothing() -> None:
     rules.observe(event(EventKind.LOCKED, reason="a hand"))
     rules.forget("robot_0")
     assert rules.observe(event(EventKind.LOCKED, 1.0, reason="a hand")) is not None
+
+
+def test_what_is_known_of_names_that_come_and_go_is_bounded() -> None:
+    rules = IncidentRules()
+    for number in range(MAX_NAMES + 10):
+        rules.observe(event(EventKind.COMMANDED, robot=f"/topic_{number}", limited=FAST))
+        rules.observe(event(EventKind.LOCKED, robot=f"/topic_{number}", reason="a cat"))
+    assert len(rules) == MAX_NAMES

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
@@ -191,3 +192,21 @@ def test_a_channel_without_a_message_is_in_the_file_and_in_a_repaired_one(tmp_pa
         assert len(list(reader.messages())) == 1
         assert set(reader.channels) == set(CHANNELS[:2])
         repair(path)
+
+
+@pytest.mark.parametrize(("profile", "encoding"), [("ros2", "cdr"), ("", "protobuf"), ("ros1", "cbor")])
+def test_a_damaged_file_of_another_program_stays_as_it_is(tmp_path: Path, profile: str, encoding: str) -> None:
+    """Its schemas may be in any language: written anew they would be lost."""
+    path = tmp_path / "theirs.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile, library="theirs")
+        schema_id = writer.register_schema("a/A", "protobuf", b"\xff\x00")
+        writer.add_message(writer.register_channel("/a", encoding, schema_id), 1, b"payload", 1)
+        writer.finish()
+    before = path.read_bytes()[:-20]
+    path.write_bytes(before)
+    with pytest.raises(RecordingFailed, match="another program"):
+        repair(path)
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["theirs.mcap"]

@@ -1,0 +1,99 @@
+"""Drives: who drove which robot, from when to when. A pause of a few seconds is no end."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import msgspec
+
+from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.robot.velocity import Velocity
+
+PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is let go, and pressed again
+MAX_OPEN = 1024  # drives that are not over
+
+
+class Drive(msgspec.Struct, kw_only=True):
+    """One drive; wall times. `end` is why it is over, empty while it is not."""
+
+    robot: str
+    owner: str
+    address: str = ""  # from which he drove last
+    priority: int
+    began_ns: int
+    ended_ns: int  # so far
+    commands: int = 0
+    fastest_m_s: float = 0.0
+    fastest_rad_s: float = 0.0
+    end: str = ""
+
+
+class _Key(NamedTuple):
+    robot: str
+    owner: str
+
+
+class Drives:
+    """Those that are under way, and those that may go on."""
+
+    def __init__(self) -> None:
+        self._open: dict[_Key, Drive] = {}  # oldest first
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def observe(self, event: RobotEvent) -> None:
+        """Something has happened to a robot."""
+        if event.kind is EventKind.COMMANDED:
+            self._command(event)
+        elif event.kind is EventKind.STOPPED:
+            drive = self._open.get(_Key(event.robot, str(event.facts["owner"])))
+            self._end([] if drive is None else [drive], event, str(event.facts["reason"]))
+        elif event.kind is EventKind.LOCKED:
+            self._end(self._of(event.robot), event, f"locked: {event.facts['reason']}")
+        elif event.kind is EventKind.GONE:
+            self._end(self._of(event.robot), event, "its device was gone")
+
+    def under_way(self) -> list[Drive]:
+        """Oldest first; those that paused are not over yet."""
+        return list(self._open.values())
+
+    def pop_finished(self, now_ns: int) -> list[Drive]:
+        """Those that were over for long enough, and the oldest over MAX_OPEN."""
+        surplus = len(self._open) - MAX_OPEN
+        finished = [
+            key
+            for number, (key, drive) in enumerate(self._open.items())
+            if number < surplus or (drive.end and not 0 <= now_ns - drive.ended_ns < PAUSE_NS)
+        ]
+        return [self._open.pop(key) for key in finished]
+
+    def _of(self, robot: str) -> Iterator[Drive]:
+        return (drive for key, drive in self._open.items() if key.robot == robot)
+
+    def _command(self, event: RobotEvent) -> None:
+        velocity, owner = event.facts["limited"], str(event.facts["owner"])
+        assert isinstance(velocity, Velocity)  # noqa: S101 - see EventKind
+        if velocity.is_zero:
+            return  # nobody drives by that
+        key = _Key(event.robot, owner)
+        drive = self._open.get(key)
+        is_continued = drive is not None and not drive.end
+        if drive is None:
+            priority = int(str(event.facts["priority"]))
+            drive = Drive(
+                robot=event.robot, owner=owner, priority=priority, began_ns=event.stamp_ns, ended_ns=event.stamp_ns
+            )
+            self._open[key] = drive
+        drive.end, drive.ended_ns = "", event.stamp_ns
+        drive.address = str(event.facts["address"])
+        drive.commands += 1
+        drive.fastest_m_s = max(drive.fastest_m_s, velocity.linear_m_s)
+        drive.fastest_rad_s = max(drive.fastest_rad_s, velocity.angular_rad_s)
+        if not is_continued:  # else the others have ended before
+            others = (other for other in self._of(event.robot) if other is not drive)
+            self._end(others, event, f"taken over by {owner}")
+
+    def _end(self, drives: Iterator[Drive] | list[Drive], event: RobotEvent, reason: str) -> None:
+        for drive in drives:
+            if not drive.end:
+                drive.end, drive.ended_ns = reason, event.stamp_ns

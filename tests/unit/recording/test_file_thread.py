@@ -1,0 +1,112 @@
+"""Writing off the loop: what waits is bounded, what is over that is counted, and nothing else is lost."""
+
+import asyncio
+import threading
+from pathlib import Path
+
+import pytest
+
+from hostlink.recording import file_thread
+from hostlink.recording.channel import EVENTS, Channel
+from hostlink.recording.file_thread import MAX_WAITING_BYTES, MESSAGE_BYTES, FileThread, Splitting
+from hostlink.recording.mcap_writer import MAX_CHANNELS
+from hostlink.recording.reader import Reader
+from tests.support.waiting import expect
+
+WHOLE = Splitting(max_file_bytes=10**12, max_file_s=1e9)
+
+
+def count(folder: Path) -> int:
+    return sum(1 for path in folder.iterdir() for _ in Reader(path).messages())
+
+
+async def test_ten_seconds_of_a_flood_at_once_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end waits as long as the disk takes something."""
+    monkeypatch.setattr(file_thread, "CLOSE_TIMEOUT_S", 0.25)
+    thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
+    for number in range(50_000):
+        thread.put(EVENTS, number, b"x" * 24)
+    await thread.aclose()
+    assert (thread.dropped, thread.messages, thread.failure) == (0, 50_000, None)
+    assert count(tmp_path) == 50_000
+
+
+class StandingDisk:
+    """The second file cannot be made before `may_go_on`."""
+
+    def __init__(self) -> None:
+        self.is_standing, self.may_go_on = threading.Event(), threading.Event()
+        self._files = 0
+
+    def make_file(self) -> None:
+        self._files += 1
+        if self._files == 2:
+            self.is_standing.set()
+            self.may_go_on.wait(30.0)
+
+    async def recorder(self, folder: Path) -> FileThread:
+        """It waits for the disk."""
+        thread = FileThread(
+            lambda number: folder / f"{number}.mcap",
+            Splitting(max_file_bytes=1, max_file_s=1e9),
+            loop=asyncio.get_running_loop(),
+            metadata={},
+            on_file=self.make_file,
+        )
+        thread.put(EVENTS, 0, b"first")
+        await expect(self.is_standing.is_set)
+        return thread
+
+
+def test_a_disk_that_stands_still_at_the_end_is_left_to_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may go on when there is no loop any more."""
+    monkeypatch.setattr(file_thread, "CLOSE_TIMEOUT_S", 0.1)
+    disk = StandingDisk()
+
+    async def record() -> FileThread:
+        thread = await disk.recorder(tmp_path)
+        thread.put(EVENTS, 1, b"second")
+        await thread.aclose()
+        return thread
+
+    thread = asyncio.run(record())
+    assert thread.failure == "the disk has taken nothing of the rest for 0.1 s"
+    disk.may_go_on.set()
+    for each in threading.enumerate():
+        if each.name == "recording":
+            each.join()  # an error in it fails the test
+    assert count(tmp_path) == 2
+
+
+async def test_a_disk_that_stands_still_costs_what_is_over_the_bound_and_no_time(tmp_path: Path) -> None:
+    disk = StandingDisk()
+    thread = await disk.recorder(tmp_path)
+    payload, begin_s = bytes(64 * 1024 - MESSAGE_BYTES), asyncio.get_running_loop().time()
+    for number in range(300):
+        thread.put(EVENTS, number, payload)
+    assert asyncio.get_running_loop().time() - begin_s < 1.0
+    assert thread.dropped == 300 - MAX_WAITING_BYTES // (64 * 1024)
+    disk.may_go_on.set()
+    await thread.aclose()
+    assert thread.failure is None
+    assert thread.messages + thread.dropped == 301
+    assert count(tmp_path) == thread.messages
+
+
+async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_path: Path) -> None:
+    """A program may advertise one topic after another; a channel's number in the format has 16 bits."""
+    thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
+    thread.put(EVENTS, 1, b"{}")
+    for number in range(MAX_CHANNELS + 100):
+        channel = Channel(f"/{number}", "json", "", "")
+        thread.announce(channel)
+        thread.put(channel, number, b"")
+    thread.put(EVENTS, 2, b"{}")
+    await expect(lambda: thread.messages + thread.dropped == MAX_CHANNELS + 102)
+    await thread.aclose()
+    assert thread.failure is None
+    assert thread.messages == MAX_CHANNELS + 1
+    assert [message.stamp_ns for message in Reader(tmp_path / "0.mcap").messages() if message.channel == EVENTS] == [
+        1,
+        2,
+    ]

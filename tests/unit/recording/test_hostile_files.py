@@ -1,0 +1,149 @@
+"""Files that somebody made to harm whoever opens them: lengths that lie, and bytes that grow."""
+
+import struct
+import tracemalloc
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+
+from hostlink.recording.contents import contents_of
+from hostlink.recording.export_csv import export_csv
+from hostlink.recording.export_ros import RosFormat, export_ros
+from hostlink.recording.reader import MAX_CHUNK_BYTES, Reader
+from hostlink.recording.tables import read
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 3, 4, 5, 6
+LITTLE = 16 * 1024 * 1024
+SEPARATOR = "=" * 80
+TEXT = "std_msgs/String"
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def record(opcode: int, *parts: bytes) -> bytes:
+    body = b"".join(parts)
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def schema(number: int, name: str, definition: str) -> bytes:
+    return record(SCHEMA, struct.pack("<H", number), text(name), text("ros1msg"), text(definition))
+
+
+def channel(number: int, topic: str, encoding: str = "ros1") -> bytes:
+    return record(CHANNEL, struct.pack("<HH", number, number), text(topic), text(encoding), struct.pack("<I", 0))
+
+
+def message(number: int, payload: bytes, stamp_ns: int = 10**18) -> bytes:
+    return record(MESSAGE, struct.pack("<HIQQ", number, 0, stamp_ns, stamp_ns), payload)
+
+
+def chunk(data: bytes, compression: str, claimed_bytes: int, crc: int = 0) -> bytes:
+    sizes = struct.pack("<QQQI", 0, 0, claimed_bytes, crc)
+    return record(CHUNK, sizes, text(compression), struct.pack("<Q", len(data)), data)
+
+
+def file(folder: Path, *records: bytes) -> Path:
+    path = folder / "hostile.mcap"
+    end = record(15, struct.pack("<I", 0)) + record(2, struct.pack("<QQI", 0, 0, 0))
+    path.write_bytes(MAGIC + record(HEADER, text("ros1"), text("hostlink")) + b"".join(records) + end + MAGIC)
+    return path
+
+
+def one(folder: Path, definition: str, payload: bytes, *, encoding: str = "ros1", stamp_ns: int = 10**18) -> Path:
+    """A file with one message."""
+    parts = (schema(1, "a/A", definition), channel(1, "/x", encoding), message(1, payload, stamp_ns))
+    return file(folder, *parts)
+
+
+def peak_bytes(work: Callable[[], object]) -> int:
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def growing(compression: str) -> bytes:
+    zeros = bytes(20 * LITTLE)
+    return zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("claimed_bytes", [1000, MAX_CHUNK_BYTES + 1])
+def test_a_chunk_that_grows_beyond_what_it_claims_is_left_out(
+    tmp_path: Path, compression: str, claimed_bytes: int
+) -> None:
+    good = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
+    path = file(tmp_path, chunk(growing(compression), compression, claimed_bytes), good)
+    reader = Reader(path)
+    assert peak_bytes(lambda: list(reader.messages())) < LITTLE
+    assert len(reader.damage) == 1
+    assert [each.payload for each in Reader(path).messages()] == [text("a")]
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+def test_every_compression_of_the_format_is_read(tmp_path: Path, compression: str) -> None:
+    data = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a")) + message(1, text("b"))
+    packed = {"": data, "zstd": zstandard.compress(data), "lz4": lz4.frame.compress(data)}[compression]
+    reader = Reader(file(tmp_path, chunk(packed, compression, len(data), zlib.crc32(data))))
+    assert [each.payload for each in reader.messages()] == [text("a"), text("b")]
+    assert reader.damage == []
+
+
+@pytest.mark.parametrize(("compression", "crc"), [("zstd", 1), ("gzip", 0)])
+def test_a_chunk_that_is_not_what_it_claims_is_damage(tmp_path: Path, compression: str, crc: int) -> None:
+    data = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
+    reader = Reader(file(tmp_path, chunk(zstandard.compress(data), compression, len(data), crc)))
+    assert list(reader.messages()) == []
+    assert len(reader.damage) == 1
+
+
+def test_a_chunk_of_nothing_but_messages_is_read_one_by_one(tmp_path: Path) -> None:
+    data = schema(1, TEXT, "string data") + channel(1, "/x") + 40_000 * message(1, b"")
+    path = file(tmp_path, chunk(zstandard.compress(data), "zstd", len(data)))
+    assert peak_bytes(lambda: sum(1 for _ in Reader(path).messages())) < LITTLE // 4
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [b"[" * 100_000 + b"]" * 100_000, b'{"a":' * 5000 + b"1" + b"}" * 5000, b'{"a":' + b"[" * 900 + b"]" * 900 + b"}"],
+)
+def test_json_in_json_without_end_is_a_message_that_nobody_can_decode(tmp_path: Path, payload: bytes) -> None:
+    path = one(tmp_path, "{}", payload, encoding="json")
+    assert read(path).undecoded == {"/x": 1}
+    assert export_csv(Reader(path), tmp_path / "csv") == {}
+
+
+@pytest.mark.parametrize(
+    ("definition", "payload"),
+    [
+        (f"B[] b\n{SEPARATOR}\nMSG: a/B\n", struct.pack("<I", 2**32 - 1)),
+        ("uint8[4000000000] x", b"1"),
+        ("A a", b""),
+        (
+            "".join(f"A{n} x\nA{n} y\n{SEPARATOR}\nMSG: a/A{n}\n" for n in range(1, 40)) + "uint8 z\n",
+            b"1",
+        ),
+    ],
+)
+@pytest.mark.parametrize("format_", [RosFormat.ROS2_MCAP, RosFormat.ROS2_SQLITE])
+def test_a_type_that_grows_without_end_is_left_out(
+    tmp_path: Path, definition: str, payload: bytes, format_: RosFormat
+) -> None:
+    done = export_ros(Reader(one(tmp_path, definition, payload)), tmp_path / "bag", format_)
+    assert done.messages == 0
+    assert done.left_out.keys() == {"/x"}
+
+
+def test_a_time_beyond_all_clocks_is_read_and_shown(tmp_path: Path) -> None:
+    path = one(tmp_path, "string data", text("a"), stamp_ns=2**64 - 1)
+    assert contents_of(path).messages == 1
+    assert read(path)["/x"].stamp_ns.tolist() == [2**63 - 1]

@@ -1,0 +1,89 @@
+"""What a recorder subscribes to as the graph changes, and what that costs."""
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Any
+
+from hostlink.config import Config
+from hostlink.hub.graph_changes import LATEST_S
+from hostlink.hub.hub import Hub
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.recording.channel import Channel
+from hostlink.recording.recorder import Recorder, Selection
+from hostlink.robot.directory import RobotTopicNames
+from tests.support.fake_device import CATALOG
+from tests.support.virtual_loop import run_virtual
+
+TYPE = "std_msgs/Bool"
+
+
+class Kept:
+    """A sink that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.channels: list[str] = []
+        self.payloads: list[bytes] = []
+
+    def announce(self, channel: Channel) -> None:
+        self.channels.append(channel.topic)
+
+    def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:  # noqa: ARG002 - of a sink
+        self.payloads.append(payload)
+
+
+@dataclass(frozen=True)
+class Counted(Selection):
+    """Counts the topics that it is asked about."""
+
+    asked: list[str] = field(default_factory=list)
+
+    def has(self, topic: str, robot: str) -> bool:
+        self.asked.append(topic)
+        return super().has(topic, robot)
+
+
+def test_a_robot_that_comes_or_leaves_costs_a_recorder_what_it_has() -> None:
+    async def run() -> tuple[list[str], list[str], list[str]]:
+        hub, kept, selection = Hub(Config(), CATALOG, reraises=True), Kept(), Counted()
+        for number in range(300):
+            robot = hub.join(f"robot_{number}")
+            for topic in range(10):
+                robot.advertise(f"/robot_{number}/{topic}", TYPE)
+        recorder = Recorder(hub, kept, selection)
+        recorder.start()
+        await asyncio.sleep(2 * LATEST_S)
+        assert len(recorder.topics) >= 3000
+        selection.asked.clear()
+        new = hub.join("new")
+        new.advertise("/new/topic", TYPE)
+        await asyncio.sleep(2 * LATEST_S)
+        came = [name for name in recorder.topics if name.startswith("/new")]
+        new.publish("/new/topic", b"\1")
+        assert kept.payloads[-1:] == [b"\1"]
+        new.leave()
+        await asyncio.sleep(2 * LATEST_S)
+        recorder.stop()
+        return selection.asked, came, [name for name in recorder.topics if name.startswith("/new")]
+
+    asked, came, left = run_virtual(run())
+    assert (came, left) == (["/new/topic"], [])
+    assert set(asked) == {"/new/topic"}
+    assert len(asked) <= 4
+
+
+def test_the_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:
+    async def run() -> tuple[list[str], list[str]]:
+        hub = Hub(Config(), CATALOG, reraises=True)
+        hub.join("program").advertise("/robot_7/plan", TYPE)
+        recorder = Recorder(hub, Kept(), Selection(robots=("robot_7",)))
+        recorder.start()
+        await asyncio.sleep(2 * LATEST_S)
+        before = recorder.topics
+        shown = RobotTopicNames("robot_7", "/robot_7/velocity", "/robot_7/odometry", TYPE, None)
+        nowhere: Any = None  # nobody drives it
+        hub.robots.put_remote(RemoteRobot(name="robot_7", host="b", place="b", shown=shown, elsewhere=nowhere))
+        await asyncio.sleep(2 * LATEST_S)
+        return before, recorder.topics
+
+    before, after = run_virtual(run())
+    assert (before, after) == ([], ["/robot_7/plan"])

@@ -1,0 +1,32 @@
+"""The file of an incident: what is in it, and how it leaves the interpreter to the loop."""
+
+from pathlib import Path
+
+from hostlink.recording.black_box import BURST, write_incident
+from hostlink.recording.channel import EVENTS, LOG
+from hostlink.recording.folder import Folder
+from hostlink.recording.incident import Incident
+from hostlink.recording.reader import Reader
+from hostlink.recording.ring import Entry
+
+SECOND_NS = 1_000_000_000
+COUNT = 10 * BURST
+
+
+def test_an_incident_is_written_by_time_with_a_rest_after_each_burst(tmp_path: Path) -> None:
+    robot = [Entry(EVENTS, (100 + number) * SECOND_NS, b"{}") for number in range(COUNT // 2)]
+    nobody = [Entry(LOG, (100 + number) * SECOND_NS + 1, b"{}") for number in range(COUNT // 2)]
+    old = Entry(LOG, 1 * SECOND_NS, b"{}")
+    incident = Incident("robot_0", "gone", "its link ended", (100 + COUNT) * SECOND_NS)
+    rests: list[None] = []
+    path = write_incident(
+        Folder(tmp_path, max_disk_mb=100, min_free_disk_mb=0),
+        incident,
+        [EVENTS, LOG],
+        [robot, [old, *nobody]],
+        before_s=COUNT,
+        rest=lambda: rests.append(None),
+    )
+    stamps = [message.stamp_ns for message in Reader(path).messages()]
+    assert stamps == sorted(entry.stamp_ns for entry in robot + nobody)
+    assert len(rests) == COUNT // BURST
