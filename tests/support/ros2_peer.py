@@ -12,7 +12,7 @@ from typing import Any
 
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -173,7 +173,7 @@ class Peer:
 
 def main() -> None:
     peer = Peer(sys.argv[1], sys.argv[2:])
-    executor = MultiThreadedExecutor(num_threads=2)
+    executor = SingleThreadedExecutor()  # the other misses messages for up to a second: docs/ros2.md
     executor.add_node(peer.node)
     threading.Thread(target=executor.spin, daemon=True).start()
     write(event="ready")

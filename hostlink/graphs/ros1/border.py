@@ -15,6 +15,8 @@ from hostlink.hub.graph import Graph, GraphService, GraphTopic
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType, ServiceType
 
+MAX_NAMED = 1000  # publishers of one topic that the master names
+
 _PublishedTopic = tuple[GraphTopic, MessageType]
 
 
@@ -49,8 +51,10 @@ class Border:
         subscription = self.subscriptions.get(topic)
         if subscription is None:
             return
+        self._parts.counts.crowded_out += max(0, len(uris) - MAX_NAMED)
+        uris = uris[:MAX_NAMED]
         if is_answer:
-            self._publishers[topic] = [*self._publishers.get(topic, ()), *uris]
+            self._publishers[topic] = merge_publishers(self._publishers.get(topic, []), uris)
             subscription.add(uris)
         else:
             self._publishers[topic] = uris
@@ -58,6 +62,7 @@ class Border:
 
     def accept(self, wire: Wire, messages: list[bytes]) -> None:
         """The first message of a node that connects is its header."""
+        wire.is_replaceable = False
         try:
             header = decode_header(messages[0])
         except BadHeader as error:
@@ -150,6 +155,11 @@ class Border:
         for name, (service, type_) in wanted.items():
             if name not in self.offers:
                 self.offers[name] = ServiceOffer(self._parts, service, name, type_)
+
+
+def merge_publishers(known: list[str], answered: list[str]) -> list[str]:
+    """Those that a master has answered with, beside those that one before it has named; the newest are kept."""
+    return list(dict.fromkeys((*answered, *known)))[:MAX_NAMED]
 
 
 def _is_same(before: GraphTopic, now: GraphTopic | None) -> bool:

@@ -26,8 +26,9 @@ class MasterParameters:
 
     @property
     def is_sim_time(self) -> bool:
-        """Whether the time is that of /clock."""
-        return self._cache.find(SIM_TIME)[1] is True
+        """Whether the time is that of /clock; `rosparam set /use_sim_time 1` means it, too."""
+        value = self._cache.find(SIM_TIME)[1]
+        return isinstance(value, int) and bool(value)
 
     async def get(self, name: str) -> ParameterValue | None:
         """The parameter that a device names so; None: there is none, or none that a device can receive."""

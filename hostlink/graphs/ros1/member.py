@@ -50,7 +50,7 @@ class Member:
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
         hub.parameter_source = self._parameters
-        hub.counters[GROUP] = lambda: counting.of(self._parts.counts)
+        hub.graph_counts[GROUP] = lambda: counting.of(self._parts.counts)
         try:
             yield
         finally:

@@ -61,7 +61,7 @@ class Ros1Node:
         config, rpc = self._config, Rpc()
         make_port = partial(Port, self.counts, allow=config.allow, max_connections=config.max_connections)
         api, tcpros = make_port(), make_port()
-        listen = "127.0.0.1" if _is_loopback(host) else "0.0.0.0"  # noqa: S104 - nodes of ROS are on other hosts, too
+        listen = _listening_address(host)
         try:
             api_port = await _bound(api, listen, config.port, "ros1.port")
             tcpros_port = await _bound(tcpros, listen, config.tcpros_port, "ros1.tcpros_port")
@@ -100,11 +100,22 @@ class Ros1Node:
             await asyncio.sleep(RETRY_S)
 
 
-async def serve_ros1(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> None:
-    """Take part until cancelled, or shut down from the graph: then `on_end` is called with the reason.
+@contextlib.asynccontextmanager
+async def ros1_running(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> AsyncIterator[None]:
+    """A part of the graph for the length of the block, or until it is shut down from there.
 
-    The daemon goes on without the graph, also where a fault of hostlink ends it.
+    Then `on_end` is called with the reason. The daemon goes on without the graph, also where a fault of hostlink ends
+    it.
     """
+    async with asyncio.TaskGroup() as tasks:
+        node = tasks.create_task(_serve(hub, config, on_end), name="ROS 1")
+        try:
+            yield
+        finally:
+            node.cancel()
+
+
+async def _serve(hub: Hub, config: Ros1Config, on_end: Callable[[str], None]) -> None:
     reason = CRASHED
     with hub.isolation.around("task", task="ROS 1"):
         node = Ros1Node(hub, config)
@@ -166,11 +177,13 @@ async def _own_address(master_uri: str) -> str:
         return str(probe.getsockname()[0])
 
 
-def _is_loopback(host: str) -> bool:
+def _listening_address(host: str) -> str:
+    """Where to listen, so that nodes reach this one as `host`: on loopback alone if it is that."""
+    everywhere = "::" if ":" in host else "0.0.0.0"  # noqa: S104 - nodes of ROS are on other hosts, too
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return host if ipaddress.ip_address(host).is_loopback else everywhere
     except ValueError:
-        return host == "localhost"
+        return "127.0.0.1" if host == "localhost" else everywhere
 
 
 def _spelled(host: str) -> str:

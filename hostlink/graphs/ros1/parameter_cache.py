@@ -4,10 +4,20 @@ from collections import OrderedDict
 from typing import Any
 
 MAX_KEYS = 256  # devices may request any names
+MAX_ITEMS = 1024  # values below one key; rosserial's own parameters are a few numbers
+MAX_CHARS = 65536  # of texts, keys included, below one key
+MAX_PARTS = 64  # of the name of a parameter
+
+
+_TOO_LARGE = object()  # somebody has set what no device can receive; it is not kept
 
 
 class ParameterCache:
-    """Values by the key that was subscribed to; one that is not set is None. Of too many the oldest goes."""
+    """Values by the key that was subscribed to; one that is not set is None. Of too many the oldest goes.
+
+    Whoever reaches the slave API can send updates, so what is below one key has a bound. Over it the key reads as not
+    set, and parameters below it as unknown: each can be subscribed to by itself.
+    """
 
     def __init__(self, max_keys: int = MAX_KEYS) -> None:
         self._values: OrderedDict[str, Any] = OrderedDict()
@@ -20,7 +30,7 @@ class ParameterCache:
 
     def put(self, key: str, value: Any) -> str | None:
         """The master has answered a subscription; returns the key that has to go, if there are too many."""
-        self._values[key] = None if value == {} else value
+        self._values[key] = _kept(value)
         self._values.move_to_end(key)
         return self._values.popitem(last=False)[0] if len(self._values) > self._max_keys else None
 
@@ -33,18 +43,42 @@ class ParameterCache:
         key = key.rstrip("/")
         for subscribed in self._values:
             if key == subscribed:
-                self._values[subscribed] = None if value == {} else value
-            elif key.startswith(f"{subscribed}/"):
-                self._values[subscribed] = _with(self._values[subscribed], key[len(subscribed) + 1 :].split("/"), value)
+                self._values[subscribed] = _kept(value)
+            elif key.startswith(f"{subscribed}/") and self._values[subscribed] is not _TOO_LARGE:
+                path = key[len(subscribed) + 1 :].split("/", MAX_PARTS)
+                is_deep = len(path) > MAX_PARTS
+                before = self._values[subscribed]
+                self._values[subscribed] = _TOO_LARGE if is_deep else _kept(_with(before, path, value))
 
     def find(self, name: str) -> tuple[bool, Any]:
         """(whether it is known, its value; None: it is not set)."""
         if name in self._values:
-            return True, self._values[name]
+            value = self._values[name]
+            return True, None if value is _TOO_LARGE else value
         for subscribed, value in self._values.items():
-            if name.startswith(f"{subscribed}/"):
+            if name.startswith(f"{subscribed}/") and value is not _TOO_LARGE:
                 return True, _below(value, name[len(subscribed) + 1 :].split("/"))
         return False, None
+
+
+def _kept(value: Any) -> Any:
+    return None if value == {} else value if _is_small(value) else _TOO_LARGE
+
+
+def _is_small(value: Any) -> bool:
+    """Whether it is within the bounds; it may be nested as deep as it likes."""
+    items, chars, waiting = 0, 0, [value]
+    while waiting and items + len(waiting) <= MAX_ITEMS and chars <= MAX_CHARS:
+        each = waiting.pop()
+        items += 1
+        if isinstance(each, dict):
+            chars += sum(map(len, each))
+            waiting += each.values()
+        elif isinstance(each, list):
+            waiting += each
+        elif isinstance(each, str | bytes):
+            chars += len(each)
+    return not waiting and chars <= MAX_CHARS
 
 
 def _with(tree: Any, path: list[str], value: Any) -> Any:

@@ -1,16 +1,34 @@
-"""Port: a listening port of this node. It admits so many connections, from where it may, and counts the others."""
+"""Port: a listening port of this node. It admits so many connections, from where it may, and counts the others.
+
+| a connection comes                 | what happens                                                              |
+|------------------------------------|---------------------------------------------------------------------------|
+| from outside of the allowed        | it is closed                                                              |
+| over the bound                     | the oldest that keeps a place without having sent anything is closed; if  |
+|                                    | there is none, this one is                                                |
+"""
 
 import asyncio
 import contextlib
 import ipaddress
 import socket
 from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from hostlink.acceptor import Acceptor, bind, close_all
 from hostlink.graphs.ros1.counts import Counts
 
-MakeProtocol = Callable[[], asyncio.BaseProtocol]
 Spawn = Callable[..., object]
+
+
+class Admitted(Protocol):
+    """The protocol of a connection."""
+
+    @property
+    def is_replaceable(self) -> bool:
+        """Whether another one may have its place."""
+
+
+MakeProtocol = Callable[[], Admitted]
 
 
 class Port:
@@ -22,7 +40,7 @@ class Port:
         self._networks = [ipaddress.ip_network(network) for network in allow]
         self._max_connections = max_connections
         self._opening = 0
-        self._transports: list[asyncio.BaseTransport] = []
+        self._open: dict[asyncio.Transport, Admitted] = {}  # oldest first
         self._listening: list[socket.socket] = []
         self._acceptor: Acceptor | None = None
 
@@ -44,7 +62,7 @@ class Port:
                 connection.close()
                 return
             self._opening += 1
-            spawn(self._open(connection, make_protocol), name=f"ROS 1 connection of {address}")
+            spawn(self._begin(connection, make_protocol), name=f"ROS 1 connection of {address}")
 
         self._acceptor = Acceptor(self._listening, accepted, on_exhausted=self._note_refused)
 
@@ -53,20 +71,30 @@ class Port:
         if self._acceptor is not None:
             self._acceptor.close()
         close_all(self._listening)
-        for transport in self._transports:
+        for transport in self._open:
             transport.close()
 
     def _admits(self, address: str) -> bool:
-        self._transports = [each for each in self._transports if not each.is_closing()]
-        is_allowed = not self._networks or any(ipaddress.ip_address(address) in each for each in self._networks)
-        return is_allowed and len(self._transports) + self._opening < self._max_connections
+        if self._networks and not any(ipaddress.ip_address(address) in each for each in self._networks):
+            return False
+        self._open = {each: protocol for each, protocol in self._open.items() if not each.is_closing()}
+        if len(self._open) + self._opening < self._max_connections:
+            return True
+        oldest = next((each for each, protocol in self._open.items() if protocol.is_replaceable), None)
+        if oldest is None:
+            return False
+        self._note_refused()
+        oldest.abort()
+        del self._open[oldest]
+        return True
 
-    async def _open(self, connection: socket.socket, make_protocol: MakeProtocol) -> None:
+    async def _begin(self, connection: socket.socket, make_protocol: MakeProtocol) -> None:
         is_open = False
+        make: Any = make_protocol
         try:
             with contextlib.suppress(OSError):  # it has reset the connection already
-                transport, _ = await asyncio.get_running_loop().connect_accepted_socket(make_protocol, connection)
-                self._transports.append(transport)
+                transport, protocol = await asyncio.get_running_loop().connect_accepted_socket(make, connection)
+                self._open[transport] = protocol
                 is_open = True
         finally:
             self._opening -= 1

@@ -1,8 +1,9 @@
 """Publication: one topic that somebody here publishes, to the nodes of ROS that subscribe to it."""
 
 from hostlink.errors import HostlinkError
+from hostlink.graphs.ros1.handshake import refusal
 from hostlink.graphs.ros1.parts import Parts
-from hostlink.graphs.ros1.tcpros import ANY, Header, encode_message
+from hostlink.graphs.ros1.tcpros import Header, encode_message
 from hostlink.graphs.ros1.wire import Wire
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
@@ -10,7 +11,6 @@ from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
 
 MAX_SUBSCRIBERS = 64  # of one topic
-REQUIRED = ("callerid", "md5sum")
 
 
 class Publication:
@@ -52,14 +52,9 @@ class Publication:
             wire.close()
 
     def _refusal(self, header: Header) -> str | None:
-        missing = [field for field in REQUIRED if field not in header]
-        if missing:
-            return f"missing field {missing[0]}"
-        if header["md5sum"] not in (ANY, self.type.md5):
-            return f"{self.name} is a {self.type.name} with md5 {self.type.md5}, not {printable(header['md5sum'])}"
         if len(self.subscribers) >= MAX_SUBSCRIBERS:
             return f"more than {MAX_SUBSCRIBERS} subscribers of {self.name}"
-        return None
+        return refusal(header, self.name, self.type)
 
     def _subscribe(self) -> None:
         if self._participant is None:

@@ -1,18 +1,17 @@
 """Rpc: calls of the master and of other nodes, each with its deadline and a bound on its answer."""
 
-import asyncio
 import os
 import socket
 from typing import Any
 
 import aiohttp
 
+from hostlink.graphs.ros1.xml_parser import XmlParser
 from hostlink.graphs.ros1.xml_rpc import BadXml, Refused, decode_answer, encode_call
 
 TIMEOUT_S = 3.0
 MAX_ANSWER_BYTES = 4 * 1024 * 1024  # the state of a graph of ten thousand topics
-THREAD_BYTES = 16 * 1024  # an answer over that is parsed beside the loop: it takes a millisecond
-HEADERS = {"Content-Type": "text/xml"}
+HEADERS = {"Content-Type": "text/xml", "Accept-Encoding": "identity"}
 
 
 class Unreachable(Exception):
@@ -20,11 +19,13 @@ class Unreachable(Exception):
 
 
 class Rpc:
-    """One session for all; `aclose` ends it."""
+    """One session for all; `aclose` ends it. `parser`: for whatever else this node is sent."""
 
     def __init__(self) -> None:
+        self.parser = XmlParser()
         timeout = aiohttp.ClientTimeout(total=TIMEOUT_S)
-        self._session = aiohttp.ClientSession(timeout=timeout, headers=HEADERS)
+        # a kilobyte of an answer is at most a kilobyte
+        self._session = aiohttp.ClientSession(timeout=timeout, headers=HEADERS, auto_decompress=False)
 
     async def aclose(self) -> None:
         """End its connections."""
@@ -36,6 +37,7 @@ class Rpc:
         Raises:
             Unreachable: there is none.
             Refused: the other side could not do it.
+            BadXml: an argument has no form in XML-RPC.
         """
         body = encode_call(method, arguments)
         try:
@@ -43,9 +45,7 @@ class Rpc:
                 answer = await self._post(uri, body)
             except aiohttp.ServerDisconnectedError:  # it had closed the connection of the call before
                 answer = await self._post(uri, body)
-            if len(answer) > THREAD_BYTES:
-                return await asyncio.to_thread(decode_answer, answer)
-            return decode_answer(answer)
+            return await self.parser.parse(decode_answer, answer)
         except (aiohttp.ClientError, OSError, BadXml, ValueError) as error:  # a TimeoutError is an OSError
             raise Unreachable(_why(error)) from error
 
@@ -86,6 +86,9 @@ class Master:
             Unreachable: the master does not answer.
         """
         try:
-            return str(await self.call("lookupNode", node))
+            found = await self.call("lookupNode", node)
         except Refused:
             return None
+        if not isinstance(found, str):
+            raise Unreachable("its address of a node is none")
+        return found

@@ -1,8 +1,9 @@
 """ServiceOffer: one service that somebody here provides, for the nodes of ROS that call it."""
 
 from hostlink.errors import HostlinkError
+from hostlink.graphs.ros1.handshake import refusal
 from hostlink.graphs.ros1.parts import Parts
-from hostlink.graphs.ros1.tcpros import ANY, Header, encode_answer, encode_failure
+from hostlink.graphs.ros1.tcpros import Header, encode_answer, encode_failure
 from hostlink.graphs.ros1.wire import Wire
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
@@ -10,7 +11,6 @@ from hostlink.messages.message_type import ServiceType
 
 MAX_CALLERS = 64  # of one service
 MAX_WAITING = 8  # calls of one connection; nodes of ROS send the next one after the answer
-REQUIRED = ("callerid", "md5sum")
 
 
 class ServiceOffer:
@@ -19,7 +19,7 @@ class ServiceOffer:
     def __init__(self, parts: Parts, service: str, name: str, type_: ServiceType) -> None:
         """`service`: its name in the hub, `name` in ROS."""
         self.service, self.name, self.type = service, name, type_
-        self.callers: set[Wire] = set()
+        self.callers: dict[Wire, _Caller] = {}  # oldest first
         self._parts = parts
 
     def accept(self, wire: Wire, header: Header) -> None:
@@ -42,8 +42,7 @@ class ServiceOffer:
         if header.get("probe") == "1":
             wire.close()
             return
-        self.callers.add(wire)
-        caller = _Caller(self, wire, self._parts, header)
+        caller = self.callers[wire] = _Caller(self, wire, self._parts, header)
         wire.stream.max_bytes = self._parts.max_message_bytes
         wire.receive, wire.on_end = caller.receive, caller.end
 
@@ -53,12 +52,19 @@ class ServiceOffer:
             wire.close()
 
     def _refusal(self, header: Header) -> str | None:
-        missing = [field for field in REQUIRED if field not in header]
-        if missing:
-            return f"missing field {missing[0]}"
-        if header["md5sum"] not in (ANY, self.type.md5):
-            return f"{self.name} is a {self.type.name} with md5 {self.type.md5}, not {printable(header['md5sum'])}"
-        return f"more than {MAX_CALLERS} callers of {self.name}" if len(self.callers) >= MAX_CALLERS else None
+        is_full = header.get("probe") != "1" and len(self.callers) >= MAX_CALLERS
+        reason = refusal(header, self.name, self.type)
+        if reason is None and is_full and not self._make_room():
+            return f"more than {MAX_CALLERS} callers of {self.name}"
+        return reason
+
+    def _make_room(self) -> bool:
+        """Close the oldest that waits for no answer; returns whether there is one."""
+        idle = next((wire for wire, caller in self.callers.items() if not caller.is_working), None)
+        if idle is not None:
+            self._parts.counts.crowded_out += 1
+            idle.close()
+        return idle is not None
 
 
 class _Caller:
@@ -66,22 +72,21 @@ class _Caller:
 
     def __init__(self, offer: ServiceOffer, wire: Wire, parts: Parts, header: Header) -> None:
         self._offer, self._wire, self._parts = offer, wire, parts
-        self._is_persistent = header.get("persistent") == "1"
         self._participant: Participant = parts.join(printable(header["callerid"]), wire.close)
         self._waiting: list[bytes] = []
-        self._is_working = False
+        self.is_working = False
 
     def receive(self, requests: list[bytes]) -> None:
         self._waiting += requests
         if len(self._waiting) > MAX_WAITING:
             self._parts.counts.failed_services += 1
             self._wire.close()
-        elif not self._is_working:
-            self._is_working = True
+        elif not self.is_working:
+            self.is_working = True
             self._parts.spawn(self._work(), name=f"ROS 1 call of {printable(self._offer.name)}")
 
     def end(self) -> None:
-        self._offer.callers.discard(self._wire)
+        self._offer.callers.pop(self._wire, None)
         self._waiting.clear()
         self._participant.leave()
 
@@ -90,7 +95,7 @@ class _Caller:
             while self._waiting and not self._wire.is_closed:
                 self._wire.send(await self._answer(self._waiting.pop(0)))
         finally:
-            self._is_working = False
+            self.is_working = False
 
     async def _answer(self, request: bytes) -> bytes:
         type_ = self._offer.type

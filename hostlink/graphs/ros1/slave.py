@@ -9,19 +9,20 @@ from typing import Any, Protocol
 import structlog
 from aiohttp import web
 
+from hostlink.forwarding_protocol import ForwardingProtocol
 from hostlink.graphs.ros1.parts import Parts
+from hostlink.graphs.ros1.port import MakeProtocol
 from hostlink.graphs.ros1.xml_rpc import ERROR, SUCCESS, BadXml, decode_call, encode_answer, encode_fault
 from hostlink.logs import printable
 
 log = structlog.get_logger()
 
-MAX_BODY_BYTES = 1024 * 1024  # a list of a thousand publishers, or the parameters of one node
+MAX_BODY_BYTES = 256 * 1024  # a list of a thousand publishers, or the parameters of one node
 CALL_S = 0.0005  # what a call costs
 MAX_AGE_S = 60.0  # of a connection: who calls again connects again
 KEEPALIVE_S = 10.0  # between two calls
 END_TIMEOUT_S = 0.3  # for calls that are under way
 READ_TIMEOUT_S = 5.0  # for the body of a call
-MAX_LISTED = 1000  # entries of a list that somebody sends
 
 _Answer = tuple[int, str, object]
 
@@ -55,7 +56,7 @@ class SlaveApi:
 
     def __init__(self, node: Node, parts: Parts) -> None:
         self._node, self._hub, self._counts = node, parts.hub, parts.counts
-        self._turns = parts.hub.turns()
+        self._turns, self._parser = parts.hub.turns(), parts.rpc.parser
         self._methods: dict[str, Callable[..., _Answer]] = {
             "getBusStats": self._bus_stats,
             "getBusInfo": lambda _: (SUCCESS, "bus info", node.bus_info()),
@@ -79,13 +80,12 @@ class SlaveApi:
         await self._turns.wait(CALL_S)
         answer = encode_fault("a fault of hostlink")
         with self._hub.isolation.around("ros1", peer=request.remote):
-            answer = self.answer(body)
+            answer = await self._answer(body)
         return web.Response(body=answer, content_type="text/xml")
 
-    def answer(self, body: bytes) -> bytes:
-        """The answer to a call."""
+    async def _answer(self, body: bytes) -> bytes:
         try:
-            method, arguments = decode_call(body)
+            method, arguments = await self._parser.parse(decode_call, body)
             return encode_answer(*self._methods.get(method, _refuse)(*arguments))
         except (BadXml, TypeError) as error:  # of arguments that do not fit
             self._counts.refused_calls += 1
@@ -107,7 +107,7 @@ class SlaveApi:
     def _update_publishers(self, _: object, topic: str, uris: list[str]) -> _Answer:
         if not isinstance(topic, str) or not isinstance(uris, list) or not all(isinstance(uri, str) for uri in uris):
             raise BadXml("a topic and a list of addresses")
-        self._node.update_publishers(topic, uris[:MAX_LISTED])
+        self._node.update_publishers(topic, uris)
         return SUCCESS, "", 0
 
     def _request_topic(self, _: object, topic: str, protocols: list[list[object]]) -> _Answer:
@@ -120,11 +120,17 @@ class SlaveApi:
 
 
 @contextlib.asynccontextmanager
-async def serving_slave_api(node: Node, parts: Parts) -> AsyncIterator[Callable[[], asyncio.BaseProtocol]]:
+async def serving_slave_api(node: Node, parts: Parts) -> AsyncIterator[MakeProtocol]:
     """What makes the protocol of a connection, for the length of the block."""
     application = web.Application(client_max_size=MAX_BODY_BYTES)
     application.router.add_post("/{path:.*}", SlaveApi(node, parts).receive)
-    runner = web.AppRunner(application, access_log=None, keepalive_timeout=KEEPALIVE_S, shutdown_timeout=END_TIMEOUT_S)
+    runner = web.AppRunner(
+        application,
+        access_log=None,
+        keepalive_timeout=KEEPALIVE_S,
+        shutdown_timeout=END_TIMEOUT_S,
+        auto_decompress=False,  # a kilobyte of a body is at most a kilobyte
+    )
     await runner.setup()
     server = runner.server
     try:
@@ -138,30 +144,20 @@ def _refuse(*_: object) -> _Answer:
     raise BadXml("no such method")
 
 
-class _Aged(asyncio.Protocol):
+class _Aged(ForwardingProtocol):
     """A connection that is closed after a while: whoever only connects keeps no place."""
 
+    is_replaceable = True  # a call is over within milliseconds, and who calls again connects again
+
     def __init__(self, inner: asyncio.Protocol) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._timer = asyncio.get_running_loop().call_later(MAX_AGE_S, transport.close)
-        self._inner.connection_made(transport)
-
-    def data_received(self, data: bytes) -> None:
-        self._inner.data_received(data)
-
-    def eof_received(self) -> bool | None:
-        return self._inner.eof_received()
-
-    def pause_writing(self) -> None:
-        self._inner.pause_writing()
-
-    def resume_writing(self) -> None:
-        self._inner.resume_writing()
+        super().connection_made(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        self._inner.connection_lost(exc)
+        super().connection_lost(exc)

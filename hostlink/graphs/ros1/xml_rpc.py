@@ -17,8 +17,15 @@ class Refused(Exception):
 
 
 def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:
-    """The body of a request."""
-    return xmlrpc.client.dumps(arguments, methodname=method).encode()
+    """The body of a request.
+
+    Raises:
+        BadXml: an argument has no form in XML-RPC.
+    """
+    try:
+        return xmlrpc.client.dumps(arguments, methodname=method).encode()
+    except (TypeError, OverflowError, RecursionError) as error:
+        raise BadXml(str(error)) from error
 
 
 def decode_call(body: bytes) -> tuple[str, tuple[Any, ...]]:

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
@@ -28,10 +29,10 @@ class Ros2Node:
 
     def __init__(self, node: Any, executor: Any) -> None:
         self.node = node
+        self._own = (node.get_name(), node.get_namespace())
         self._executor = executor
         self._loop = asyncio.get_running_loop()
         self._published: dict[str, Any] = {}  # rclpy's publishers by the daemon's topic
-        self._served: set[str] = set()  # full names of services
 
     async def run(self, function: Callable[[], Result]) -> Result:
         """Call a function in rclpy's thread; what it raises is raised here."""
@@ -82,16 +83,11 @@ class Ros2Node:
     @contextlib.asynccontextmanager
     async def service(self, name: str, cls: Any, answer: Callable[[Any, Any], Any]) -> AsyncIterator[None]:
         """A service for the length of the block; `answer` is a coroutine function of rclpy."""
-        full = self.node.resolve_service_name(ros2_name(name))
-        self._served.add(full)
+        made = await self.run(lambda: self.node.create_service(cls, ros2_name(name), answer))
         try:
-            made = await self.run(lambda: self.node.create_service(cls, ros2_name(name), answer))
-            try:
-                yield
-            finally:
-                self._executor.create_task(lambda: self.node.destroy_service(made))
+            yield
         finally:
-            self._served.discard(full)
+            self._executor.create_task(lambda: self.node.destroy_service(made))
 
     @contextlib.asynccontextmanager
     async def client(self, name: str, cls: Any) -> AsyncIterator[Any]:
@@ -132,19 +128,29 @@ class Ros2Node:
         )
 
     def _publishers(self, topic: str) -> Iterator[Publisher]:
-        own = (self.node.get_name(), self.node.get_namespace())
         for end in self.node.get_publishers_info_by_topic(self.node.resolve_topic_name(ros2_name(topic))):
-            if (end.node_name, end.node_namespace) != own:
+            if (end.node_name, end.node_namespace) != self._own:
                 yield Publisher(end.topic_type, _offered(end.qos_profile), bytes(end.endpoint_gid))
 
     def _services(self) -> dict[str, str]:
-        """By the names that the daemon would give them: those of the node's namespace, without it."""
+        """By the names that the daemon would give them: those of the node's namespace, without it.
+
+        Node by node: the list of the whole graph has services, too, that have clients and nobody who serves them.
+        """
         prefix = self.node.get_namespace().rstrip("/") + "/"
         return {
             f"/{name.removeprefix(prefix)}": types[0]
-            for name, types in self.node.get_service_names_and_types()
-            if name.startswith(prefix) and name not in self._served
+            for node in self.node.get_node_names_and_namespaces()
+            if node != self._own
+            for name, types in self._services_of(*node)
+            if name.startswith(prefix)
         }
+
+    def _services_of(self, name: str, namespace: str) -> list[tuple[str, list[str]]]:
+        try:
+            return list(self.node.get_service_names_and_types_by_node(name, namespace))
+        except NodeNameNonExistentError:  # it has just left
+            return []
 
 
 @contextlib.asynccontextmanager

@@ -171,7 +171,7 @@ class Routes:
         cls = load_type(route.ros2_type)
         async with self._node.client(route.service, cls) as client:
             answer = functools.partial(self._call_ros2, route, cls, client)
-            async with self._host.provide(route.service, ros1_type(route.ros2_type), answer):
+            async with self._host.serve(route.service, ros1_type(route.ros2_type), answer):
                 await asyncio.Event().wait()
 
     async def _call_ros2(self, route: Caller, cls: Any, client: Any, values: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -42,7 +42,8 @@ class Fleet:
     """One daemon's part in the fleet."""
 
     def __init__(self, hub: Hub, session: Session, config: ZenohConfig) -> None:
-        counts = hub.graph_counts["fleet"] = Counter()
+        counts: Counter[str] = Counter()
+        hub.graph_counts["fleet"] = lambda: counts
         me = Sender(config.name or _host_name(), session.zid)
         self._hub, self._post = hub, Post(session, Keys(config.fleet_name), me, counts, config.drivers)
         self._roster = Roster(counts, forget_after_s=hub.config.link.forget_robot_after_s)
@@ -67,7 +68,7 @@ class Fleet:
             self._subscribe(f"{fleet}/drive/{zid}/*/*", self._drivers.receive, MAX_REQUEST_BYTES, 64),
             self._subscribe(f"{fleet}/answer/{zid}/*/*", self._receive_answer, MAX_STATE_BYTES, 64),
             self._subscribe(f"{fleet}/publish/{zid}/*/*/**", self._topics.exports.receive, MAX_MESSAGE_BYTES, 64),
-            self._subscribe(f"{fleet}/state/*/*", self._receive_state, MAX_STATE_BYTES, 4),
+            self._subscribe(f"{fleet}/state/*/*", self._receive_state, MAX_STATE_BYTES, 1),  # the newest counts
             post.session.serve(post.keys.key("topics", post.me), self._topics.exports.answer),
             post.session.declare_token(post.keys.key("alive", post.me)),
         ]
@@ -109,7 +110,8 @@ class Fleet:
         self._states.tick(self._topics.exports.number)
         self._drivers.tick(now_s)
         self._requests.tick()
-        self._robots.apply(self._roster.watch(now_s) | self._roster.forget(now_s) | self._names_here())
+        self._robots.apply_soon(self._roster.watch(now_s) | self._roster.forget(now_s))
+        self._robots.apply(self._names_here())
         self._robots.follow(now_s)
         self._tokens.tick(now_s)
 
@@ -138,7 +140,7 @@ class Fleet:
         self._drivers.leave(sender.zid)
         self._topics.lose(sender.zid)
         self._robots.lose(sender.zid)
-        self._robots.apply(self._roster.leave(sender.zid, _now_s()))
+        self._robots.apply_soon(self._roster.leave(sender.zid, _now_s()))
 
     def _receive_state(self, sample: Sample) -> None:
         sender = self._post.keys.sender(sample.key)
@@ -153,13 +155,15 @@ class Fleet:
             return
         now_s = _now_s()
         neighbour.freshness.late_s(state.sent_s, now_s)
-        self._robots.apply(self._roster.receive(sender, state, now_s))
+        self._robots.apply_soon(self._roster.receive(sender, state, now_s))
         if state.topics != neighbour.topics:
             self._hub.spawn(self._fetch_topics(neighbour, state.topics), name="topics of another daemon")
 
     async def _fetch_topics(self, neighbour: Neighbour, number: int) -> None:
         if await self._topics.fetch(neighbour, number):
-            self._robots.apply(list(neighbour.robots))
+            for name in list(neighbour.robots):
+                self._robots.apply((name,))
+                await asyncio.sleep(0)
             self._topics.demand()
 
     def _receive_motions(self, sample: Sample) -> None:
@@ -170,7 +174,7 @@ class Fleet:
             self._post.counts["malformed"] += 1
             return
         if sender is not None:
-            self._robots.apply(self._roster.receive_motions(sender, live, _now_s()))
+            self._robots.apply_soon(self._roster.receive_motions(sender, live, _now_s()))
 
     def _receive_answer(self, sample: Sample) -> None:
         """Stops and locks are answered with the robots as they are now."""

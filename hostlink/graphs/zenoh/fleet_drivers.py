@@ -156,8 +156,8 @@ class FleetDrivers:
         if late_s > robot.gate.lease_s:
             raise BadRequest(f"{robot.name}: the command was {late_s:.1f} s on its way, longer than it is valid")
         participant = self._participant(neighbour, request.owner, request.owner_name)
-        limited = participant.drive(robot, velocity, priority=request.priority, link=request.link)
-        return Answer(number=request.number, velocity=limited)
+        limited = participant.drive(robot, velocity, priority=request.priority, link=request.link, stops=request.stops)
+        return Answer(number=request.number, velocity=limited, stops=robot.gate.stops)
 
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> Answer:
         name = request.robot

@@ -44,6 +44,7 @@ class FleetExports:
         self.number = 0  # of the list, another one after each change
         self._hub, self._post, self._drivers, self._roster = hub, post, drivers, roster
         self._exports: dict[str, _Export] = {}
+        self._list: bytes | None = None  # as it is answered; None: nobody has requested it since the last change
         self._topics: dict[str, tuple[TopicState, str]] = {}  # with their names here, by the name that others know
 
     def update(self, topics: tuple[GraphTopic, ...]) -> None:
@@ -54,7 +55,7 @@ class FleetExports:
             found = dict(list(found.items())[:MAX_TOPICS])
         if found == self._topics:
             return
-        self._topics, self.number = found, self.number + 1
+        self._topics, self._list, self.number = found, None, self.number + 1
         robots = {state.robot for state, _ in found.values()}
         for robot in self._exports.keys() - robots:
             self._close(self._exports.pop(robot))
@@ -63,7 +64,10 @@ class FleetExports:
 
     def answer(self, query: Query) -> None:
         """Somebody wants the list."""
-        query.reply(encode(Topics(number=self.number, topics=tuple(state for state, _ in self._topics.values()))))
+        if self._list is None:
+            states = tuple(state for state, _ in self._topics.values())
+            self._list = encode(Topics(number=self.number, topics=states))
+        query.reply(self._list)
         query.close()
 
     def receive(self, sample: Sample) -> None:

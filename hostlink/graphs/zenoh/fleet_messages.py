@@ -147,6 +147,7 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     velocity: tuple[float, float, float, float, float, float]
     priority: Priority
     link: int | None = None
+    stops: int | None = None  # of the robot, as an answer before has counted them
 
     @property
     def wanted(self) -> Velocity:
@@ -184,7 +185,10 @@ class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """To the request of this number: the velocity after the limits, or the robots that it was for; or why not."""
+    """To the request of this number: the velocity after the limits, or the robots that it was for; or why not.
+
+    `stops`: how often the robot was stopped or locked.
+    """
 
     number: int
     error: Text = ""  # the name of a class of hostlink.errors
@@ -192,6 +196,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     owner: Text | None = None  # who drives it
     lock_reason: Text | None = None
     velocity: tuple[float, ...] | None = None
+    stops: int | None = None
     robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 

@@ -48,7 +48,7 @@ class _Command:
 
     number: int
     neighbour: Neighbour
-    robot: str
+    robot: RemoteRobot
     sent_at_s: float
     answer: Answer | None = None
     is_answered: asyncio.Event = field(default_factory=asyncio.Event)
@@ -60,9 +60,9 @@ class _Command:
             HostlinkError: why not.
         """
         if self.answer is None:
-            raise DeviceGone(self.robot, f"{self.neighbour.sender.name} does not answer")
+            raise DeviceGone(self.robot.name, f"{self.neighbour.sender.name} does not answer")
         if self.answer.error:
-            raise _refusal(self.robot, self.answer)
+            raise _refusal(self.robot.name, self.answer)
         return Velocity(*(self.answer.velocity or ()))
 
 
@@ -93,7 +93,9 @@ class FleetRequests:
 
     # -- Elsewhere ----------------------------------------------------------------------------------------------------
 
-    def drive(self, robot: RemoteRobot, velocity: Velocity, *, owner: Hashable, priority: int) -> None:
+    def drive(
+        self, robot: RemoteRobot, velocity: Velocity, *, owner: Hashable, priority: int, stops: int | None
+    ) -> None:
         """Send a command of an owner.
 
         Raises:
@@ -108,7 +110,7 @@ class FleetRequests:
             self._raise_refusal(before, now_s)
         if owner not in self._owners:
             self._owners[owner] = next(self._owner_numbers)
-        command = _Command(next(self._numbers), neighbour, robot.name, now_s)
+        command = _Command(next(self._numbers), neighbour, robot, now_s)
         self._newest[owner, robot.name] = command
         self._waiting[command.number] = command
         if len(self._waiting) > MAX_WAITING:
@@ -122,6 +124,7 @@ class FleetRequests:
             velocity=velocity,
             priority=priority,
             link=None if robot.link is None else robot.link.own_number,
+            stops=stops,
         )
         self._request(neighbour, request)
 
@@ -208,6 +211,8 @@ class FleetRequests:
         if command is not None and sender == command.neighbour.sender:
             del self._waiting[answer.number]
             command.answer = answer
+            if answer.stops is not None:
+                command.robot.gate.stops = answer.stops
             command.is_answered.set()
             return None
         unsettled = self._unsettled.get(answer.number)

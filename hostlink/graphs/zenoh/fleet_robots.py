@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
 import structlog
@@ -11,6 +12,7 @@ from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES, RobotState
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
 from hostlink.graphs.zenoh.fleet_topics import FleetTopics
+from hostlink.graphs.zenoh.inbox import SLICE_S
 from hostlink.graphs.zenoh.roster import Neighbour, Place, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample
 from hostlink.hub.hub import Hub
@@ -45,6 +47,8 @@ class FleetRobots:
         self._hub, self._post, self._roster = hub, post, roster
         self._requests, self._topics, self._receive = requests, topics, receive
         self._live: dict[str, Declaration] = {}
+        self._due: OrderedDict[str, None] = OrderedDict()  # names
+        self._is_due = False
         self._known_links: dict[str, int] = {}  # of robots here that have a namesake elsewhere
 
     def apply(self, names: Iterable[str]) -> None:
@@ -62,11 +66,27 @@ class FleetRobots:
                 self._topics.hide(name)
                 robot = _remote_robot(place.neighbour, place.state, self._requests)
                 self._hub.remote_robots.add(robot)
-            if robot.also_at != place.also_at:
-                robot.also_at = place.also_at
-                if place.also_at:
-                    _log_twice(name, (sender.name, *place.also_at))
+            if place.also_at and not robot.also_at:
+                _log_twice(name, (sender.name, *place.also_at))
+            robot.also_at = place.also_at
             self._update(robot, place)
+
+    def apply_soon(self, names: Iterable[str]) -> None:
+        """As `apply`, a slice in each turn of the loop: another daemon decides how many they are."""
+        self._due |= dict.fromkeys(names)
+        if not self._is_due:
+            self._is_due = True
+            self._apply_due()
+
+    def _apply_due(self) -> None:
+        ends_s = _now_s() + SLICE_S
+        while self._due:
+            with self._hub.isolation.around("graph", graph="fleet"):
+                self.apply((self._due.popitem(last=False)[0],))
+            if _now_s() >= ends_s:
+                asyncio.get_running_loop().call_soon(self._apply_due)
+                return
+        self._is_due = False
 
     def _update(self, robot: RemoteRobot, place: Place) -> None:
         state = place.state
@@ -138,6 +158,7 @@ class FleetRobots:
 
     def end(self) -> None:
         """Show none any more."""
+        self._due.clear()
         for zid in list(self._live):
             self.lose(zid)
         for name in list(self._hub.robots.remote):

@@ -63,14 +63,16 @@ class Inbox(Generic[Item]):
 
     def _has_room(self, source: str, size_bytes: int) -> bool:
         queue = self._waiting.get(source)
-        if queue is not None and len(queue) >= self._max_waiting:
-            self._bytes -= _size_bytes(queue.popleft())
-            self._counts["dropped"] += 1
         is_excess = queue is None and len(self._waiting) >= MAX_SOURCES
-        if is_excess or self._bytes + size_bytes > MAX_WAITING_BYTES:
+        is_full = queue is not None and len(queue) >= self._max_waiting
+        replaced_bytes = _size_bytes(queue[0]) if queue is not None and is_full else 0
+        has_room = not is_excess and self._bytes - replaced_bytes + size_bytes <= MAX_WAITING_BYTES
+        if not has_room or is_full:
             self._counts["dropped"] += 1
-            return False
-        return True
+        if queue is not None and is_full and has_room:
+            queue.popleft()
+            self._bytes -= replaced_bytes
+        return has_room
 
     def _drain(self) -> None:
         ends_s = self._loop.time() + SLICE_S

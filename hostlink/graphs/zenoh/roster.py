@@ -12,7 +12,8 @@ from hostlink.robot.freshness import Freshness
 
 MAX_DAEMONS = 256
 MAX_GONE = 64  # daemons that are gone, whose robots are still shown
-MAX_REMOTE_ROBOTS = 4096
+MAX_REMOTE_ROBOTS = 1024  # names; each change of so many keeps the loop for 40 ms
+MAX_NAMESAKES = 4  # daemons that have a robot of one name; from two on nobody elsewhere drives it
 SILENT_S = 3.0  # a daemon sends its state each second; one whose token lives but which sends nothing has stopped
 
 
@@ -171,7 +172,8 @@ class Roster:
     def _put(self, neighbour: Neighbour, name: str, robot: RobotState) -> None:
         known = self._by_name.get(name, {})
         if neighbour.sender.zid not in known:
-            if name not in self._by_name and len(self._by_name) >= MAX_REMOTE_ROBOTS:
+            is_new = name not in self._by_name
+            if len(known) >= MAX_NAMESAKES or (is_new and len(self._by_name) >= MAX_REMOTE_ROBOTS):
                 self._counts["excess_robots"] += 1
                 return
             self._by_name[name][neighbour.sender.zid] = neighbour

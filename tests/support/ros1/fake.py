@@ -14,6 +14,7 @@ from aiohttp import web
 from hostlink.graphs.ros1.tcpros import MessageStream, decode_header, encode_header, encode_message
 from hostlink.graphs.ros1.xml_rpc import decode_call, encode_answer, encode_call
 from hostlink.messages.catalog import Catalog
+from tests.support.tcp_server import tcp_server
 from tests.support.waiting import expect
 
 CATALOG = Catalog()
@@ -22,11 +23,14 @@ Answers = Callable[[str, tuple[Any, ...]], tuple[int, str, object]]
 
 
 @contextlib.asynccontextmanager
-async def xml_rpc_server(answer: Callable[[str, tuple[Any, ...]], bytes]) -> AsyncIterator[str]:
+async def xml_rpc_server(
+    answer: Callable[[str, tuple[Any, ...]], bytes], *, encoding: str = "identity"
+) -> AsyncIterator[str]:
     """Answers calls; its address."""
 
     async def receive(request: web.Request) -> web.Response:
-        return web.Response(body=answer(*decode_call(await request.read())), content_type="text/xml")
+        body = answer(*decode_call(await request.read()))
+        return web.Response(body=body, content_type="text/xml", headers={"Content-Encoding": encoding})
 
     app = web.Application()
     app.router.add_post("/{path:.*}", receive)
@@ -84,11 +88,16 @@ class FakeMaster:
     async def knows(self, kind: str, name: str) -> None:
         await expect(lambda: name in self.registered[kind])
 
-    async def call(self, method: str, *arguments: Any, body: bytes | None = None) -> Any:
+    async def call(
+        self, method: str, *arguments: Any, body: bytes | None = None, headers: dict[str, str] | None = None
+    ) -> Any:
         """Call the daemon's slave API; the body of the answer."""
         assert self.node_uri is not None
         body = encode_call(method, arguments) if body is None else body
-        async with aiohttp.ClientSession() as session, session.post(self.node_uri, data=io.BytesIO(body)) as response:
+        async with (
+            aiohttp.ClientSession(headers=headers) as session,
+            session.post(self.node_uri, data=io.BytesIO(body)) as response,
+        ):
             return await response.read()
 
 
@@ -129,6 +138,12 @@ class Peer:
 
     async def read_header(self) -> dict[str, str]:
         return decode_header(await self.read())
+
+    async def read_answer(self) -> tuple[bool, bytes]:
+        """Of a service: whether it was done, and the payload or the reason."""
+        async with asyncio.timeout(TIMEOUT_S):
+            is_done = await self.reader.readexactly(1) == b"\x01"
+        return is_done, await self.read()
 
     async def is_closed(self) -> bool:
         """Wait until the daemon has closed it."""
@@ -238,7 +253,6 @@ class FakeService:
             if "probe" not in self.headers[-1]:
                 await peer.read()
                 await peer.send(self._answer)
-            writer.close()
         except (EOFError, ConnectionError):
             peer.close()
 
@@ -246,9 +260,6 @@ class FakeService:
 @contextlib.asynccontextmanager
 async def fake_service(type_name: str, answer: bytes, *, md5: str | None = None) -> AsyncIterator[FakeService]:
     made = FakeService(type_name, answer, md5)
-    server = await asyncio.start_server(made.accept, "127.0.0.1", 0)
-    made.address = f"rosrpc://127.0.0.1:{server.sockets[0].getsockname()[1]}"
-    try:
+    async with tcp_server(made.accept) as (_, port):
+        made.address = f"rosrpc://127.0.0.1:{port}"
         yield made
-    finally:
-        server.close()

@@ -13,7 +13,7 @@ import pytest
 from hostlink.protocol.frame import Id
 from tests.support.fake_device import robot_topics, topic
 from tests.support.fork_server import start
-from tests.support.process import HOSTLINK, Process, free_port
+from tests.support.process import HOSTLINK, Process, free_port, started
 from tests.support.ros1.debian import Graph, graph, living_device
 from tests.support.waiting import expect
 
@@ -30,14 +30,8 @@ async def ros(tmp_path: Path) -> AsyncIterator[Graph]:
 async def ros1(ros: Graph, *words: str, **environment: str) -> AsyncIterator[Process]:
     """`hostlink ros1`, killed at the end of the block if it still runs."""
     variables = {**os.environ, "ROS_MASTER_URI": ros.url, "ROS_IP": "127.0.0.1", **environment}
-    child = await start("ros1", "--api", "127.0.0.1:0", *words, stderr=PIPE, environment=variables)
-    process = Process(child)
-    try:
+    async with started("ros1", "--api", "127.0.0.1:0", *words, environment=variables) as process:
         yield process
-    finally:
-        if child.returncode is None:
-            child.kill()
-        await child.communicate()
 
 
 async def failed(*words: str) -> str:
@@ -140,9 +134,7 @@ async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> Non
     await ros.kill()
     port = free_port()
     async with ros1(ros) as daemon:
-        assert daemon.child.stderr is not None
-        async with asyncio.timeout(20):
-            assert b"waiting for the master" in await daemon.child.stderr.readline()
+        await expect(lambda: "waiting for the master" in daemon.log_file.read_text(), timeout_s=20)
         await ros.start()
         await ros.lines("rosparam", "set", "/serial_node/port", "tcp")
         await ros.lines("rosparam", "set", "/serial_node/tcp_port", str(port))
@@ -158,6 +150,10 @@ async def test_it_waits_for_the_master_that_may_know_its_port(ros: Graph) -> Non
         (("_port:=",), "a name and a value"),
         (("__name:=a/b",), "no name of a node"),
         (("__master:=localhost",), "http://localhost:11311"),
+        (("__master:=http://localhost:99999",), "Port out of range"),
+        (("--master", ""), "no address of a master"),
+        (("tcp", "_number:=99999999999"), "the master cannot have it"),
+        (("tcp", "--messages", "/nonexistent", "--master", "http://127.0.0.1:1"), "/nonexistent"),
     ],
 )
 async def test_what_is_wrong_is_one_line(ros: Graph, words: tuple[str, ...], text: str) -> None:

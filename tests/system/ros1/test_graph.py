@@ -1,7 +1,6 @@
 """Topics, services and parameters between rospy programs and devices, and a master that dies and comes back."""
 
 import asyncio
-import contextlib
 import signal
 import struct
 from collections.abc import AsyncIterator
@@ -12,7 +11,7 @@ import pytest
 
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
-from tests.support.fake_device import FakeDevice, pose, robot_topics, topic
+from tests.support.fake_device import FakeDevice, pose, repeating, robot_topics, topic
 from tests.support.process import Process, simulated
 from tests.support.ros1.debian import Graph, Node, graph, living_device
 
@@ -33,23 +32,6 @@ def encoded(type_name: str, **fields: object) -> bytes:
     return type_.encode(fields)
 
 
-@contextlib.asynccontextmanager
-async def sending(robot: FakeDevice, frame: bytes, interval_s: float = 0.05) -> AsyncIterator[None]:
-    """A device that sends a frame again and again."""
-
-    async def send() -> None:
-        while True:
-            await robot.send(frame)
-            await asyncio.sleep(interval_s)
-
-    async with asyncio.TaskGroup() as tasks:
-        task = tasks.create_task(send())
-        try:
-            yield
-        finally:
-            task.cancel()
-
-
 async def received(node: Node, **wanted: object) -> None:
     """Read until a message with these fields comes."""
     while (await node.read("message"))["fields"] != wanted:
@@ -67,7 +49,7 @@ async def test_a_subscriber_receives_what_a_device_publishes_and_its_type_is_rig
         ros.node("listen", ODOMETRY, "geometry_msgs/Pose2D") as listener,
         ros.node("listen", "/robot_0/odom", "nav_msgs/Odometry") as odom,
         ros.node("listen", "/tf", "tf2_msgs/TFMessage") as frames,
-        sending(robot, pose(1.5, 2.5, 0.5)),
+        repeating(robot, pose(1.5, 2.5, 0.5)),
     ):
         await received(listener, x=1.5, y=2.5, theta=0.5)
         assert (await listener.read("message"))["by"] == "/hostlink"
@@ -307,7 +289,7 @@ async def test_the_master_dies_and_topics_go_on_and_a_new_one_knows_all_again(ro
         ros.daemon() as daemon,
         living_device(daemon.tcp, robot_topics()) as robot,
         ros.node("listen", ODOMETRY, "geometry_msgs/Pose2D") as listener,
-        sending(robot, pose(1.5)),
+        repeating(robot, pose(1.5)),
     ):
         await received(listener, x=1.5, y=0.0, theta=0.0)
         await ros.kill()

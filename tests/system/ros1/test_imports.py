@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from tests.support.fake_device import pose, robot_topics
-from tests.support.process import HOSTLINK, Process, serve_into
+from tests.support.process import HOSTLINK, Process, serve
 from tests.support.ros1.debian import graph, living_device
 
 TRACED = (sys.executable, "-X", "importtime", HOSTLINK)
@@ -16,7 +16,7 @@ TRACED = (sys.executable, "-X", "importtime", HOSTLINK)
 
 @contextlib.asynccontextmanager
 async def served(log: Path, *arguments: str) -> AsyncIterator[Process]:
-    async with serve_into(log, *arguments, program=TRACED) as daemon:
+    async with serve(*arguments, log=log, program=TRACED) as daemon:
         yield daemon
 
 

@@ -14,6 +14,7 @@ import aiohttp
 import pytest
 
 from hostlink.protocol.frame import Id
+from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, robot_topics, topic
 from tests.support.process import Process
 from tests.support.ros1.debian import Graph, Node, graph, living_device
@@ -93,7 +94,9 @@ async def flooding(daemon: Process) -> None:
         count = 0.0
         while count < 3000:
             async with session.get(f"{daemon.url}/metrics") as response:
-                found = re.search(r'hostlink_ros1_total\{what="messages_from_ros"\} (\S+)', await response.text())
+                found = re.search(
+                    r'hostlink_graph_events_total\{graph="ros1",what="messages_from_ros"\} (\S+)', await response.text()
+                )
             count = float(found[1]) if found else 0.0
             await asyncio.sleep(0.1)
 
@@ -101,17 +104,14 @@ async def flooding(daemon: Process) -> None:
 @contextlib.asynccontextmanager
 async def drained(daemon: Process, topics: list[object]) -> AsyncIterator[None]:
     """A device that reads whatever it is sent."""
-    async with living_device(daemon.tcp, topics, local_host="127.0.0.9") as device, asyncio.TaskGroup() as tasks:  # type: ignore[arg-type]
+    async with living_device(daemon.tcp, topics, local_host="127.0.0.9") as device:  # type: ignore[arg-type]
 
         async def read() -> None:
             while True:
                 await device.next()
 
-        task = tasks.create_task(read())
-        try:
+        async with meanwhile(read()):
             yield
-        finally:
-            task.cancel()
 
 
 flooded = pytest.mark.parametrize("is_flooded", [False, True], ids=["alone", "beside a flood"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.process import run, serve_into
+from tests.support.process import run, serve
 from tests.support.ros2 import HOSTLINK as ROS2_HOSTLINK
 from tests.support.ros2 import VENV, install
 
@@ -47,7 +47,7 @@ async def test_a_daemon_beside_rclpy_imports_none_of_it(tmp_path: Path) -> None:
     install()
     log = tmp_path / "log"
     program = (str(VENV / "bin" / "python"), "-X", "importtime", ROS2_HOSTLINK)
-    async with serve_into(log, program=program) as daemon:
+    async with serve(log=log, program=program) as daemon:
         assert daemon.url
     imported = {line.split("|")[-1].strip() for line in log.read_text().splitlines() if line.startswith("import time")}
     assert "hostlink.transport.tcp" in imported

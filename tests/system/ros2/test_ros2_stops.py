@@ -199,6 +199,7 @@ async def test_a_network_that_is_cut_stops_the_robot(environment: dict[str, str]
             bridge(environment, between.url) as process,
             peer(environment, "driver") as driver,
         ):
+            await expect(lambda: server.hub.robots.has("robot_0"))
             gate = server.hub.robots.find("robot_0").gate
             await drive(driver)
             await expect(lambda: gate.owner is not None, timeout_s=DISCOVERY_S)

@@ -12,10 +12,10 @@ from typing import Any
 import aiohttp
 import pytest
 
+from hostlink.graphs.zenoh.fleet_robots import READ_S
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import HOSTLINK, Process, free_port, run, serve, serve_into
-from tests.support.waiting import expect
-from tools.measure_fleet import measure, robots_of
+from tests.support.process import HOSTLINK, Process, free_port, run, serve
+from tools.measure_fleet import all_known, drive, populated, robots_of
 
 STILL, MOVING = (0.0, 0.0), (0.2, 0.0)
 
@@ -89,8 +89,10 @@ async def test_what_a_daemon_drove_stops_when_it_is_gone(tmp_path: Path, how: si
 @pytest.mark.alone
 @pytest.mark.long
 async def test_three_daemons_show_thirty_robots_and_drive_across_within_ten_milliseconds() -> None:
-    measured = await measure(3, 10, 1, 4.0)
-    assert measured["all_known_after_s"] < 5.0
+    async with populated(3, 10) as (hosts, session):
+        assert await all_known(session, hosts, 30) < 5.0
+        await asyncio.sleep(READ_S + 1)  # poses travel on for a while
+        measured = await drive(session, hosts, "robot_29", 4.0)
     assert measured["to_device_ms"]["count"] >= 195
     assert measured["to_device_ms"]["p99"] < 10.0
     assert measured["to_answer_ms"]["p99"] < 10.0
@@ -98,7 +100,7 @@ async def test_three_daemons_show_thirty_robots_and_drive_across_within_ten_mill
 
 async def test_a_daemon_without_zenoh_imports_none_of_it(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    async with serve_into(log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
+    async with serve(log=log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
         await daemon.end(signal.SIGTERM)
     imported = [line for line in log.read_text().splitlines() if line.startswith("import time")]
     assert len(imported) > 100
@@ -115,31 +117,19 @@ async def test_nothing_is_imported_once_a_daemon_with_zenoh_runs(tmp_path: Path)
 async def _imports(folder: Path, ports: list[int]) -> AsyncIterator[Path]:
     """The log of a daemon to which another one came, whose robot was driven."""
     log = folder / "log"
-    config = settings(folder, "a", ports[0])
-    with log.open("wb") as stderr:
-        child = await asyncio.create_subprocess_exec(
-            sys.executable, "-X", "importtime", HOSTLINK, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0",
-            "--config", config, stderr=stderr,
-        )  # fmt: skip
-    try:
-        await expect(lambda: b"daemon.started" in log.read_bytes(), timeout_s=20)
-        started = next(json.loads(line) for line in log.read_bytes().splitlines() if b"daemon.started" in line)
-        a = Process(child, ("", 0), started["api"])
-        async with (
-            serve("--config", settings(folder, "b", ports[1], ports[0])) as b,
-            fake_device(b.tcp, robot_topics("robot_2")) as device,
-            aiohttp.ClientSession() as session,
-            asyncio.TaskGroup() as tasks,
-        ):
-            await shows(session, a, lambda robots: robots.get("robot_2", {}).get("connected"))
-            driving = tasks.create_task(command(session, a, "robot_2"))
-            assert await device.velocity_other_than(STILL) == MOVING
-            driving.cancel()
-        yield log
-    finally:
-        if child.returncode is None:
-            child.kill()
-        await child.wait()
+    program = (sys.executable, "-X", "importtime", HOSTLINK)
+    async with (
+        serve("--config", settings(folder, "a", ports[0]), program=program, log=log) as a,
+        serve("--config", settings(folder, "b", ports[1], ports[0])) as b,
+        fake_device(b.tcp, robot_topics("robot_2")) as device,
+        aiohttp.ClientSession() as session,
+        asyncio.TaskGroup() as tasks,
+    ):
+        await shows(session, a, lambda robots: robots.get("robot_2", {}).get("connected"))
+        driving = tasks.create_task(command(session, a, "robot_2"))
+        assert await device.velocity_other_than(STILL) == MOVING
+        driving.cancel()
+    yield log
 
 
 async def test_wrong_settings_are_one_line(tmp_path: Path) -> None:

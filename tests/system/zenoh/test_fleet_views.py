@@ -5,12 +5,13 @@ import contextlib
 import json
 
 import pytest
+from playwright.async_api import Browser
 
 from hostlink.client import connect
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import HostlinkError
-from tests.support.browser import chromium, visit
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.browser import visit
+from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import HOSTLINK, run
 from tests.support.screen import screen
 from tests.support.waiting import expect
@@ -21,7 +22,8 @@ pytestmark = [pytest.mark.quiet, pytest.mark.timeout(60)]
 STILL = (0.0, 0.0)
 
 
-async def test_every_page_shows_thirty_robots_of_three_daemons_and_drives_one_of_another() -> None:
+@pytest.mark.asyncio(loop_scope="session")
+async def test_every_page_shows_thirty_robots_of_three_daemons_and_drives_one_of_another(browser: Browser) -> None:
     patient = Config(link=LinkConfig(idle_timeout_s=None))  # these robots send one pose
     async with fleet("a", "b", "c", config=patient) as hosts, contextlib.AsyncExitStack() as stack:
         devices = {}
@@ -32,24 +34,23 @@ async def test_every_page_shows_thirty_robots_of_three_daemons_and_drives_one_of
             await devices[name].send(pose(number / 10))
         for host in hosts:
             await expect(lambda: sum(robot.link is not None for robot in host.hub.robots.all()) == 30)  # noqa: B023
-        browser = await stack.enter_async_context(chromium())
         for host in hosts:
             async with visit(browser, host.url) as page:
                 await page.is_connected()
                 await page.page.wait_for_function("document.querySelectorAll('#robots label.robot').length === 30")
                 assert page.complaints == []
         page = await stack.enter_async_context(visit(browser, hosts[2].url))
+        await stack.enter_async_context(repeating(devices["robot_7"], pose(1.0)))  # a silent one is not driven
         await page.is_connected()
         await page.page.locator("#robots label.robot", has_text="robot_7").first.click()
-        await page.shows("#robots label.robot:has(input:checked)", ", at a")
+        await page.shows("#robots label.robot:has(input:checked)", " · at a")
         await page.page.evaluate("document.activeElement.blur()")  # keys in a field are letters
         await page.page.keyboard.down("KeyW")
         linear, _ = await devices["robot_7"].velocity_other_than(STILL)
         assert linear > 0
         await page.shows("#drive-state", "You drive")
         await page.page.keyboard.up("KeyW")
-        while await devices["robot_7"].velocity() != STILL:
-            pass
+        await devices["robot_7"].velocity_of(STILL)
         assert page.complaints == []
 
 
@@ -113,5 +114,4 @@ async def test_keys_drive_a_robot_of_another_daemon() -> None:
         await terminal.keys("w")
         linear, _ = await device.velocity_other_than(STILL)
         assert linear > 0
-        while await device.velocity() != STILL:
-            pass
+        await device.velocity_of(STILL)

@@ -2,10 +2,11 @@
 
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.graphs.ros1.parameter_cache import ParameterCache
+from hostlink.graphs.ros1.parameter_cache import MAX_CHARS, MAX_ITEMS, MAX_PARTS, ParameterCache
 
 
 def cache() -> ParameterCache:
@@ -79,3 +80,43 @@ def test_a_subscription_of_all_below_a_key_follows_a_tree_of_parameters(changes:
             branch = branch[part]
         branch[last] = value
     assert made.find("/root") == (True, tree or None)
+
+
+def _nested(depth: int) -> Any:
+    value: Any = 1
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["x" * (MAX_CHARS + 1), list(range(MAX_ITEMS)), _nested(50_000), {"k" * (MAX_CHARS + 1): 1}],
+    ids=["long", "many", "deep", "a long key"],
+)
+def test_what_no_device_can_receive_is_not_kept(value: Any) -> None:
+    made = cache()
+    made.put("/big", value)
+    made.update("/rate", value)
+    made.update("/node/speed", value)
+    assert made.find("/big") == made.find("/rate") == made.find("/node") == (True, None)
+    assert made.find("/node/arm/joints") == (False, None)  # it can be subscribed to by itself
+    made.update("/node/arm", {"joints": [3]})
+    assert made.find("/node/arm/joints") == (False, None)
+    made.update("/node", {"arm": {"joints": [3]}})
+    assert made.find("/node/arm/joints") == (True, [3])
+
+
+def test_many_updates_below_one_key_are_bounded() -> None:
+    made = cache()
+    for number in range(MAX_ITEMS + 1):
+        made.update(f"/node/k{number}", number)
+    assert made.find("/node/k1") == (False, None)
+
+
+def test_a_name_of_too_many_parts_is_not_kept() -> None:
+    made = cache()
+    made.update("/node" + "/a" * MAX_PARTS, 1)
+    assert made.find("/node" + "/a" * MAX_PARTS) == (True, 1)
+    made.update("/node" + "/a" * 100_000, 1)
+    assert made.find("/node/speed") == (False, None)

@@ -129,3 +129,18 @@ async def test_a_long_queue_leaves_the_loop_to_others(count: int) -> None:
         turns += 1
         await asyncio.sleep(0)
     assert turns > count // 1000
+
+
+async def test_an_item_that_would_be_too_much_leaves_the_one_that_it_would_replace() -> None:
+    received: list[Sample] = []
+    counts: Counter[str] = Counter()
+    inbox = Inbox(received.append, Isolation(), counts, max_waiting=1)
+    inbox.put("small", Sample("small", b"x"))
+    inbox.put("large", Sample("large", bytes(MAX_WAITING_BYTES - 1)))
+    inbox.put("small", Sample("too much", b"xx"))
+    await settled()
+    assert {each.key for each in received} == {"small", "large"}
+    assert counts["dropped"] == 1
+    inbox.put("small", Sample("later", b"z"))
+    await settled()
+    assert received[-1].key == "later"

@@ -5,7 +5,7 @@ from collections import Counter
 import msgspec
 
 from hostlink.graphs.zenoh.fleet_messages import Live, Motion, PoseState, RobotState, Sender, State
-from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_REMOTE_ROBOTS, SILENT_S, Roster
+from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_NAMESAKES, MAX_REMOTE_ROBOTS, SILENT_S, Roster
 
 A, B = Sender("a", "1"), Sender("b", "2")
 
@@ -49,6 +49,18 @@ def test_one_name_at_two_daemons_is_noted() -> None:
     assert place is not None
     assert (place.neighbour.sender, place.also_at) == (A, ("b",))
     assert known.connected_at("r") == ("a", "b")
+
+
+def test_the_daemons_of_one_name_are_bounded_and_one_more_is_known_when_another_is_gone() -> None:
+    senders = [Sender(f"host-{number}", str(number)) for number in range(MAX_NAMESAKES + 1)]
+    known, counts = roster(*senders)
+    for sender in senders:
+        known.receive(sender, state("r"), 0.0)
+    assert len(known.connected_at("r")) == MAX_NAMESAKES
+    assert counts["excess_robots"] == 1
+    known.receive(senders[0], state(), 1.0)
+    known.receive(senders[-1], state("r"), 1.0)
+    assert known.connected_at("r") == tuple(sender.name for sender in senders[1:])
 
 
 def test_the_robots_of_a_daemon_that_is_gone_are_known_and_not_connected() -> None:
