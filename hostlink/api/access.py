@@ -66,6 +66,21 @@ class Access:
         if not self._tokens and "*" in self._origins:
             raise ConfigError("api.origins", '"*" would let every web page drive the robots: set [[api.tokens]] too')
 
+    def revoked(self, new: "Access") -> set[str]:
+        """The names of the tokens that `new` does not know, or not with the same role; empty: who came without one."""
+        if not self.has_tokens:
+            return {""} if new.has_tokens else set()
+        return {grant.who for secret, grant in self._tokens if not new.has(secret, grant)}
+
+    @property
+    def has_tokens(self) -> bool:
+        """Whether anybody needs one."""
+        return bool(self._tokens)
+
+    def has(self, secret: bytes, grant: Grant) -> bool:
+        """Whether this token allows this."""
+        return (secret, grant) in self._tokens
+
     def check_place(self, *, origin: str | None, host: str) -> None:
         """Refuse a request that a page of another origin made in the browser of somebody who is allowed.
 

@@ -19,7 +19,7 @@ MAX_ANSWERS = 64  # that one client waits for
 
 
 class DriveRequest(msgspec.Struct):
-    """m/s, rad/s counter-clockwise. `link` and `sent_s` are for commands that a program repeats by itself."""
+    """m/s, rad/s counter-clockwise. `link`, `sent_s` and `stops` are for commands that a program sends by itself."""
 
     robot: str
     linear: float
@@ -27,6 +27,7 @@ class DriveRequest(msgspec.Struct):
     priority: int = PROGRAM_PRIORITY
     link: int | None = None  # the connection of the device for which it is meant; None: whichever there is
     sent_s: float | None = None  # when, by the client's own clock
+    stops: int | None = None  # of the robot, as the answer before counted them; None: however often it was stopped
 
 
 class Drive:
@@ -73,7 +74,14 @@ class Drive:
         self, request: dict[str, Any], robot: Robot | RemoteRobot, velocity: Velocity, limited: Velocity
     ) -> None:
         link = None if robot.link is None else robot.link.number
-        answer = {"op": "drive_result", "id": request.get("id"), "result": True, "link": link}
+        answer = {
+            "op": "drive_result",
+            "id": request.get("id"),
+            "result": True,
+            "link": link,
+            "stops": robot.gate.stops,
+            "client": self._participant.name,
+        }
         put_json(self._queue, answer | velocity_answer(robot, velocity, limited))
 
     def _refuse(self, request: dict[str, Any], error: HostlinkError) -> None:
@@ -90,6 +98,6 @@ class Drive:
         robot = self._robots.find(wanted.robot)
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
         limited = self._participant.drive(
-            robot, velocity, priority=wanted.priority, link=wanted.link, sent_s=wanted.sent_s
+            robot, velocity, priority=wanted.priority, link=wanted.link, sent_s=wanted.sent_s, stops=wanted.stops
         )
         return robot, velocity, limited

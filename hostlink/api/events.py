@@ -1,6 +1,6 @@
 """Server-sent events: the state of robots, links and clients as it changes, for the page, programs and `curl -N`.
 
-No state queues up: who is slow gets the newest, and fewer of them.
+No state queues up, in the kernel neither: who is slow gets the newest, and fewer of them.
 """
 
 import asyncio
@@ -15,12 +15,15 @@ from hostlink.api.access import GRANT
 from hostlink.api.clients import Backlog, Client, Clients
 from hostlink.api.routes import Route
 from hostlink.api.state_feed import Reader, StateFeed, encode_event
+from hostlink.api.unread import until_read
 from hostlink.api.views import odometry_view
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.recording.recordings import Recordings
 
 HEARTBEAT_S = 0.3  # a reader that hears nothing for three of them knows that the daemon is gone
 SEND_TIMEOUT_S = 5.0
+ROLE_HEADER = "Hostlink-Role"  # what the reader's token allows: read or drive
 HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no", "Content-Type": "text/event-stream"}
 
 Send = Callable[[bytes], Awaitable[None]]
@@ -29,10 +32,10 @@ Send = Callable[[bytes], Awaitable[None]]
 class Events:
     """The event streams."""
 
-    def __init__(self, hub: Hub, clients: Clients) -> None:
+    def __init__(self, hub: Hub, clients: Clients, recordings: Recordings) -> None:
         self._hub = hub
         self._clients = clients
-        self._feed = StateFeed(hub, clients)
+        self._feed = StateFeed(hub, clients, recordings)
 
     def routes(self) -> list[Route]:
         """Both streams."""
@@ -40,7 +43,8 @@ class Events:
             Route(
                 "/api/events",
                 self._state,
-                "Events `robots`, `links` and `clients`: the JSON of their GETs; and `log`: a line of a device",
+                "Events `robots`, `links` and `clients`: the JSON of their GETs; `recordings`: those under way, how"
+                " often their folder has changed, how many incidents are pending, saved, missed; `log`: a log line",
                 response=None,
                 media_type="text/event-stream",
                 fails=(HTTPStatus.SERVICE_UNAVAILABLE,),
@@ -60,7 +64,12 @@ class Events:
         async with self._stream(request, reader) as (response, send, _):
             with self._feed.reading(reader):
                 while self._feed.is_running:
-                    for event in reader.pop():
+                    await until_read(request.transport, SEND_TIMEOUT_S)
+                    now_s = asyncio.get_running_loop().time()
+                    events = reader.pop()
+                    if events:
+                        events[-1] += b": sent %.3f\n\n" % now_s  # shows how long they were on their way
+                    for event in events:
                         await send(event)
                     await _wait(reader.news, response)
         return response
@@ -86,7 +95,8 @@ class Events:
         self, request: web.Request, backlog: Backlog | None = None
     ) -> AsyncIterator[tuple[web.StreamResponse, Send, Client]]:
         """A response that is written until its reader is gone, which ends the block."""
-        response = web.StreamResponse(headers=HEADERS)
+        role = request[GRANT].role.name.lower()
+        response = web.StreamResponse(headers={**HEADERS, ROLE_HEADER: role})
         client = self._clients.enter("events", request, request[GRANT], backlog)
 
         async def send(event: bytes) -> None:

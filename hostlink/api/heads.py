@@ -1,9 +1,9 @@
-"""Heads: the headers that hostlink reads as text must be text, before anything else is done."""
+"""Heads: what is decided before a request is routed: headers that must be text, a client that has left already."""
 
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 
-from aiohttp import web
+from aiohttp import ClientConnectionResetError, web
 
 from hostlink.api.replies import refusal
 
@@ -19,13 +19,19 @@ def readable(value: str) -> str:
 
 
 def refuse_unreadable(answer: Answer) -> Answer:
-    """Answer 400 to a head that is no text; `answer` does the rest. aiohttp itself would read Expect before it."""
+    """Answer 400 to a head that is no text, or whose sender has left; `answer` does the rest.
+
+    aiohttp itself would read Expect before a middleware does.
+    """
 
     async def answer_readable(request: web.BaseRequest) -> web.StreamResponse:
         for name in _READ_AS_TEXT:
             if any(readable(value) != value for value in request.headers.getall(name, ())):
                 return refusal("BadRequest", f"the header {name} is no UTF-8", HTTPStatus.BAD_REQUEST)
-        return await answer(request)
+        try:
+            return await answer(request)
+        except ClientConnectionResetError:  # before aiohttp's "100 Continue", whose failure it logs as a fault
+            return refusal("HTTP", "it broke off before its body was requested", HTTPStatus.BAD_REQUEST)
 
     return answer_readable
 

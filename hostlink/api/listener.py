@@ -12,6 +12,7 @@ import structlog
 
 from hostlink.acceptor import Acceptor
 from hostlink.api.connections import Connection, Connections
+from hostlink.forwarding_protocol import ForwardingProtocol
 from hostlink.logs import printable
 
 log = structlog.get_logger()
@@ -148,31 +149,20 @@ class ApiListener:
             log.warning("client.crowded", peer=address, connections=len(self._connections), **news)
 
 
-class _Watched(asyncio.Protocol):
+class _Watched(ForwardingProtocol):
     """The protocol of one connection; the listener knows when it begins and ends."""
 
     def __init__(self, inner: asyncio.Protocol, listener: ApiListener, connection: Connection) -> None:
-        self._inner, self._listener, self._connection = inner, listener, connection
+        super().__init__(inner)
+        self._listener, self._connection = listener, connection
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._listener.opened(self._connection, cast("asyncio.Transport", transport))  # uvloop's is no subclass of it
-        self._inner.connection_made(transport)
-
-    def data_received(self, data: bytes) -> None:
-        self._inner.data_received(data)
-
-    def eof_received(self) -> bool | None:
-        return self._inner.eof_received()
-
-    def pause_writing(self) -> None:
-        self._inner.pause_writing()
-
-    def resume_writing(self) -> None:
-        self._inner.resume_writing()
+        super().connection_made(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._listener.lost(self._connection)
-        self._inner.connection_lost(exc)
+        super().connection_lost(exc)
 
 
 class _Every:

@@ -18,6 +18,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from hostlink import logs
+from hostlink.api.batteries import Batteries
 from hostlink.api.clients import Clients
 from hostlink.api.connections import Connections
 from hostlink.api.owners import Owners
@@ -83,6 +84,7 @@ class _Graph(Collector):
     def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections, owners: Owners) -> None:
         self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
         self._owners = owners
+        self._batteries = Batteries(hub)
 
     def describe(self) -> list[Metric]:
         """Nothing at registration: there is no event loop yet."""
@@ -128,27 +130,21 @@ class _Graph(Collector):
         for cause, count in self._hub.refused.items():
             refused.add_metric([cause], count)
         yield refused
-        for graph, counters in self._hub.counters.items():
-            family = CounterMetricFamily(f"hostlink_{graph}", f"What of {graph} has happened", labels=["what"])
-            for what, count in counters().items():
-                family.add_metric([what], count)
-            yield family
         dropped = CounterMetricFamily("hostlink_datagrams_dropped", "Of UDP, either way, by cause", labels=["cause"])
         for cause, count in self._hub.datagrams_dropped.items():
             dropped.add_metric([cause], count)
         yield dropped
         yield from self._graphs()
         yield from self._robots()
+        yield from self._driving()
         yield from self._links()
         yield from self._to_clients()
         yield from self._to_port()
 
     def _graphs(self) -> Iterator[Metric]:
-        events = CounterMetricFamily(
-            "hostlink_graph_events", "What a graph refused, dropped or did not fit", labels=["graph", "what"]
-        )
+        events = CounterMetricFamily("hostlink_graph_events", "What of a graph has happened", labels=["graph", "what"])
         for graph, counts in self._hub.graph_counts.items():
-            for what, count in counts.items():
+            for what, count in counts().items():
                 events.add_metric([graph, what], count)
         yield events
         places: Counter[str] = Counter(robot.host for robot in self._hub.robots.remote.values() if robot.link)
@@ -190,6 +186,29 @@ class _Graph(Collector):
             value=self._hub.robots.forgotten,
         )
         yield from (connected, age, poses, refused, unreadable, gates, forgotten)
+
+    def _driving(self) -> Iterator[Metric]:
+        now_s = asyncio.get_running_loop().time()
+        locked = GaugeMetricFamily("hostlink_robot_locked", "1 while nobody may drive it", labels=["robot"])
+        driven = GaugeMetricFamily("hostlink_robot_driven", "1 while somebody drives it", labels=["robot"])
+        commanded = GaugeMetricFamily(
+            "hostlink_robot_commanded_speed", "What it is sent, m/s and rad/s", labels=["robot", "axis"]
+        )
+        measured = GaugeMetricFamily("hostlink_robot_speed", "By its odometry, m/s and rad/s", labels=["robot", "axis"])
+        battery = GaugeMetricFamily("hostlink_robot_battery_volts", "As its device measures it", labels=["robot"])
+        for name, volts in self._batteries.volts().items():
+            battery.add_metric([name], volts)
+        for robot in self._hub.robots.here():
+            locked.add_metric([robot.name], robot.gate.lock_reason is not None)
+            driven.add_metric([robot.name], robot.gate.owner is not None)
+            odometry = robot.odometry.snapshot(now_s)
+            sent = robot.gate.current
+            commanded.add_metric([robot.name, "linear"], sent.linear_x_m_s)
+            commanded.add_metric([robot.name, "angular"], sent.angular_z_rad_s)
+            if odometry is not None:
+                measured.add_metric([robot.name, "linear"], odometry.twist.linear_m_s)
+                measured.add_metric([robot.name, "angular"], odometry.twist.angular_rad_s)
+        yield from (locked, driven, commanded, measured, battery)
 
     def _links(self) -> Iterator[Metric]:
         robots = {robot.link: robot.name for robot in self._hub.robots.here() if robot.link is not None}

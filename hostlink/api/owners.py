@@ -1,6 +1,7 @@
 """Owners: who drives and publishes over REST. It is no connection, for one may carry a single request."""
 
 from collections import OrderedDict
+from collections.abc import Iterable
 
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
@@ -22,6 +23,17 @@ class Owners:
 
     def __len__(self) -> int:
         return len(self._owners)
+
+    @property
+    def names(self) -> list[str]:
+        """Of tokens; of addresses, while there are no tokens."""
+        return list(self._owners)
+
+    def end(self, names: Iterable[str]) -> None:
+        """Their tokens are withdrawn: what they drive stops."""
+        for name in names:
+            if name in self._owners:
+                self._owners.pop(name).leave()
 
     def of(self, name: str, role: Role) -> Participant:
         """The one of this name."""

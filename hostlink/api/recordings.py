@@ -137,7 +137,7 @@ class RecordingRoutes:
         )
 
     async def _start(self, request: web.Request) -> web.Response:
-        shape = '{"topics": [names or patterns], "robots": [names], "name": a text}, or empty'
+        shape = '{"topics": [names or patterns], "robots": [names], "name": letters, digits and . _ + -}, or empty'
         body = decode_body(await request.read() or b"{}", RecordingRequest, shape)
         for robot in body.robots:
             self._recordings.check_robot(robot)

@@ -17,6 +17,7 @@ from hostlink.errors import (
     HostlinkError,
     RecordingBusy,
     RecordingFailed,
+    ReloadRefused,
     RobotHeld,
     ServiceFailed,
     UnknownTopic,
@@ -35,6 +36,7 @@ STATUS = {
     DeviceBusy: HTTPStatus.SERVICE_UNAVAILABLE,
     ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
     RecordingBusy: HTTPStatus.CONFLICT,
+    ReloadRefused: HTTPStatus.CONFLICT,
     RecordingFailed: HTTPStatus.INSUFFICIENT_STORAGE,
 }
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
@@ -66,6 +68,9 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
     except web.HTTPException as error:
         if error.status < HTTPStatus.BAD_REQUEST:
             raise
-        answer = refusal("HTTP", f"{request.method} {request.path}: {error.reason}", HTTPStatus(error.status))
+        status = HTTPStatus(error.status)
+        is_own = error.reason not in ("", status.phrase)  # a reason that a person understands by itself
+        reason = error.reason if is_own else f"{request.method} {request.path}: {status.phrase}"
+        answer = refusal("HTTP", reason, status)
         answer.headers.update({name: error.headers[name] for name in _KEPT_HEADERS if name in error.headers})
         return answer

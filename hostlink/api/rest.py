@@ -208,7 +208,9 @@ class Rest:
 
     def _owner(self, request: web.Request) -> Participant:
         grant = request[GRANT]
-        return self._owners.of(grant.who or request.remote or "", grant.role)
+        owner = self._owners.of(grant.who or request.remote or "", grant.role)
+        owner.address = request.remote or ""
+        return owner
 
     async def _stop(self, request: web.Request) -> web.Response:
         robot = self._find(request)

@@ -5,11 +5,9 @@ import contextlib
 import errno
 import functools
 import itertools
-import mimetypes
 import socket as sockets
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from http import HTTPStatus
-from importlib.resources import files
 from typing import TypedDict
 
 import structlog
@@ -18,13 +16,16 @@ from aiohttp.http_exceptions import HttpProcessingError
 from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
-from hostlink.api.access import GRANT, Access, check_role, tls_context, token_of
+from hostlink.api.access import GRANT, Access, Grant, check_role, tls_context, token_of
+from hostlink.api.backlog import Backlog
 from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
+from hostlink.api.drives import DriveRoute
 from hostlink.api.events import Events
 from hostlink.api.foxglove import FoxgloveClient
 from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.grants import Grants
 from hostlink.api.heads import FOXGLOVE, is_foxglove, refuse_unreadable
 from hostlink.api.history import HistoryRoutes
 from hostlink.api.incidents import IncidentRoutes
@@ -32,18 +33,21 @@ from hostlink.api.listener import ApiListener, MakeProtocol
 from hostlink.api.metrics import Metrics
 from hostlink.api.outgoing import ClientQueue, client_queue
 from hostlink.api.owners import Owners
+from hostlink.api.page import page_file
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
+from hostlink.api.reload import ReloadRoute
 from hostlink.api.replies import explain_errors, reply
 from hostlink.api.rest import Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.api.routes import FILE, Handler, Route, openapi
-from hostlink.cancellation import raise_if_cancelled
-from hostlink.config import ApiConfig
+from hostlink.cancellation import patience, raise_if_cancelled
+from hostlink.config import ApiConfig, Config
 from hostlink.errors import ConfigError
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
+from hostlink.hub.reloader import Reloader
 from hostlink.logs import printable
 from hostlink.recording.recordings import Recordings
 
@@ -53,20 +57,12 @@ PING_INTERVAL_S = 10.0  # a client that is gone without closing is noticed withi
 SHUTDOWN_TIMEOUT_S = 0.3
 LINGER_S = 1.0  # for a body that no route expects, before its connection is closed
 REQUEST_S = 0.0005  # the cost of a small request
-FLOOD_GAP_S = 0.003  # from one message of a client to the next: whoever drives does so 200 times a second at the most
 DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who begins subscribes to much at once
 SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
 MAX_GROUP = 64  # characters of the name of a foreign graph
+CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
 SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
-PAGE = files("hostlink.api") / "web" / "built"  # by Vite, from the sources beside it: make web
-PAGE_HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; "
-    "img-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-}
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
 EXPOSED_HEADERS = "Accept-Ranges, Content-Length, Content-Range, ETag, Last-Modified"  # for readers of recordings
 
@@ -82,8 +78,10 @@ class OpenApiView(TypedDict):
 class ApiServer:
     """The HTTP server and its WebSocket clients."""
 
-    def __init__(self, hub: Hub, config: ApiConfig, recordings: Recordings) -> None:
-        self._hub, self._recordings = hub, recordings
+    def __init__(self, hub: Hub, config: ApiConfig, recordings: Recordings, reloader: Reloader) -> None:
+        self._hub, self._recordings, self._reloader = hub, recordings, reloader
+        reloader.prepares.append(self._prepare_access)
+        self._grants = Grants()
         self._config = config
         self._access = Access(config)
         self._limit = RateLimit(config.max_requests_s)
@@ -111,11 +109,13 @@ class ApiServer:
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
         self._routes = [
             *Rest(self._hub, self._clients, self._owners).routes(),
-            *Events(self._hub, self._clients).routes(),
+            *Events(self._hub, self._clients, self._recordings).routes(),
             *Captures(self._hub).routes(),
             *RecordingRoutes(self._recordings).routes(),
-            *IncidentRoutes(self._recordings.black_box).routes(),
+            *IncidentRoutes(self._recordings.black_box, self._hub.catalog).routes(),
+            *DriveRoute(self._recordings.drives).routes(),
             *HistoryRoutes(self._hub, self._recordings.black_box).routes(),
+            *ReloadRoute(self._reloader).routes(),
             self._metrics.route(),
             Route(
                 "/api/openapi.json",
@@ -131,9 +131,21 @@ class ApiServer:
                 app.router.add_route("HEAD", route.path, route.handler)
         self._by_handler = {route.handler: route for route in self._routes}
         app.router.add_get("/", self._root)
-        app.router.add_get("/web/{file}", _page_file)
+        app.router.add_get("/web/{file}", page_file)
         app.on_shutdown.append(self._close_sockets)
         return app
+
+    def _prepare_access(self, config: Config) -> Callable[[], None]:
+        """Other tokens and origins: whoever has a token that is withdrawn is cut off, and what it drives stops."""
+        new = Access(config.api)
+
+        def apply() -> None:
+            revoked = self._access.revoked(new)
+            self._access = new
+            self._grants.end(revoked)
+            self._owners.end(self._owners.names if "" in revoked else revoked)
+
+        return apply
 
     async def _openapi(self, _: web.Request) -> web.Response:
         return reply(openapi(self._routes))
@@ -150,10 +162,10 @@ class ApiServer:
         if request.method == "OPTIONS" and origin is not None:  # a browser's preflight for a page of another origin
             answer: web.StreamResponse = web.Response(status=HTTPStatus.NO_CONTENT)
         else:
-            self._check(request)
-            await self._turns.wait(REQUEST_S)
-            await self._receive_body(request)
-            answer = await handler(request)
+            with self._granted(request):
+                await self._turns.wait(REQUEST_S)
+                await self._receive_body(request)
+                answer = await handler(request)
         if origin is not None and not answer.prepared:
             answer.headers["Access-Control-Allow-Origin"] = origin
             answer.headers["Access-Control-Allow-Methods"] = "GET, HEAD, PUT, POST, DELETE"
@@ -162,18 +174,27 @@ class ApiServer:
             answer.headers["Vary"] = "Origin"
         return answer
 
-    def _check(self, request: web.Request) -> None:
+    @contextlib.contextmanager
+    def _granted(self, request: web.Request) -> Iterator[None]:
+        """Refuse what is not allowed; what is, may be withdrawn within the block."""
+        grant = self._check(request)
+        with contextlib.nullcontext() if grant is None else self._grants.using(grant):
+            yield
+
+    def _check(self, request: web.Request) -> Grant | None:
         route = self._by_handler.get(request.match_info.handler)
         is_limited = route is None or route.is_limited
         if is_limited and not self._limit.allows(request.remote, asyncio.get_running_loop().time()):
             reason = f"more than {self._config.max_requests_s:g} a second"
             raise web.HTTPTooManyRequests(reason=reason, headers={"Retry-After": "1"})
-        is_page = request.match_info.handler in (self._root, _page_file) and not _is_websocket(request)
+        is_page = request.match_info.handler in (self._root, page_file) and not _is_websocket(request)
         role = route.role if route is not None else None if is_page else Role.READ
-        if role is not None:
-            grant = self._access.grant(token_of(request))
-            check_role(grant, role)
-            request[GRANT] = grant
+        if role is None:
+            return None
+        grant = self._access.grant(token_of(request))
+        check_role(grant, role)
+        request[GRANT] = grant
+        return grant
 
     async def _receive_body(self, request: web.Request) -> None:
         """Read the body of a request, before its handler runs, where the route has one: a stop waits for none."""
@@ -191,7 +212,7 @@ class ApiServer:
             raise web.HTTPBadRequest(reason="the body broke off, or is not what its head announces") from error
 
     async def _root(self, request: web.Request) -> web.StreamResponse:
-        return await (self._serve_client(request) if _is_websocket(request) else _page_file(request))
+        return await (self._serve_client(request) if _is_websocket(request) else page_file(request))
 
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         kind = "foxglove" if is_foxglove(request) else "rosbridge"
@@ -230,16 +251,20 @@ class ApiServer:
         loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as tasks:
             program = self._program(client, queue, tasks, group)
+            program.participant.address = client.peer
             sender = tasks.create_task(self._send(socket, client, program, queue), name=f"{client.name} sender")
             try:
-                turns, before_s = self._hub.turns(), float("-inf")
-                async for message in socket:
+                turns, backlog = self._hub.turns(), Backlog()
+                while True:
+                    with backlog.receiving():
+                        message = await socket.receive()
+                    if message.type in CLOSING:
+                        break
                     if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
                         continue
                     client.messages_from_client += 1
-                    now_s = loop.time()
-                    is_flooding, before_s = now_s < before_s + FLOOD_GAP_S, now_s
-                    await turns.run(functools.partial(program.receive, message.data), is_flooding=is_flooding)
+                    work = functools.partial(program.receive, message.data)
+                    await turns.run(work, is_flooding=backlog.is_flooding)
                     if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
                         await self._refuse_flood(socket)
                         break
@@ -264,16 +289,17 @@ class ApiServer:
     async def _send(self, socket: web.WebSocketResponse, client: Client, program: Program, queue: ClientQueue) -> None:
         """Send what is queued; a client that cannot keep up with its answers is logged, and closed."""
         loop = asyncio.get_running_loop()
-        async with asyncio.timeout(None) as patience:
+        async with patience(SEND_TIMEOUT_S) as sending:
             while not queue.is_too_slow and not queue.is_closed:
-                due_s = program.flush(loop.time())
-                patience.reschedule(loop.time() + SEND_TIMEOUT_S)
+                now_s = loop.time()
+                due_s = program.flush(now_s)
+                sending.begin(now_s)
                 for waiting in itertools.islice(iter(queue.pop, None), SEND_BATCH):
                     kind = WSMsgType.BINARY if waiting.item.is_binary else WSMsgType.TEXT
                     await socket.send_frame(waiting.item.data, kind)
                     client.sent(waiting.size_bytes)
                     self._metrics.to_client.observe(loop.time() - waiting.since_s)
-                patience.reschedule(None)
+                sending.end()
                 await _wait(queue, due_s)
         if queue.is_closed:  # a fault of hostlink has ended the participant, and is logged
             await socket.close(code=WSCloseCode.INTERNAL_ERROR, message=b"a fault of hostlink", drain=False)
@@ -315,25 +341,14 @@ def _is_websocket(request: web.Request) -> bool:
     return request.headers.get("Upgrade", "").lower() == "websocket"
 
 
-async def _page_file(request: web.Request) -> web.StreamResponse:
-    """A file of the page: it needs no token, because no robot is named in it."""
-    name = request.match_info.get("file")
-    folder = PAGE if name is None else PAGE / "web"
-    found = next((each for each in folder.iterdir() if each.name == (name or "index.html")), None)
-    if found is None:  # also for ..%2F..: a name is one of the folder's, not a way out of it
-        raise web.HTTPNotFound
-    kind, _ = mimetypes.guess_type(found.name)
-    return web.Response(body=found.read_bytes(), headers=PAGE_HEADERS | {"Content-Type": kind or "text/plain"})
-
-
 @contextlib.asynccontextmanager
-async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings) -> AsyncIterator[str]:
+async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloader: Reloader) -> AsyncIterator[str]:
     """Serve until the block is left; yields the address as a URL.
 
     Raises:
         ConfigError: the port is in use, or the address cannot be listened on.
     """
-    server = ApiServer(hub, config, recordings)
+    server = ApiServer(hub, config, recordings, reloader)
     runner = web.AppRunner(
         server.application(),
         access_log=None,

@@ -1,7 +1,7 @@
 """StateFeed: what GET /api/events sends, made once for all readers, and not at all while there are none.
 
-Robots, links and clients are states: a reader gets the newest, and fewer of them when it is slow. Log lines are not:
-the newest MAX_LINES are kept for it, and the others counted.
+Robots, links, clients and recordings are states: a reader gets the newest, and fewer of them when it is slow. Log
+lines are not: the newest MAX_LINES are kept for it, and the others counted.
 """
 
 import asyncio
@@ -16,12 +16,14 @@ import msgspec
 
 from hostlink.api.client_subscriptions import encode_json
 from hostlink.api.clients import Clients
+from hostlink.api.recordings import recording_view
 from hostlink.api.slices import Slices
 from hostlink.api.views import RobotView, links_view, robot_view
 from hostlink.errors import BadPayload
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
+from hostlink.recording.recordings import Recordings
 
 TICK_S = 0.1  # poses come ten times a second
 REFRESH_S = 9.5 * TICK_S  # every tenth tick: ages and counters
@@ -75,6 +77,7 @@ class _State:
     name: str
     interval_s: float
     encode: Callable[[], Awaitable[bytes | None]]  # None: nothing has changed
+    is_repeated: bool = True  # also when it has not changed
     due_s: float = 0.0
     version: int = 0
     wire: bytes = b""
@@ -92,7 +95,7 @@ class StateFeed:
     is encoded in slices; commands and devices have their turns in between.
     """
 
-    def __init__(self, hub: Hub, clients: Clients) -> None:
+    def __init__(self, hub: Hub, clients: Clients, recordings: Recordings) -> None:
         self.is_running = False  # not: its reader's stream ends
         self.version = 0
         self.line_count = 0  # so far
@@ -100,8 +103,9 @@ class StateFeed:
             _State(name="robots", interval_s=0.0, encode=self._encode_robots),
             _State(name="links", interval_s=REFRESH_S, encode=self._encode_links),
             _State(name="clients", interval_s=REFRESH_S, encode=self._encode_clients),
+            _State(name="recordings", interval_s=REFRESH_S, encode=self._encode_recordings, is_repeated=False),
         )
-        self._hub, self._clients = hub, clients
+        self._hub, self._clients, self._recordings = hub, clients, recordings
         self._slices = Slices(hub)
         self._readers: set[Reader] = set()
         self._lines: deque[Message] = deque(maxlen=MAX_LINES)
@@ -159,9 +163,10 @@ class StateFeed:
     async def _renew(self, state: _State) -> None:
         self._slices.spent_s = 0.0
         json = await state.encode()
-        if json is not None:
+        wire = state.wire if json is None else encode_event(state.name, json)
+        if json is not None and (state.is_repeated or state.version == 0 or wire != state.wire):
             self.version += 1
-            state.version, state.wire = self.version, encode_event(state.name, json)
+            state.version, state.wire = self.version, wire
             self._slices.spent_s += len(state.wire) * len(self._readers) * BYTE_COST_S
         state.due_s = asyncio.get_running_loop().time() + max(state.interval_s, self._slices.spent_s / SHARE)
 
@@ -190,11 +195,22 @@ class StateFeed:
     async def _encode_clients(self) -> bytes:
         return msgspec.json.encode({"clients": self._clients.views(), "refused": self._clients.refused})
 
+    async def _encode_recordings(self) -> bytes:
+        box = self._recordings.black_box
+        incidents = {"pending": len(box.pending), "saved": box.saved, "missed": box.missed}
+        under_way = [recording_view(each) for each in self._recordings.under_way()]
+        news = {"recordings": under_way, "changes": self._recordings.changes, "incidents": incidents}
+        return msgspec.json.encode(news)
+
 
 def _essence(view: RobotView) -> object:
-    """What makes a view worth sending at once: not that its pose has grown older."""
+    """What makes a view worth sending at once: not that its pose has grown older.
+
+    A robot without poses shows by its frames that it lives.
+    """
     odometry = view["odometry"]
-    return {**view, "odometry": odometry and odometry["count"]}
+    frames = view["frames"] if odometry is None else None
+    return {**view, "odometry": odometry and odometry["count"], "frames": frames}
 
 
 def encode_event(name: str, json: bytes) -> bytes:

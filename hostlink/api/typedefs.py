@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant
+from hostlink.messages.fields import BUILT_IN, FLOATS, SCALAR, Constant, bool_value
 from hostlink.messages.message_type import MessageType
 
 _TIMES = ("time", "duration")
@@ -61,5 +61,5 @@ def _value(constant: Constant) -> str:
     if constant.type in FLOATS:
         return str(float(constant.text))
     if constant.type == "bool":
-        return str(constant.text in ("True", "true", "1"))
+        return str(bool_value(constant.text))
     return constant.text if constant.type == "string" else str(int(constant.text))

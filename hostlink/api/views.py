@@ -11,6 +11,7 @@ from hostlink.api.slices import Slices
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
+from hostlink.hub.node import address_of
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
@@ -24,10 +25,14 @@ class VelocityView(TypedDict):
 
 
 class VelocityAnswer(TypedDict):
-    """The velocity after the limits, and how long it lasts."""
+    """The velocity after the limits, and how long it lasts.
+
+    limited_by: the setting of the robot that slows it down most; null: none does, or its daemon is another.
+    """
 
     velocity: VelocityView
     is_limited: bool
+    limited_by: str | None
     lease_s: float
 
 
@@ -55,9 +60,11 @@ class OdometryView(TypedDict):
 class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry.
 
+    holder_address: from which who drives it is connected; null: nobody, a part of a daemon, or at another daemon.
     unreachable: why its device could not receive the last velocity; null: it could. host: the daemon that has its link;
     null: this one. also_at: other daemons that have a robot of this name. wheel_separation_m: as it is
-    configured.
+    configured. frames: how many its device has sent on this link, so that a reader notices when it falls silent; null:
+    it is not connected, or not here.
     """
 
     name: str
@@ -65,9 +72,11 @@ class RobotView(TypedDict):
     also_at: list[str]
     connected: bool
     link: int | None
+    frames: int | None
     velocity_topic: str
     odometry_topic: str
     holder: str | None
+    holder_address: str | None
     priority: int | None
     locked: bool
     lock_reason: str | None
@@ -200,9 +209,11 @@ def robot_view(robot: Robot | RemoteRobot) -> RobotView:
         "also_at": list(robot.also_at),
         "connected": robot.link is not None,
         "link": None if robot.link is None else robot.link.number,
+        "frames": _frames(robot),
         "velocity_topic": robot.shown.velocity,
         "odometry_topic": robot.shown.odometry,
         "holder": robot.gate.owner_name,
+        "holder_address": _holder_address(robot),
         "priority": robot.gate.priority,
         "locked": robot.gate.lock_reason is not None,
         "lock_reason": robot.gate.lock_reason,
@@ -211,6 +222,16 @@ def robot_view(robot: Robot | RemoteRobot) -> RobotView:
         "velocity": velocity_view(robot.gate.current),
         "odometry": odometry_view(robot),
     }
+
+
+def _holder_address(robot: Robot | RemoteRobot) -> str | None:
+    return address_of(robot.gate.owner) or None if isinstance(robot, Robot) else None
+
+
+def _frames(robot: Robot | RemoteRobot) -> int | None:
+    if not isinstance(robot, Robot) or robot.link is None:
+        return None
+    return robot.link.session.counts.frames_from_device
 
 
 def velocity_view(velocity: Velocity) -> VelocityView:
@@ -223,6 +244,7 @@ def velocity_answer(robot: Robot | RemoteRobot, requested: Velocity, limited: Ve
     return {
         "velocity": velocity_view(limited),
         "is_limited": limited != requested,
+        "limited_by": robot.gate.limits.slowest(requested) if isinstance(robot, Robot) else None,
         "lease_s": robot.gate.lease_s,
     }
 

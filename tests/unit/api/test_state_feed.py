@@ -15,6 +15,8 @@ from hostlink.config import Config
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id
+from hostlink.recording.incident import Incident
+from hostlink.recording.recordings import Recordings
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -28,7 +30,7 @@ def with_feed(test: Callable[[Hub, StateFeed], Awaitable[None]]) -> None:
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())
             await hub.is_running.wait()
-            await test(hub, StateFeed(hub, Clients(8, max_per_address=8)))
+            await test(hub, StateFeed(hub, Clients(8, max_per_address=8), Recordings(hub)))
             running.cancel()
 
     with capture_logs():
@@ -66,7 +68,7 @@ def test_states_are_encoded_once_for_all_readers() -> None:
         with feed.reading(one), feed.reading(two):
             await asyncio.sleep(0.05)
             first, second = one.pop(), two.pop()
-        assert [name for name, _ in parsed(first)] == ["robots", "links", "clients"]
+        assert [name for name, _ in parsed(first)] == ["robots", "links", "clients", "recordings"]
         assert all(mine is other for mine, other in zip(first, second, strict=True))
         assert parsed(first)[0][1]["robots"][0]["name"] == "robot_0"
         assert parsed(first)[1][1]["links"][0]["peer"] == "10.0.0.2"
@@ -101,6 +103,7 @@ def test_nothing_is_encoded_while_nobody_reads_and_nobody_gets_what_was_encoded_
 def test_robots_come_ten_times_a_second_while_one_moves_and_once_a_second_else() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
+        await device.send(125, bytes(24))  # a robot with poses
         with feed.reading(reader):
             await asyncio.sleep(0.05)
             reader.pop()
@@ -120,6 +123,20 @@ async def _move(device: ScriptedDevice) -> None:
     while True:
         await device.send(125, bytes(24))
         await asyncio.sleep(0.02)
+
+
+def test_a_robot_without_poses_shows_by_its_frames_that_it_lives() -> None:
+    async def check(hub: Hub, feed: StateFeed) -> None:
+        device, reader = await connected(hub), Reader(feed)
+        with feed.reading(reader):
+            await asyncio.sleep(0.15)
+            before = dict(parsed(reader.pop()))["robots"]["robots"][0]["frames"]
+            await device.send(Id.LOG, encode_log(Log(2, "warm")))
+            await asyncio.sleep(0.15)
+            assert dict(parsed(reader.pop()))["robots"]["robots"][0]["frames"] == before + 1
+        await device.aclose()
+
+    with_feed(check)
 
 
 def test_a_change_of_a_robot_that_stands_still_comes_at_once() -> None:
@@ -159,6 +176,7 @@ def test_a_slow_reader_gets_the_newest_state_and_the_newest_lines_and_the_others
 def test_a_line_comes_at_once_though_nothing_else_changes() -> None:
     async def check(hub: Hub, feed: StateFeed) -> None:
         device, reader = await connected(hub), Reader(feed)
+        await device.send(125, bytes(24))  # a robot with poses
         with feed.reading(reader):
             await asyncio.sleep(0.25)
             reader.pop()
@@ -201,10 +219,31 @@ def test_many_readers_are_sent_less_often_so_that_all_of_them_cost_a_bounded_sha
     with_feed(check)
 
 
+def test_recordings_come_when_they_change_and_to_each_new_reader() -> None:
+    async def run() -> None:
+        hub = Hub(Config(), CATALOG, reraises=True)
+        recordings = Recordings(hub)
+        feed = StateFeed(hub, Clients(8, max_per_address=8), recordings)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(hub.run())
+            await hub.is_running.wait()
+            for _ in range(2):
+                reader = Reader(feed)
+                with feed.reading(reader):
+                    assert (await counted(reader, 10.0))["recordings"] == 1
+                    recordings.black_box.pending.append(Incident("robot_0", "wish", "", 0))
+                    assert (await counted(reader, 3.0))["recordings"] == 1
+                await asyncio.sleep(1.0)
+            running.cancel()
+
+    with capture_logs():
+        run_virtual(run())
+
+
 def test_the_streams_end_with_the_hub() -> None:
     async def run() -> None:
         hub = Hub(Config(), CATALOG, reraises=True)
-        feed = StateFeed(hub, Clients(8, max_per_address=8))
+        feed = StateFeed(hub, Clients(8, max_per_address=8), Recordings(hub))
         reader = Reader(feed)
         async with asyncio.TaskGroup() as tasks:
             running = tasks.create_task(hub.run())

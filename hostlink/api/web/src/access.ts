@@ -1,6 +1,7 @@
 /** Requests a token from the person when the daemon needs one, with the reason. */
 
 import { find, setText } from "./dom";
+import { forPeople } from "./rest";
 import { keepToken } from "./token";
 
 export class Access {
@@ -16,15 +17,20 @@ export class Access {
       this.panel.hidden = true;
       onToken();
     });
+    find("#access-close").addEventListener("click", () => {
+      this.panel.hidden = true;
+    });
   }
 
   get isShown(): boolean {
     return !this.panel.hidden;
   }
 
-  show(title: string, reason: string): void {
+  /** `isOptional`: the page is of use without one. */
+  show(title: string, reason: string, isOptional = false): void {
     setText(find("#access-title"), title);
-    setText(find("#access-reason"), reason.replace(/^[A-Z]+ \/\S*: /, "")); // a person does not know the path
+    setText(find("#access-reason"), forPeople(reason));
+    find("#access-close").hidden = !isOptional;
     if (!this.panel.hidden) return;
     this.panel.hidden = false;
     find("#access-token").focus();

@@ -9,7 +9,6 @@ const BROWSERS = ["Firefox", "Edg", "Chrome", "Safari"]; // each has the names o
 export function showClients(clients: ClientView[]): void {
   const programs = new Set(clients.filter(({ kind }) => kind !== "events").map(programOf));
   const shown = clients.filter((client) => client.kind !== "events" || !programs.has(programOf(client)));
-  find("#clients").hidden = false;
   find("#clients ul").replaceChildren(...shown.map(describe));
 }
 

@@ -1,22 +1,22 @@
 /**
- * The WebSocket: rosbridge by roslib, probed by a service call three times a second, and opened again whenever it is
- * lost.
+ * The WebSocket: rosbridge, probed by a service call three times a second, and opened again whenever it is lost.
  *
- * Each attempt is a new Ros of its own: roslib keeps what is sent while it is closed and sends it later, and nothing
- * that was meant before a break may reach a robot after it.
+ * Each attempt is a socket of its own. Nothing is kept to be sent later: what was meant before a break may not reach a
+ * robot after it.
  */
-
-import { Ros, type RosbridgeMessage, Service, Topic, WebSocketTransportFactory } from "roslib";
 
 const CHECK_MS = 50;
 const PROBE_MS = 300;
 const LATE_MS = 400; // with PROBE_MS, and CHECK_MS twice: a dead network is noticed within 0.8 s
 const DEAD_MS = 2000;
 const OPEN_MS = 1500;
+const CALL_MS = 5000;
+const MAX_CALLS = 32; // that wait for their answer
 const BACKOFF_MS = [250, 500, 1000];
 
-const PUBLISH_ID = "publish"; // under these a refusal comes back
+const PUBLISH_ID = "publish:"; // with the topic: under these a refusal comes back
 const DRIVE_ID = "drive";
+const PROBE_ID = "probe";
 
 /** hostlink's own operation beside rosbridge's: a command that is answered, and refused when it comes too late. */
 export interface DriveRequest {
@@ -39,30 +39,46 @@ export interface DriveAnswer {
 export type State = "connecting" | "open" | "late" | "closed";
 
 interface Subscription {
+  id: string;
   topic: string;
   type: string;
+  throttle_ms: number;
   onMessage: (message: never) => void;
 }
+
+interface Call {
+  resolve: (values: unknown) => void;
+  reject: (error: Error) => void;
+}
+
+/** What comes from the daemon, as far as it is read here. */
+type Incoming =
+  | { op: "publish"; topic: string; msg: never }
+  | { op: "service_response"; id?: string; result?: boolean; values?: unknown }
+  | { op: "status"; id?: string; msg?: unknown }
+  | ({ op: "drive_result" } & DriveAnswer)
+  | { op: "other" };
 
 export class Connection {
   state: State = "connecting";
   roundTripMs: number | null = null;
 
-  private ros: Ros | null = null;
-  private topics = new Map<Subscription, Topic<never>>();
-  private subscriptions = new Set<Subscription>();
+  private socket: WebSocket | null = null;
+  private readonly subscriptions = new Map<string, Subscription>(); // by id
+  private subscribed = 0; // so far: the next id
+  private readonly calls = new Map<string, Call>(); // by id
+  private called = 0;
   private probedAt: number | null = null; // null: it was answered
   private probeAt = 0;
   private attemptAt = 0;
   private failures = 0;
-  private serial = 0;
 
   /** `address` is called at each attempt: the token may be new. */
   constructor(
     private readonly address: () => string,
     private readonly onState: (state: State) => void,
     private readonly onDriven: (answer: DriveAnswer) => void,
-    private readonly onRefusal: (reason: string) => void,
+    private readonly onRefusal: (reason: string, topic: string) => void,
   ) {}
 
   start(): void {
@@ -80,21 +96,40 @@ export class Connection {
     this.attemptAt = 0;
   }
 
-  /** Holds over every break until the returned function is called. */
-  subscribe<T>(topic: string, type: string, onMessage: (message: T) => void): () => void {
-    const subscription: Subscription = { topic, type, onMessage: onMessage as (message: never) => void };
-    this.subscriptions.add(subscription);
-    if (this.ros?.isConnected) this.request(this.ros, subscription);
+  /** Holds over every break until the returned function is called. `throttle_ms`: between two messages at least. */
+  subscribe<T>(topic: string, type: string, onMessage: (message: T) => void, throttle_ms = 0): () => void {
+    const id = `subscription:${++this.subscribed}`;
+    const subscription = { id, topic, type, throttle_ms, onMessage: onMessage as (message: never) => void };
+    this.subscriptions.set(id, subscription);
+    this.request(subscription);
     return () => {
-      this.subscriptions.delete(subscription);
-      if (this.ros?.isConnected) this.topics.get(subscription)?.unsubscribe();
-      this.topics.delete(subscription);
+      if (this.subscriptions.delete(id)) this.send({ op: "unsubscribe", id, topic });
     };
   }
 
   /** Send it now or never: false when it was not sent. */
   publish(topic: string, msg: object): boolean {
-    return this.send({ op: "publish", id: PUBLISH_ID, topic, msg });
+    return this.send({ op: "publish", id: PUBLISH_ID + topic, topic, msg });
+  }
+
+  /** The values that a service answers. An error has the reason why there are none. */
+  call<T>(service: string, args: object): Promise<T> {
+    const id = `call:${++this.called}`;
+    return new Promise<T>((resolve, reject) => {
+      if (this.calls.size >= MAX_CALLS || !this.send({ op: "call_service", id, service, args })) {
+        reject(new Error("hostlink is not connected."));
+        return;
+      }
+      this.calls.set(id, { resolve: resolve as (values: unknown) => void, reject });
+      setTimeout(() => this.answered(id, false, "hostlink does not answer."), CALL_MS);
+    });
+  }
+
+  private answered(id: string, isDone: boolean, values: unknown): void {
+    const call = this.calls.get(id);
+    this.calls.delete(id);
+    if (isDone) call?.resolve(values);
+    else call?.reject(new Error(String(values)));
   }
 
   /** Send it now or never. */
@@ -103,51 +138,36 @@ export class Connection {
   }
 
   private send(message: object): boolean {
-    if (this.ros === null || (this.state !== "open" && this.state !== "late")) return false;
-    this.ros.callOnConnection(message as RosbridgeMessage);
+    if (this.socket?.readyState !== WebSocket.OPEN || (this.state !== "open" && this.state !== "late")) return false;
+    this.socket.send(JSON.stringify(message));
     return true;
   }
 
   private open(): void {
-    const serial = ++this.serial;
-    const ros = new Ros({
-      transportFactory: async (url) => {
-        const transport = await WebSocketTransportFactory(url);
-        return transport.on("message", (message: object) => {
-          if ("op" in message && message.op === "drive_result") this.onDriven(message as unknown as DriveAnswer);
-        });
-      },
-    });
-    this.ros = ros;
+    const socket = new WebSocket(this.address());
+    this.socket = socket;
     this.attemptAt = performance.now();
     this.change("connecting");
-    ros.on("connection", () => this.opened(serial, ros));
-    ros.on("close", () => this.closed(serial));
-    ros.on("error", () => this.closed(serial));
-    ros.connect(this.address()).catch(() => this.closed(serial));
+    socket.addEventListener("open", () => this.opened(socket));
+    socket.addEventListener("close", () => this.closed(socket));
+    socket.addEventListener("message", ({ data }) => {
+      if (socket === this.socket && typeof data === "string") this.receive(JSON.parse(data) as Incoming);
+    });
   }
 
-  private opened(serial: number, ros: Ros): void {
-    if (serial !== this.serial) {
-      ros.close();
-      return;
-    }
+  private opened(socket: WebSocket): void {
+    if (socket !== this.socket) return;
     this.failures = 0;
     this.probedAt = null;
     this.probeAt = 0;
-    ros.setStatusLevel("error");
-    ros.on(`status:${PUBLISH_ID}`, (status) => this.onRefusal(textOf(status)));
-    ros.on(`status:${DRIVE_ID}`, (status) => {
-      this.onDriven({ result: false, kind: "NoRole", reason: textOf(status) });
-    });
-    this.topics.clear();
-    for (const subscription of this.subscriptions) this.request(ros, subscription);
     this.change("open");
+    this.send({ op: "set_level", level: "error" });
+    for (const subscription of this.subscriptions.values()) this.request(subscription);
   }
 
-  private closed(serial: number): void {
-    if (serial !== this.serial || this.state === "closed") return;
-    this.ros = null;
+  private closed(socket: WebSocket | null): void {
+    if (socket !== this.socket || this.state === "closed") return;
+    this.socket = null;
     this.roundTripMs = null;
     this.attemptAt = performance.now() + (BACKOFF_MS[Math.min(this.failures, BACKOFF_MS.length - 1)] ?? 0);
     this.failures += 1;
@@ -155,16 +175,29 @@ export class Connection {
   }
 
   private drop(): void {
-    const ros = this.ros;
-    this.closed(this.serial);
-    ros?.close();
+    const { socket } = this;
+    this.closed(socket);
+    socket?.close();
   }
 
-  private request(ros: Ros, subscription: Subscription): void {
-    const { topic: name, type: messageType, onMessage } = subscription;
-    const topic = new Topic<never>({ ros, name, messageType, reconnect_on_close: false });
-    topic.subscribe(onMessage);
-    this.topics.set(subscription, topic);
+  private receive(message: Incoming): void {
+    if (message.op === "publish") {
+      for (const { topic, onMessage } of this.subscriptions.values()) {
+        if (topic === message.topic) onMessage(message.msg);
+      }
+    } else if (message.op === "drive_result") this.onDriven(message);
+    else if (message.op === "service_response" && message.id === PROBE_ID) this.probed();
+    else if (message.op === "service_response") {
+      this.answered(message.id ?? "", message.result !== false, message.values);
+    } else if (message.op === "status" && message.id?.startsWith(PUBLISH_ID)) {
+      this.onRefusal(String(message.msg ?? ""), message.id.slice(PUBLISH_ID.length));
+    } else if (message.op === "status" && message.id === DRIVE_ID) {
+      this.onDriven({ result: false, kind: "NoRole", reason: String(message.msg ?? "") });
+    }
+  }
+
+  private request({ id, topic, type, throttle_ms }: Subscription): void {
+    this.send({ op: "subscribe", id, topic, type, throttle_rate: throttle_ms });
   }
 
   private check(): void {
@@ -183,17 +216,16 @@ export class Connection {
   }
 
   private probe(now: number): void {
-    const { ros, serial } = this;
-    if (ros === null) return;
     this.probedAt = now;
     this.probeAt = now + PROBE_MS;
-    const heard = () => {
-      if (serial !== this.serial || this.probedAt === null) return;
-      this.roundTripMs = performance.now() - this.probedAt;
-      this.probedAt = null;
-      this.change("open");
-    };
-    new Service({ ros, name: "/rosapi/get_time", serviceType: "rosapi/GetTime" }).callService({}, heard, heard);
+    this.send({ op: "call_service", id: PROBE_ID, service: "/rosapi/get_time", args: {} });
+  }
+
+  private probed(): void {
+    if (this.probedAt === null) return;
+    this.roundTripMs = performance.now() - this.probedAt;
+    this.probedAt = null;
+    this.change("open");
   }
 
   private change(state: State): void {
@@ -201,8 +233,4 @@ export class Connection {
     this.state = state;
     this.onState(state);
   }
-}
-
-function textOf(status: RosbridgeMessage): string {
-  return "msg" in status ? String(status.msg) : "";
 }

@@ -23,11 +23,28 @@ export function setText(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** The children become these. One that stays is not moved: it keeps the focus, and what was pressed. */
+export function arrange(list: Element, children: Iterable<Element>): void {
+  const wanted = new Set(children);
+  for (const old of [...list.children]) if (!wanted.has(old)) old.remove();
+  let next = list.firstElementChild;
+  for (const child of wanted) {
+    if (child === next) next = next.nextElementSibling;
+    else list.insertBefore(child, next);
+  }
+}
+
 /** A number with so many digits and a real minus; a dash for none. */
 export function digits(value: number | null | undefined, count: number): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const text = value.toFixed(count);
   return (Number(text) === 0 ? (0).toFixed(count) : text).replace("-", "−");
+}
+
+/** How old something is, as short as it can be said. */
+export function ageText(age_s: number): string {
+  if (age_s < 60) return `${digits(age_s, age_s < 10 ? 1 : 0)} s`;
+  return age_s < 3600 ? `${digits(age_s / 60, 0)} min` : `${digits(age_s / 3600, 0)} h`;
 }
 
 /** A value of this browser's that outlives the page; a browser may forbid to keep it. */
@@ -45,4 +62,31 @@ export function remember(key: string, value: string): void {
   } catch {
     return; // private windows of some browsers: then it holds until the page is left
   }
+}
+
+const CONFIRM_MS = 4000;
+
+/** A button that asks first: `prepare`, called at the first press, returns what a second one soon after does. */
+export function confirmed(button: HTMLButtonElement, question: string, prepare: () => () => void): void {
+  let timer: number | null = null;
+  let act = () => {};
+  const label = button.textContent;
+  const end = () => {
+    if (timer !== null) clearTimeout(timer);
+    timer = null;
+    setText(button, label);
+    button.classList.remove("asking");
+  };
+  button.addEventListener("click", () => {
+    if (timer !== null) {
+      end();
+      act();
+      return;
+    }
+    act = prepare();
+    timer = setTimeout(end, CONFIRM_MS);
+    setText(button, question);
+    button.classList.add("asking");
+  });
+  button.addEventListener("blur", end);
 }

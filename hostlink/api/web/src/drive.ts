@@ -1,18 +1,22 @@
 /** The drive panel: from what is held to commands on the robot's velocity topic, and why they do not work if so. */
 
 import type { Connection, DriveAnswer } from "./connection";
-import { digits, find, remember, remembered, setText } from "./dom";
+import { ageText, digits, find, remember, remembered, setText } from "./dom";
 import { Driving, TICK_MS } from "./driving";
 import type { Fleet } from "./fleet";
 import { connectGamepad } from "./gamepad";
 import { connectJoystick } from "./joystick";
-import { connectKeys } from "./keys";
-import type { RobotView, Velocity } from "./views";
+import { connectKeys, LOST } from "./keys";
+import { named, type RobotView, type Velocity } from "./views";
 
 const TELEOP_PRIORITY = 60; // a person goes before a program, which has 50
 const UNANSWERED_MS = 250; // then nothing more is sent until an answer comes: it would only be old when it arrives
 const REFUSED_MS = 1500; // a refusal that is older is over
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
+
+const LEASE_MS = 500;
+
+const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
 
 export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
@@ -23,15 +27,18 @@ export class Drive {
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
+  private readonly pause = new Pause();
+  private readonly holders = new Map<string, number>(); // who held the robot while the stick was held here, and when
 
   constructor(
     private readonly fleet: Fleet,
     private readonly connection: Connection,
+    private readonly canDrive: () => boolean,
   ) {
     this.connectSlider("linear", "m/s", 2, 0.2);
     this.connectSlider("angular", "rad/s", 1, 1);
     setInterval(() => this.tick(), TICK_MS);
-    for (const event of ["blur", "pagehide"]) addEventListener(event, () => this.driving.releaseAll());
+    for (const event of [...LOST, "pagehide"]) addEventListener(event, () => this.driving.releaseAll());
     document.addEventListener("visibilitychange", () => document.hidden && this.driving.releaseAll());
   }
 
@@ -46,7 +53,7 @@ export class Drive {
   driver(robot: RobotView): string | null {
     if (robot.holder === null) return null;
     const isMine = robot.name === this.target?.name && performance.now() - this.droveAt < AFTERGLOW_MS;
-    return isMine && !this.isRefused ? "you" : robot.holder;
+    return isMine && !this.isRefused ? "you" : named(robot.holder, robot.holder_address);
   }
 
   /** Of somebody more important the stick waits for; after any other refusal it must be released first. */
@@ -71,10 +78,22 @@ export class Drive {
       this.driving.releaseAll(); // the zeros go to the robot that was driven
     }
     this.target = robot;
-    if (robot?.locked || robot?.connected === false) this.driving.releaseAll();
+    if (!this.driving.isHeld) this.holders.clear();
+    else if (robot?.holder) this.holders.set(robot.holder, performance.now());
+    if (robot?.locked || robot?.connected === false || !this.canDrive()) this.driving.releaseAll();
+    find("#read-only").hidden = this.canDrive() || robot?.locked === true;
+    for (const slider of document.querySelectorAll<HTMLInputElement>("#drive input"))
+      slider.disabled = !this.canDrive();
     const [state, text] = this.describe(robot);
     find("#drive").dataset.state = state;
     setText(find("#drive-state"), text);
+    find("#drive-state").title = text;
+  }
+
+  /** Of one priority the newest command counts: two who hold the stick take it from each other. */
+  private get hasRival(): boolean {
+    const since = performance.now() - AFTERGLOW_MS;
+    return [...this.holders.values()].filter((at) => at > since).length > 1;
   }
 
   private get isRefused(): boolean {
@@ -83,26 +102,36 @@ export class Drive {
 
   private describe(robot: RobotView | undefined): [state: string, text: string] {
     if (this.connection.state !== "open") return ["gone", "No connection"];
+    const { missed } = this.fleet;
+    if (missed !== null) return ["gone", `Choose a robot: ${missed} is not there any more`];
     if (robot === undefined) return ["idle", "No robot yet"];
     if (!robot.connected) return ["gone", `${robot.name} is not connected`];
+    if (!this.canDrive()) return ["read", "This token may only read"];
+    if (this.fleet.isSilent(robot)) {
+      return ["silent", `${robot.name}: silent for ${ageText(this.fleet.age_s(robot))}`];
+    }
     if (robot.locked) return ["locked", `${robot.name} is locked`];
     if (this.isRefused) return ["refused", this.refusal];
+    if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
     const driver = this.driver(robot);
+    if (driver === "you" && this.hasRival) return ["other", "Somebody else drives it, too: let go"];
     if (driver === "you") return ["driving", "You drive"];
-    if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `${driver} drives, and goes before you`];
-    if (driver !== null) return ["other", `${driver} drives; your stick takes over`];
+    if ((robot.priority ?? 0) > TELEOP_PRIORITY) return ["other", `Goes before you: ${driver}`];
+    if (driver !== null) return ["other", `Your stick takes over: ${driver} drives`];
     return ["idle", "Ready: nobody drives"];
   }
 
   private tick(): void {
-    this.driving.tick();
-    const command = this.driving.velocity();
+    if (this.pause.isLong())
+      this.driving.releaseAll(); // the robot has stopped, and what was let go is not known
+    else this.driving.tick();
+    const command = this.canDrive() ? this.driving.velocity() : STANDING;
     setText(find("#command-linear"), digits(command.linear_m_s, 2));
     setText(find("#command-angular"), digits(command.angular_rad_s, 2));
   }
 
   private send(velocity: Velocity): void {
-    if (!this.target?.connected) return;
+    if (!this.target?.connected || !this.canDrive()) return;
     const now = performance.now();
     const { isHeld } = this.driving;
     if (isHeld && now - (this.unanswered[0] ?? now) > UNANSWERED_MS) return;
@@ -133,5 +162,18 @@ export class Drive {
       apply();
     });
     apply();
+  }
+}
+
+/** Whether the page has not run for longer than a command lasts: by its clock, or by the time of day while it slept. */
+class Pause {
+  private ranAt = performance.now();
+  private wallAt = Date.now();
+
+  isLong(): boolean {
+    const [now, wall] = [performance.now(), Date.now()];
+    const pause_ms = Math.max(now - this.ranAt, wall - this.wallAt);
+    [this.ranAt, this.wallAt] = [now, wall];
+    return pause_ms > LEASE_MS;
   }
 }

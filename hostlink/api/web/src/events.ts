@@ -6,7 +6,8 @@
 
 import { Refused, refusalOf, request } from "./rest";
 import { token } from "./token";
-import type { ClientView, LinkView, LogLine, RobotView } from "./views";
+import { Delay } from "./delay";
+import type { ClientView, LinkView, LogLine, RecordingNews, RobotView } from "./views";
 
 const PATH = "api/events";
 const CHECK_MS = 50;
@@ -19,6 +20,7 @@ export interface Handlers {
   robots: (data: { robots: RobotView[] }) => void;
   links: (data: { links: LinkView[] }) => void;
   clients: (data: { clients: ClientView[] }) => void;
+  recordings: (news: RecordingNews) => void;
   log: (line: LogLine) => void;
 }
 
@@ -26,14 +28,22 @@ export class Events {
   /** Whether the daemon was heard just now; null: not yet. */
   isHeard: boolean | null = null;
 
-  private heardAt = 0;
+  heardAt = 0; // when anything came, by the page's clock
+  private isLate = false;
+  private readonly delay = new Delay();
   private attempt = new AbortController();
 
   constructor(
     private readonly handlers: Handlers,
-    private readonly onHeard: (isHeard: boolean) => void,
+    private readonly onHeard: () => void,
     private readonly onRefusal: (refused: Refused) => void,
+    private readonly onRole: (role: string | null) => void,
   ) {}
+
+  /** How old what came is, in seconds; null: it is of now. A slow line carries on what was true long ago. */
+  get late_s(): number | null {
+    return this.isLate ? this.delay.at_ms(performance.now()) / 1000 : null;
+  }
 
   start(): void {
     void this.run();
@@ -41,15 +51,21 @@ export class Events {
     addEventListener("online", () => this.retryNow());
   }
 
-  /** There is a new token, or the network is back. */
+  /** The network is back. */
   retryNow(): void {
     if (!this.isHeard) this.attempt.abort();
+  }
+
+  /** There is a new token. */
+  beginAnew(): void {
+    this.attempt.abort();
   }
 
   private async run(): Promise<never> {
     while (true) {
       this.attempt = new AbortController();
       this.heardAt = performance.now();
+      this.delay.begin(this.heardAt);
       const tried = token();
       try {
         await this.read();
@@ -65,7 +81,8 @@ export class Events {
   /** A response without credentials has connections of its own in browsers: streams leave those for a stop free. */
   private async read(): Promise<void> {
     const response = await request("GET", PATH, { signal: this.attempt.signal, credentials: "omit" });
-    if (!response.ok || response.body === null) throw await refusalOf(response, PATH);
+    if (!response.ok || response.body === null) throw await refusalOf(response);
+    this.onRole(response.headers.get("Hostlink-Role"));
     const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
     let pending = "";
     for (let part = await reader.read(); !part.done; part = await reader.read()) {
@@ -79,20 +96,24 @@ export class Events {
   }
 
   private dispatch(event: string): void {
+    if (event.startsWith(":")) this.delay.note(/^: sent ([\d.]+)$/.exec(event)?.[1], performance.now());
     const [, name, data] = /^event: (\w+)\ndata: (.*)$/.exec(event) ?? [];
     if (name === undefined || data === undefined || !(name in this.handlers)) return; // a comment, or a newer daemon's
     this.handlers[name as keyof Handlers](JSON.parse(data));
   }
 
   private check(): void {
-    const silence_ms = performance.now() - this.heardAt;
+    const now = performance.now();
+    const silence_ms = now - this.heardAt;
+    this.change(this.isHeard, this.delay.at_ms(now) > SILENT_MS);
     if (silence_ms > SILENT_MS) this.change(false);
     if (silence_ms > ABORT_MS) this.attempt.abort();
   }
 
-  private change(isHeard: boolean): void {
-    if (isHeard === this.isHeard) return;
+  private change(isHeard: boolean | null, isLate = this.isLate): void {
+    if (isHeard === this.isHeard && isLate === this.isLate) return;
     this.isHeard = isHeard;
-    this.onHeard(isHeard);
+    this.isLate = isLate;
+    this.onHeard();
   }
 }

@@ -27,4 +27,9 @@ export class Followed<Message> {
     this.topic = wanted;
     this.stop = wanted ? this.connection.subscribe<Message>(wanted, this.type, this.onMessage) : () => {};
   }
+  end(): void {
+    this.stop();
+    this.topic = "";
+    this.stop = () => {};
+  }
 }

@@ -16,7 +16,8 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
   let isStopping = false;
   const poll = () => {
     const pad = navigator.getGamepads().find((each) => each?.connected && each.axes.length >= 2) ?? null;
-    const isEnabled = SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
+    const isHere = document.hasFocus(); // a browser shows it to every window, and each would drive
+    const isEnabled = isHere && SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
     if (pad !== null && isEnabled) {
       driving.hold("gamepad", { forward: bend(-(pad.axes[1] ?? 0)), turn: bend(-(pad.axes[0] ?? 0)) });
     } else {
@@ -25,13 +26,14 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
     const wantsStop = pad?.buttons[STOP_BUTTON]?.pressed ?? false;
     if (wantsStop && !isStopping) stop();
     isStopping = wantsStop;
-    setText(note, describe(pad, isEnabled));
+    setText(note, describe(pad, isHere, isEnabled));
   };
   setInterval(poll, POLL_MS);
 }
 
-function describe(pad: Gamepad | null, isEnabled: boolean): string {
+function describe(pad: Gamepad | null, isHere: boolean, isEnabled: boolean): string {
   if (pad === null) return "Gamepad: none found. Press a button on it.";
+  if (!isHere) return "Gamepad: another window has the focus. Its stop works.";
   return isEnabled ? "Gamepad: drives" : "Gamepad: hold a shoulder button (LB, RB) to drive";
 }
 

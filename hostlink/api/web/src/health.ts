@@ -1,7 +1,9 @@
 /** The link panel: how well the chosen robot and this page are reached. */
 
 import { digits, find, make, setText } from "./dom";
-import type { LinkView, RobotView } from "./views";
+import type { Fleet } from "./fleet";
+import type { LinkView } from "./views";
+import { bytes } from "./widgets";
 
 /** sensor_msgs/BatteryState; a voltage that nothing measures is null. */
 export interface BatteryState {
@@ -41,6 +43,7 @@ const ERRORS: Record<number, string> = {
   51: "battery low",
 };
 const BATTERY_LOW = 51;
+const MAX_ERRORS = 6; // that are shown
 
 export class Health {
   private readonly values = new Map<Tile, HTMLElement>();
@@ -49,19 +52,22 @@ export class Health {
   constructor() {
     for (const [tile, [label, hint]] of Object.entries(TILES)) {
       const value = make("dd", {}, "–");
-      find("#link dl").append(make("div", { title: hint }, make("dt", {}, label), value));
+      find("#link dl").append(make("div", { title: hint, "data-tile": tile }, make("dt", {}, label), value));
       this.values.set(tile as Tile, value);
     }
   }
 
-  /** Without a robot all `links` are looked at for why there is none. */
-  show(robot: RobotView | undefined, links: LinkView[], roundTripMs: number | null): void {
-    const link = links.find((each) => each.number === robot?.link);
-    const age_s = robot?.connected ? (robot.odometry?.age_s ?? link?.silent_s) : undefined;
+  /** Without a robot all links are looked at for why there is none. Of one that is silent all figures are old. */
+  show(fleet: Fleet, roundTripMs: number | null): void {
+    const { robot, link, links } = fleet;
+    const isSilent = robot !== undefined && fleet.isSilent(robot);
+    find("#link dl").classList.toggle("stale", isSilent);
+    const known_s = isSilent ? fleet.age_s(robot) : (robot?.odometry?.age_s ?? link?.silent_s);
+    const age_s = robot?.connected ? known_s : undefined;
     const device_s = link?.clock?.round_trip_s;
     this.set("rate", robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
-    this.set("age", age_s === undefined ? "–" : `${digits(age_s, 1)} s`, (age_s ?? 0) > OLD_S);
-    this.set("lost", link ? `${link.skipped_bytes} B` : "–", (link?.skipped_bytes ?? 0) > 0);
+    this.set("age", age_s === undefined ? "–" : `${digits(age_s, 1)} s`, isSilent || (age_s ?? 0) > OLD_S);
+    this.set("lost", link ? bytes(link.skipped_bytes) : "–", (link?.skipped_bytes ?? 0) > 0);
     this.set("resyncs", link ? String(Math.max(0, link.negotiations - 1)) : "–", (link?.negotiations ?? 0) > 1);
     this.set(
       "page",
@@ -81,7 +87,8 @@ export class Health {
 
   /** null: the robot does not publish them. */
   setErrors(numbers: number[] | null): void {
-    const texts = numbers?.map((number) => `${number} ${ERRORS[number] ?? "unknown"}`) ?? [];
+    const texts = numbers?.slice(0, MAX_ERRORS).map((number) => `${number} ${ERRORS[number] ?? "unknown"}`) ?? [];
+    if (numbers && numbers.length > MAX_ERRORS) texts.push(`and ${numbers.length - MAX_ERRORS} more`);
     this.set("errors", numbers === null ? "–" : texts.join(", ") || "none", texts.length > 0);
     this.isBatteryLow = numbers?.includes(BATTERY_LOW) ?? false;
     this.values.get("battery")?.classList.toggle("bad", this.isBatteryLow);

@@ -3,15 +3,26 @@
 import nipplejs from "nipplejs";
 import type { Driving } from "./driving";
 
-const SIZE_PX = 168;
+const SIZE_PX = 150;
 const DEAD_ZONE = 0.08;
 
+const MAIN_BUTTON = 1; // in `buttons`
+
 export function connectJoystick(zone: HTMLElement, driving: Driving): void {
+  const isOther = (event: PointerEvent) => event.pointerType === "mouse" && (event.buttons & MAIN_BUTTON) === 0;
+  zone.addEventListener("pointerdown", (event) => isOther(event) && event.stopImmediatePropagation(), {
+    capture: true,
+  });
+  zone.addEventListener("contextmenu", (event) => {
+    event.preventDefault(); // of a finger that stays, too: a menu would take it away
+    event.stopPropagation();
+  });
   const joystick = nipplejs.create({
     zone,
     mode: "static",
     position: { left: "50%", top: "50%" },
     size: SIZE_PX,
+    dynamicPage: true, // its column may have been scrolled, or the panel moved
     color: { front: "var(--accent)", back: "transparent" },
     restOpacity: 1,
     fadeTime: 0,
@@ -28,5 +39,15 @@ export function connectJoystick(zone: HTMLElement, driving: Driving): void {
     else driving.hold("joystick", { forward: part * Math.sin(angle.radian), turn: -part * Math.cos(angle.radian) });
   });
   joystick.on("end", release);
+  addEventListener(
+    "pointermove",
+    (event) => {
+      if (!isOther(event) || !zone.classList.contains("held")) return;
+      // it was let go where nobody reported it
+      document.dispatchEvent(new PointerEvent("pointerup", { pointerId: event.pointerId }));
+      release();
+    },
+    { capture: true },
+  );
   for (const lost of ["pointercancel", "touchcancel", "touchend"]) zone.addEventListener(lost, release);
 }

@@ -13,6 +13,9 @@ const WAYS: Record<string, [forward: number, turn: number]> = {
   KeyD: [0, -1],
 };
 
+/** After these nobody reports what is let go: another window, a menu of the browser, what is dragged out of the page. */
+export const LOST = ["blur", "contextmenu", "dragstart"] as const;
+
 const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "tel"]);
 
 export function connectKeys(driving: Driving, stop: () => void): void {
@@ -29,11 +32,12 @@ export function connectKeys(driving: Driving, stop: () => void): void {
   addEventListener(
     "keydown",
     (event) => {
+      if (event.ctrlKey || event.altKey || event.metaKey) lose(); // beside these a release may not be reported
       if (event.code === "Escape" || (event.code === "Space" && !isTyping(event.target))) {
         event.preventDefault();
         event.stopPropagation(); // a space stops, also when a button has the focus
         if (!event.repeat) stop();
-      } else if (event.code in WAYS && !event.ctrlKey && !event.altKey && !event.metaKey && !isControl(event.target)) {
+      } else if (event.code in WAYS && !event.ctrlKey && !event.altKey && !event.metaKey && !isTaken(event)) {
         event.preventDefault();
         if (event.repeat) return; // one that was released, for example by leaving the window, must be pressed again
         held.add(event.code);
@@ -51,13 +55,24 @@ export function connectKeys(driving: Driving, stop: () => void): void {
     held.clear();
     hold();
   };
-  addEventListener("blur", lose);
-  addEventListener("focusin", (event) => isControl(event.target) && lose());
+  for (const lost of LOST) addEventListener(lost, lose);
+  addEventListener("focusin", (event) => isControl(event.target) && !isRadio(event.target) && lose());
   document.addEventListener("visibilitychange", lose);
+}
+
+/** Whether what has the focus needs the key itself. Letters do nothing to radio buttons and to what scrolls. */
+function isTaken({ target, code }: KeyboardEvent): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (code.startsWith("Arrow")) return isControl(target) || target.matches("[role=menu] *, [tabindex]:focus-visible");
+  return (isControl(target) && !isRadio(target)) || target.matches("[role=menu] *");
 }
 
 function isControl(target: EventTarget | null): boolean {
   return target instanceof HTMLElement && target.matches("input, select, textarea, [contenteditable]");
+}
+
+function isRadio(target: EventTarget | null): boolean {
+  return target instanceof HTMLInputElement && target.type === "radio";
 }
 
 function isTyping(target: EventTarget | null): boolean {

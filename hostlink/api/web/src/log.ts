@@ -1,39 +1,57 @@
-/** The devices' log lines, the newest last. */
+/** The log panel: lines of all devices and what happened to robots, by level and words. */
 
 import { find, make } from "./dom";
-import type { LogLine } from "./views";
+import { LogList } from "./loglist";
+import { makeField } from "./widgets";
+import type { PastLine } from "./past";
+import { now_s, type Timeline } from "./timeline";
+import type { LogLine, RobotView } from "./views";
 
-const MAX_LINES = 200;
-const LEVELS: Record<number, string> = { 1: "debug", 2: "info", 4: "warn", 8: "error", 16: "fatal" };
+const [INFO, WARNING] = [2, 4];
+const CHOICES: [level: string, label: string][] = [
+  ["0", "all"],
+  ["2", "info and worse"],
+  ["4", "warnings and errors"],
+  ["8", "errors"],
+];
 
 export class DeviceLog {
-  private readonly box = find("#log [role=log]");
-  private readonly list = find("#log ol");
+  private readonly lines: LogList;
+  private readonly robots = new Map<string, { connected: boolean; locked: boolean }>(); // as they were
+
+  constructor(timeline: Timeline) {
+    this.lines = new LogList(timeline, "Log");
+    const level = make("select", {}, ...CHOICES.map(([value, label]) => make("option", { value }, label)));
+    const words = make("input", { type: "search", placeholder: "words", maxlength: "80" });
+    const filter = () => this.lines.filter(Number(level.value), words.value);
+    level.addEventListener("change", filter);
+    words.addEventListener("input", filter);
+    const controls = make("div", { class: "filters" }, makeField("Level", level), makeField("Filter", words));
+    const hint = make("p", { class: "hint" }, "Nothing yet.");
+    find("#log").append(controls, this.lines.box, hint);
+  }
 
   add(line: LogLine): void {
-    const { box, list } = this;
-    const isAtEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 8;
-    list.append(item(line.header.stamp.secs * 1000, line.level, line.name, line.msg));
-    while (list.childElementCount > MAX_LINES) list.firstElementChild?.remove();
-    if (isAtEnd) box.scrollTop = box.scrollHeight;
+    this.lines.add({ time_s: now_s(), level: line.level, robot: line.name, text: line.msg });
   }
 
-  /** What happened before the page was opened, the oldest first. */
-  prepend(past: { age_s: number; robot: string; level: number; text: string }[]): void {
-    const now = Date.now();
-    const room = Math.max(0, MAX_LINES - this.list.childElementCount);
-    const items = past.slice(-room || past.length).map(({ age_s, robot, level, text }) => {
-      const made = item(now - age_s * 1000, level, robot, text);
-      made.classList.add("past");
-      return made;
-    });
-    this.list.prepend(...items);
-    this.box.scrollTop = this.box.scrollHeight;
+  /** What happens to robots is a line too: devices log nothing of it. */
+  observe(robots: RobotView[]): void {
+    for (const { name, connected, locked = false, lock_reason } of robots) {
+      const before = this.robots.get(name);
+      this.robots.set(name, { connected, locked });
+      if (before === undefined) continue;
+      if (locked && !before.locked) this.note(name, WARNING, `locked: ${lock_reason ?? ""}`);
+      if (!locked && before.locked) this.note(name, INFO, "unlocked");
+      if (connected !== before.connected) this.note(name, connected ? INFO : WARNING, connected ? "appeared" : "gone");
+    }
   }
-}
 
-function item(at_ms: number, level: number, who: string, text: string): HTMLLIElement {
-  const name = LEVELS[level] ?? "info";
-  const time = new Date(at_ms).toLocaleTimeString([], { hour12: false });
-  return make("li", { class: name, title: who }, make("time", {}, time), make("b", {}, name), make("span", {}, text));
+  private note(robot: string, level: number, text: string): void {
+    this.lines.add({ time_s: now_s(), level, robot, text });
+  }
+
+  prepend(lines: PastLine[]): void {
+    this.lines.prepend(lines);
+  }
 }

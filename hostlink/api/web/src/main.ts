@@ -1,31 +1,37 @@
 /** Puts the parts of the page together. */
 
+import "./style/controls.css";
 import "./style/frame.css";
 import "./style/driving.css";
 import "./style/showing.css";
-import "./style/sizes.css";
 import { Access } from "./access";
+import { Batteries } from "./batteries";
 import { showClients } from "./clients";
 import { Connection, type State } from "./connection";
-import { digits, find, setText } from "./dom";
+import { ageText, digits, find, setText } from "./dom";
 import { Drive } from "./drive";
 import { Events } from "./events";
 import { Fleet } from "./fleet";
 import { Followed } from "./followed";
+import { Frame } from "./frame";
 import { type BatteryState, Health } from "./health";
 import { History } from "./history";
 import { DeviceLog } from "./log";
 import { RobotMap } from "./map";
 import { notice } from "./notice";
 import { Odometry } from "./odometry";
+import type { Page } from "./page";
 import { type PlotData, Plots } from "./plots";
 import type { Refused } from "./rest";
+import { Rights } from "./rights";
 import { RobotList } from "./robots";
 import { Step } from "./step";
 import { Stop } from "./stop";
 import { connectTheme } from "./theme";
+import { Timeline } from "./timeline";
 import { moveTokenFromAddress, token } from "./token";
 import { Tuning } from "./tuning";
+import type { LogLine, RecordingNews } from "./views";
 
 const STATES: Record<State, string> = {
   connecting: "connecting …",
@@ -37,47 +43,61 @@ const STATES: Record<State, string> = {
 const SILENT = "hostlink does not answer. Trying again … What this page drove stops by itself.";
 const STARVED = "No events come from hostlink, though it is connected: close other tabs of this page. The stop works.";
 const UNDRIVABLE = "This page cannot drive: it has no WebSocket to hostlink. Trying again … The stop works.";
+const SPAN_S = 20; // that plots show
 const REFRESH_MS = 300; // what changes with time alone: who drove just now, why it was refused
 
 moveTokenFromAddress();
 
+const showListeners: (() => void)[] = [];
+const logListeners: ((line: LogLine) => void)[] = [];
+const recordingListeners: ((news: RecordingNews) => void)[] = [];
+const refusalListeners: ((topic: string, reason: string) => void)[] = [];
 const fleet = new Fleet(show);
 const events = new Events(
   {
     robots: (data) => {
-      fleet.robots = data.robots;
-      fleet.isKnown = true;
+      fleet.receive(data.robots);
       show();
       showPoses();
-      history.show(data.robots);
+      plots.show();
+      log.observe(data.robots);
+      history.show(data.robots, fleet.robot?.name);
     },
     links: (data) => {
       fleet.links = data.links;
       show();
     },
     clients: (data) => showClients(data.clients),
-    log: (line) => log.add(line),
+    recordings: (data) => recordingListeners.forEach((listener) => listener(data)),
+    log: (line) => logListeners.forEach((listener) => listener(line)),
   },
-  show,
+  () => {
+    fleet.isHeard = events.isHeard !== false && events.late_s === null;
+    show();
+  },
   refuse,
+  (role) => rights.setRole(role),
 );
 const connection = new Connection(
   address,
   changed,
   (answer) => {
     drive.answered(answer);
-    if (answer.kind === "NoRole") access.show("This token does not drive", answer.reason ?? "");
+    if (answer.kind === "NoRole") rights.setRole("read");
   },
-  (reason) => tuning.refused(reason),
+  (reason, topic) => refusalListeners.forEach((listener) => listener(topic, reason)),
 );
-const drive = new Drive(fleet, connection);
+const rights = new Rights(show);
+const drive = new Drive(fleet, connection, () => rights.canDrive);
 const stop = new Stop(fleet, drive.driving);
 const step = new Step(drive.driving);
-const robots = new RobotList(fleet, (robot) => drive.driver(robot));
-const map = new RobotMap();
-const plots = new Plots();
+const batteries = new Batteries(fleet, connection);
+const robots = new RobotList(fleet, batteries, (robot) => drive.driver(robot));
+const timeline = new Timeline(SPAN_S);
+const map = new RobotMap(fleet, timeline);
+const plots = new Plots(fleet, timeline);
 const odometry = new Odometry(fleet, (name) => map.forget(name));
-const tuning = new Tuning(fleet, connection);
+const tuning = new Tuning(fleet, connection, () => rights.canDrive);
 const health = new Health();
 const plotData = new Followed<PlotData>(
   connection,
@@ -87,7 +107,7 @@ const plotData = new Followed<PlotData>(
     plots.add(data);
     step.add(data);
   },
-  () => plots.clear(),
+  () => step.forget(),
 );
 const battery = new Followed<BatteryState>(
   connection,
@@ -103,25 +123,47 @@ const errors = new Followed<{ data: number[] }>(
   ({ data }) => health.setErrors(data),
   () => health.setErrors(null),
 );
-const log = new DeviceLog();
-const history = new History(map, plots, log, (name) => fleet.robot?.name === name);
+const log = new DeviceLog(timeline);
+const history = new History(map, plots, log);
 const access = new Access(() => {
   connection.retryNow();
-  events.retryNow();
+  events.beginAnew();
 });
+
+const page: Page = {
+  fleet,
+  timeline,
+  connection,
+  driving: drive.driving,
+  get canDrive() {
+    return rights.canDrive;
+  },
+  onShow: (listener) => showListeners.push(listener),
+  onLog: (listener) => logListeners.push(listener),
+  onRefusal: (listener) => refusalListeners.push(listener),
+  onRecordings: (listener) => recordingListeners.push(listener),
+};
+page.onLog((line) => log.add(line));
+page.onRefusal((topic, reason) => tuning.refused(topic, reason));
 
 let isCut = false; // the WebSocket was lost, and is not there again
 
+const frame = new Frame(page, () => drive.driving.releaseAll());
 connectTheme(() => {
   map.redraw();
   plots.recolour();
 });
 drive.connectInputs(() => stop.press());
+find("#other-token").addEventListener("click", () => access.show("Another token", "One that may drive.", true));
+fleet.daemonHeardAt_ms = () => events.heardAt;
 connection.start();
 events.start();
+performance.mark("hostlink.ready"); // from here on it reacts
 setInterval(() => {
   drive.show();
   robots.show(events.isHeard);
+  odometry.show(rights.canDrive);
+  health.show(fleet, connection.roundTripMs);
   showConnection();
 }, REFRESH_MS);
 
@@ -145,13 +187,17 @@ function changed(state: State): void {
 function showConnection(): void {
   const { state, roundTripMs } = connection;
   const isSilent = events.isHeard === false;
+  const { late_s } = events;
   const shown = isCut && state === "connecting" ? "closed" : isSilent && state === "open" ? "late" : state;
   const isAsking = access.isShown && state !== "open";
-  document.body.classList.toggle("lost", isCut || isSilent);
+  document.body.classList.toggle("lost", isCut || isSilent || late_s !== null);
   find("#connection").dataset.state = shown;
   setText(find("#connection .text"), isAsking ? "token needed" : STATES[shown]);
   setText(find("#connection .detail"), roundTripMs === null ? "" : `${digits(roundTripMs, 0)} ms`);
-  notice("connection", isAsking ? null : isSilent ? (state === "open" ? STARVED : SILENT) : isCut ? UNDRIVABLE : null);
+  const slow =
+    late_s === null ? null : `The connection is slow: what is shown is ${ageText(late_s)} old. The stop works.`;
+  const silent = isSilent ? (state === "open" ? STARVED : SILENT) : null;
+  notice("connection", isAsking ? null : (silent ?? (isCut ? UNDRIVABLE : slow)));
 }
 
 function refuse(refused: Refused): void {
@@ -165,15 +211,18 @@ function refuse(refused: Refused): void {
 function show(): void {
   const { robot, link } = fleet;
   for (const followed of [plotData, battery, errors]) followed.show(robot, link);
-  map.show(fleet.robots, robot?.name ?? null);
+  batteries.show(frame.layout === "Fleet");
+  map.show(robot?.name ?? null);
   drive.show();
   robots.show(events.isHeard);
-  stop.show();
-  odometry.show();
+  stop.show(rights.canDrive);
+  odometry.show(rights.canDrive);
   tuning.show();
-  step.show(robot?.connected === true && plotData.topic !== "");
-  health.show(robot, fleet.links, connection.roundTripMs);
+  step.show(rights.canDrive && robot?.connected === true && plotData.topic !== "");
+  health.show(fleet, connection.roundTripMs);
   find("#plots-note").hidden = !robot?.connected || !link || plotData.topic !== "";
+  plots.showWheels(plotData.topic !== "");
+  for (const listener of showListeners) listener();
   showConnection();
   notice("robot", robot && !robot.connected ? `${robot.name} is not connected: it stands, or will soon.` : null);
 }

@@ -1,29 +1,55 @@
 /** The map: a grid of round metres, the driven paths, the robots, and a scale. */
 
-import { digits, find } from "./dom";
-import { Path } from "./path";
+import { ageText, digits, find } from "./dom";
+import type { Fleet, RobotState } from "./fleet";
+import { PathLayer } from "./map_paths";
+import { drawGhost, drawRobot } from "./map_robot";
+import { type Box, placeLabels } from "./map_labels";
+import { type PastPose, Path } from "./path";
+import { onceAFrame } from "./redraw";
+import { robotPaint } from "./robot_colours";
 import { colour } from "./theme";
-import { boxAround, roundUp, Viewport } from "./viewport";
+import { now_s, type Timeline } from "./timeline";
+import { boxAround, lengthText, roundUp, Viewport } from "./viewport";
 import type { Pose, RobotView } from "./views";
 
 const GRID_PX = 56; // lines are not nearer than this
 const BODY_M = 0.105; // half the paper's robot
 const LEAST_BODY_PX = 9;
 const SCALE_PX = 64;
+const SCALE_TEXT_PX = 18;
 const DESCRIBE_MS = 1000;
+const LABEL_PX = 13;
+const AGE_MS = 200; // how often what is old is drawn again
+
+const LABEL_COLOURS: Record<RobotState, string> = {
+  connected: "text",
+  locked: "danger-text",
+  silent: "warn-text",
+  gone: "danger-text",
+};
 
 export class RobotMap {
+  readonly redraw = onceAFrame(() => {
+    if (this.view.isFitting && this.view.fit(boxAround(this.everything()), this.isCalm.matches)) this.redraw();
+    this.draw();
+  });
+
   private readonly canvas = find<HTMLCanvasElement>("#map-canvas");
   private readonly context = this.canvas.getContext("2d") as CanvasRenderingContext2D;
   private readonly view = new Viewport();
+  private readonly layer = new PathLayer();
   private readonly paths = new Map<string, Path>();
   private readonly isCalm = matchMedia("(prefers-reduced-motion: reduce)");
-  private robots: RobotView[] = [];
   private selected: string | null = null;
-  private isScheduled = false;
+  private buttons: Box = { left: 0, top: 0, right: 0, bottom: 0 }; // that lie over it
 
-  constructor() {
+  constructor(
+    private readonly fleet: Fleet,
+    private readonly timeline: Timeline,
+  ) {
     new ResizeObserver(() => this.resize()).observe(this.canvas);
+    timeline.onChange(this.redraw);
     this.connectPointers();
     find("#map-fit").addEventListener("click", () => {
       this.view.isFitting = true;
@@ -36,26 +62,28 @@ export class RobotMap {
       this.redraw();
     });
     setInterval(() => this.describe(), DESCRIBE_MS);
+    setInterval(() => this.age(), AGE_MS);
   }
 
   add(name: string, pose: Pose): void {
     const path = this.paths.get(name) ?? new Path();
     this.paths.set(name, path);
-    path.add(pose);
+    path.add(pose, now_s());
     this.redraw();
   }
 
   /** Where it drove before this page knew it: in front of what the page has seen since. */
-  prepend(name: string, poses: Pose[]): void {
+  prepend(name: string, poses: PastPose[]): void {
     const path = new Path();
-    for (const pose of [...poses, ...(this.paths.get(name)?.poses() ?? [])]) path.add(pose);
+    for (const { pose, time_s } of [...poses, ...(this.paths.get(name)?.poses() ?? [])]) path.add(pose, time_s);
     this.paths.set(name, path);
     this.redraw();
   }
 
-  show(robots: RobotView[], selected: string | null): void {
-    this.robots = [...robots].sort((one, other) => Number(one.name === selected) - Number(other.name === selected));
+  show(selected: string | null): void {
     this.selected = selected;
+    const names = new Set(this.fleet.robots.map(({ name }) => name));
+    for (const name of this.paths.keys()) if (!names.has(name)) this.paths.delete(name); // it is forgotten
     this.redraw();
   }
 
@@ -63,16 +91,6 @@ export class RobotMap {
   forget(name: string): void {
     this.paths.get(name)?.clear();
     this.redraw();
-  }
-
-  redraw(): void {
-    if (this.isScheduled) return;
-    this.isScheduled = true;
-    requestAnimationFrame(() => {
-      this.isScheduled = false;
-      if (this.view.isFitting && this.view.fit(boxAround(this.everything()), this.isCalm.matches)) this.redraw();
-      this.draw();
-    });
   }
 
   private zoom(factor: number): void {
@@ -84,6 +102,8 @@ export class RobotMap {
     const { clientWidth, clientHeight } = this.canvas;
     this.view.width = Math.max(1, clientWidth);
     this.view.height = Math.max(1, clientHeight);
+    const { offsetLeft: left, offsetTop: top, offsetWidth, offsetHeight } = find("#map .group");
+    this.buttons = { left, top, right: left + offsetWidth, bottom: top + offsetHeight };
     this.canvas.width = Math.round(clientWidth * devicePixelRatio);
     this.canvas.height = Math.round(clientHeight * devicePixelRatio);
     this.redraw();
@@ -100,7 +120,7 @@ export class RobotMap {
     canvas.addEventListener(
       "wheel",
       (event) => {
-        if (!event.ctrlKey && document.documentElement.scrollHeight > innerHeight) return; // the page scrolls
+        if (!event.ctrlKey && document.body.dataset["shape"] === "phone") return; // the page scrolls
         event.preventDefault();
         this.view.zoom(1.0015 ** -event.deltaY, event.offsetX, event.offsetY);
         this.redraw();
@@ -112,7 +132,7 @@ export class RobotMap {
   private *everything(): Generator<{ x: number; y: number }> {
     yield { x: 0, y: 0 };
     for (const path of this.paths.values()) {
-      yield* path.points;
+      yield* path.corners;
       if (path.pose) yield { x: path.pose.x_m, y: path.pose.y_m };
     }
   }
@@ -123,17 +143,18 @@ export class RobotMap {
     c.clearRect(0, 0, view.width, view.height);
     c.font = `11px ${getComputedStyle(this.canvas).fontFamily}`;
     this.drawGrid();
-    for (const [name, path] of this.paths) this.drawPath(path, name === this.selected);
-    for (const robot of this.robots) this.drawRobot(robot);
+    this.layer.draw(c, view, this.paths, this.selected);
+    this.drawRobots();
     this.drawScale();
   }
 
   private drawGrid(): void {
     const { context: c, view } = this;
-    const step = roundUp(GRID_PX / view.pxPerM);
-    const places = step < 1 ? Math.max(1, Math.ceil(-Math.log10(step))) : 0;
     const [left, top] = view.toM(0, 0);
     const [right, bottom] = view.toM(view.width, view.height);
+    const widest = Math.max(...[left, right].map((x) => c.measureText(digits(x, 0)).width));
+    const step = roundUp(Math.max(GRID_PX, widest + LABEL_PX) / view.pxPerM);
+    const places = step < 1 ? Math.max(1, Math.ceil(-Math.log10(step))) : 0;
     const labels: [text: string, x: number, y: number][] = [];
     c.lineWidth = 1;
     for (let index = Math.ceil(left / step); index * step <= right; index++) {
@@ -150,12 +171,12 @@ export class RobotMap {
   }
 
   /** Over the lines, with a border of the ground's colour. */
-  private drawLabel(text: string, x: number, y: number): void {
+  private drawLabel(text: string, x: number, y: number, variable = "muted"): void {
     const { context: c } = this;
     c.textBaseline = "top";
     c.lineWidth = 4;
     c.strokeStyle = colour("surface");
-    c.fillStyle = colour("muted");
+    c.fillStyle = colour(variable);
     c.strokeText(text, x, y);
     c.fillText(text, x, y);
   }
@@ -169,72 +190,75 @@ export class RobotMap {
     c.stroke();
   }
 
-  private drawPath(path: Path, isSelected: boolean): void {
-    const { context: c, view } = this;
-    c.strokeStyle = colour(isSelected ? "accent" : "muted");
-    c.globalAlpha = isSelected ? 0.9 : 0.4;
-    c.lineWidth = isSelected ? 2.5 : 1.5;
-    c.lineJoin = c.lineCap = "round";
-    c.beginPath();
-    for (const point of path.points) {
-      const [x, y] = view.toPx(point.x, point.y);
-      if (point.isStart) c.moveTo(x, y);
-      else c.lineTo(x, y);
+  /** The chosen one over the others, and its name first: where names would overprint, others give way. */
+  private drawRobots(): void {
+    const { context: c, view, fleet } = this;
+    const radius = Math.max(LEAST_BODY_PX, BODY_M * view.pxPerM);
+    const shown = fleet.robots.flatMap((robot) => {
+      const pose = this.poseOf(robot);
+      if (!pose) return [];
+      const [x, y] = view.toPx(pose.x_m, pose.y_m);
+      return [{ robot, pose, x, y, state: fleet.state(robot), isSelected: robot.name === this.selected }];
+    });
+    shown.sort((one, other) => Number(one.isSelected) - Number(other.isSelected));
+    for (const { robot, pose, x, y, state, isSelected } of shown) {
+      const paint = robotPaint(robot.name);
+      if (state === "connected" && this.timeline.cursor_s === null) drawGhost(c, view, pose, robot, radius, paint);
+      drawRobot(c, { x, y, theta_rad: pose.theta_rad, radius, state, paint, isSelected });
     }
-    c.stroke();
-    c.globalAlpha = 1;
+    if (shown.length < 2 && shown.every(({ state }) => state === "connected" || state === "locked")) return;
+    const labels = shown.reverse().map(({ robot, x, y, state }) => {
+      const texts = [robot.name + this.describeState(robot, state), robot.name];
+      const sizes = texts.map((text) => ({ text, width: c.measureText(text).width, height: LABEL_PX }));
+      return { x, y, state, radius: radius + 5, sizes };
+    });
+    for (const { label, text, left, top } of placeLabels(labels, view.width, view.height, [
+      this.scale(),
+      this.buttons,
+    ])) {
+      this.drawLabel(text, left, top, LABEL_COLOURS[label.state]);
+    }
   }
 
-  private drawRobot(robot: RobotView): void {
-    const pose = this.paths.get(robot.name)?.pose;
-    if (!pose) return;
-    const { context: c, view } = this;
-    const [x, y] = view.toPx(pose.x_m, pose.y_m);
-    const radius = Math.max(LEAST_BODY_PX, BODY_M * view.pxPerM);
-    const isSelected = robot.name === this.selected;
-    c.save();
-    c.translate(x, y);
-    if (this.robots.length > 1) {
-      c.textAlign = "center";
-      this.drawLabel(robot.name, 0, radius + 6);
-      c.textAlign = "start";
-    }
-    c.rotate(-pose.theta_rad);
-    c.fillStyle = colour(isSelected && robot.connected ? "accent" : "muted");
-    c.strokeStyle = colour("surface");
-    c.lineWidth = 2;
-    c.beginPath();
-    c.arc(0, 0, radius, 0, 2 * Math.PI);
-    c.fill();
-    c.stroke();
-    c.fillStyle = colour("surface");
-    c.beginPath();
-    c.moveTo(radius * 0.68, 0);
-    c.lineTo(-radius * 0.38, radius * 0.5);
-    c.lineTo(-radius * 0.14, 0);
-    c.lineTo(-radius * 0.38, -radius * 0.5);
-    c.closePath();
-    c.fill();
-    c.restore();
+  /** Where it is, or was at the instant of the cursor. */
+  private poseOf(robot: RobotView): Pose | null {
+    const path = this.paths.get(robot.name);
+    const { cursor_s } = this.timeline;
+    return (cursor_s === null ? path?.pose : path?.at(cursor_s)) ?? null;
+  }
+
+  private describeState(robot: RobotView, state: RobotState): string {
+    if (state === "silent") return ` · ${ageText(this.fleet.age_s(robot))} old`;
+    return state === "gone" ? " · gone" : "";
+  }
+
+  /** Where the scale is: a round length, with its text over it. */
+  private scale(): Box & { length_m: number } {
+    const { view } = this;
+    const length_m = roundUp(SCALE_PX / view.pxPerM);
+    const [right, bottom] = [view.width - 14.5, Math.round(view.height) - 14.5];
+    return { length_m, left: right - length_m * view.pxPerM, right, top: bottom - SCALE_TEXT_PX, bottom };
   }
 
   private drawScale(): void {
-    const { context: c, view } = this;
-    const length_m = roundUp(SCALE_PX / view.pxPerM);
-    const length = length_m * view.pxPerM;
-    const [right, y] = [view.width - 14.5, Math.round(view.height) - 14.5];
+    const { context: c } = this;
+    const { length_m, left, right, bottom: y } = this.scale();
     c.strokeStyle = c.fillStyle = colour("text");
     c.lineWidth = 1.5;
     c.beginPath();
-    c.moveTo(right - length, y - 5);
-    c.lineTo(right - length, y);
+    c.moveTo(left, y - 5);
+    c.lineTo(left, y);
     c.lineTo(right, y);
     c.lineTo(right, y - 5);
     c.stroke();
     c.textAlign = "center";
     c.textBaseline = "bottom";
-    c.fillText(length_m < 1 ? `${Math.round(length_m * 100)} cm` : `${length_m} m`, right - length / 2, y - 4);
+    c.fillText(lengthText(length_m), (left + right) / 2, y - 4);
     c.textAlign = "start";
+  }
+
+  private age(): void {
+    if (this.fleet.robots.some((robot) => this.fleet.isSilent(robot))) this.redraw();
   }
 
   /** For screen readers. */

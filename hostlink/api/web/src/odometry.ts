@@ -1,13 +1,15 @@
 /** The chosen robot's pose in numbers, and the button that makes the present place the origin. */
 
-import { digits, find, make, setText } from "./dom";
+import { ageText, confirmed, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import { notice } from "./notice";
-import { ofRobot, rest } from "./rest";
+import { ofRobot, reasonOf, rest } from "./rest";
 
 const ROWS = ["x", "y", "heading", "speed"] as const;
 
 export class Odometry {
+  private readonly button = find<HTMLButtonElement>("#odometry-reset");
+  private readonly age = make("dd");
   private readonly values: Record<(typeof ROWS)[number], HTMLElement>;
 
   constructor(
@@ -21,12 +23,23 @@ export class Odometry {
         return [row, value];
       }),
     ) as typeof this.values;
-    find("#odometry-reset").addEventListener("click", () => void this.reset());
+    find("#pose").prepend(make("div", { class: "age" }, this.age));
+    confirmed(this.button, "Really reset?", () => {
+      const name = this.fleet.robot?.name;
+      return () => void this.reset(name);
+    });
   }
 
-  show(): void {
+  /** `canDrive`: only then it may be reset. */
+  show(canDrive: boolean): void {
     const { robot } = this.fleet;
-    find<HTMLButtonElement>("#odometry-reset").disabled = !robot?.connected;
+    const state = robot ? this.fleet.state(robot) : "connected";
+    this.button.disabled = !robot?.connected || !canDrive;
+    const isStale = state === "silent" || !this.fleet.isHeard;
+    find("#pose").classList.toggle("stale", isStale);
+    find("#pose").classList.toggle("gone", state === "gone");
+    const isOld = robot && (isStale || state === "gone");
+    setText(this.age, isOld ? `${ageText(this.fleet.age_s(robot))} old` : "");
     const { pose, twist } = robot?.odometry ?? {};
     setText(this.values.x, pose ? `${digits(pose.x_m, 2)} m` : "–");
     setText(this.values.y, pose ? `${digits(pose.y_m, 2)} m` : "–");
@@ -34,14 +47,13 @@ export class Odometry {
     setText(this.values.speed, twist ? `${digits(twist.linear_m_s, 2)} m/s` : "–");
   }
 
-  private async reset(): Promise<void> {
-    const name = this.fleet.robot?.name;
+  private async reset(name: string | undefined): Promise<void> {
     if (name === undefined) return;
     try {
       await rest("POST", ofRobot(name, "odometry/reset"));
       this.onReset(name);
     } catch (error) {
-      notice("refused", `Reset: ${error instanceof Error ? error.message : String(error)}`, 5000);
+      notice("refused", `Not reset: ${reasonOf(error)}`, 5000);
     }
   }
 }

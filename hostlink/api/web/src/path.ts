@@ -1,14 +1,23 @@
-/** Where a robot drove: a line that breaks where the odometry jumped, as long as the memory given to it. */
+/** Where a robot drove and when: a line that breaks where the odometry jumped, as long as the memory given to it. */
 
+import { boxAround } from "./viewport";
 import type { Pose } from "./views";
 
 const MAX_POINTS = 6000; // ten minutes at 10 Hz; then every second one of the older half goes
 const STEP_M = 0.005;
+const FARTHEST_M = 1e6; // as the daemon has it: beyond nothing is drawn
 const JUMP_M = 0.5; // between two poses no small robot goes so far
+
+export interface PastPose {
+  pose: Pose;
+  time_s: number;
+}
 
 export interface Point {
   x: number;
   y: number;
+  theta_rad: number;
+  time_s: number;
   isStart: boolean;
 }
 
@@ -16,27 +25,51 @@ export class Path {
   pose: Pose | null = null;
   points: Point[] = [];
   length_m = 0;
+  corners: { x: number; y: number }[] = []; // two, opposite, of what is around the points
+  version = 0; // another one: the points are not only more than before
 
-  add(pose: Pose): void {
+  private time_s = 0; // of the pose
+
+  add(pose: Pose, time_s: number): void {
+    if (!isPossible(pose)) return;
     this.pose = pose;
+    this.time_s = time_s;
     const last = this.points.at(-1);
     const moved_m = last ? Math.hypot(pose.x_m - last.x, pose.y_m - last.y) : 0;
     if (last && moved_m < STEP_M) return;
     const isStart = !last || moved_m > JUMP_M;
     if (!isStart) this.length_m += moved_m;
-    this.points.push({ x: pose.x_m, y: pose.y_m, isStart });
+    const point = { x: pose.x_m, y: pose.y_m, theta_rad: pose.theta_rad, time_s, isStart };
+    this.points.push(point);
+    const { left, right, bottom, top } = boxAround([...this.corners, point]);
+    this.corners = [
+      { x: left, y: bottom },
+      { x: right, y: top },
+    ];
     if (this.points.length > MAX_POINTS) this.thin();
   }
 
+  /** Where it was at that time, as far as it is drawn; null: nobody knows. */
+  at(time_s: number): Pose | null {
+    if (this.pose && time_s >= this.time_s) return this.pose;
+    for (let index = this.points.length - 1; index >= 0; index--) {
+      const point = this.points[index];
+      if (point && point.time_s <= time_s) return { x_m: point.x, y_m: point.y, theta_rad: point.theta_rad };
+    }
+    return null;
+  }
+
   /** What it was made of, as far as it is drawn. */
-  poses(): Pose[] {
-    const poses = this.points.map(({ x, y }) => ({ x_m: x, y_m: y, theta_rad: 0 }));
-    return this.pose ? [...poses, this.pose] : poses;
+  poses(): PastPose[] {
+    const poses = this.points.map(({ x, y, theta_rad, time_s }) => ({ pose: { x_m: x, y_m: y, theta_rad }, time_s }));
+    return this.pose ? [...poses, { pose: this.pose, time_s: this.time_s }] : poses;
   }
 
   clear(): void {
     this.points = [];
+    this.corners = [];
     this.length_m = 0;
+    this.version += 1;
   }
 
   private thin(): void {
@@ -48,5 +81,10 @@ export class Path {
       else if (point.isStart && next) next.isStart = true;
     });
     this.points = kept;
+    this.version += 1;
   }
+}
+
+function isPossible({ x_m, y_m, theta_rad }: Pose): boolean {
+  return Math.abs(x_m) <= FARTHEST_M && Math.abs(y_m) <= FARTHEST_M && Number.isFinite(theta_rad);
 }

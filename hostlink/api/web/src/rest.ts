@@ -15,12 +15,14 @@ export class Refused extends Error {
 }
 
 /** The answer's JSON; Refused when the daemon says no, any other error when it cannot be reached. */
-export async function rest<T>(method: string, path: string, body?: object): Promise<T> {
+export async function rest<T>(method: string, path: string, body?: object, timeout_ms = TIMEOUT_MS): Promise<T> {
   const response = await request(method, path, {
     body: body && JSON.stringify(body),
-    signal: AbortSignal.timeout(TIMEOUT_MS),
+    keepalive: method !== "GET", // a stop arrives, too, when the page is closed behind it
+    priority: method === "GET" ? "low" : "high",
+    signal: AbortSignal.timeout(timeout_ms),
   });
-  if (!response.ok) throw await refusalOf(response, `${method} ${path}`);
+  if (!response.ok) throw await refusalOf(response);
   return (await response.json()) as T;
 }
 
@@ -32,9 +34,21 @@ export function request(method: string, path: string, options: RequestInit): Pro
 }
 
 /** Why a response is a refusal, in the daemon's words if it has any. */
-export async function refusalOf(response: Response, what: string): Promise<Refused> {
+export async function refusalOf(response: Response): Promise<Refused> {
   const answer = (await response.json().catch(() => null)) as { error?: { reason?: string } } | null;
-  return new Refused(response.status, answer?.error?.reason ?? `${what}: ${response.statusText}`);
+  const reason = answer?.error?.reason ?? `hostlink answers: ${response.statusText.toLowerCase()}`;
+  return new Refused(response.status, forPeople(reason));
+}
+
+/** Without the request that a program would have to know. */
+export function forPeople(reason: string): string {
+  return reason.replace(/^[A-Z]+ \/\S*: /, "");
+}
+
+/** What to write beside a request that failed. */
+export function reasonOf(error: unknown): string {
+  if (error instanceof Refused) return error.message;
+  return "hostlink does not answer. Try again.";
 }
 
 /** The path of something that a robot has. */

@@ -1,58 +1,123 @@
 /** The robots and what each of them does; one of them is chosen. */
 
-import { digits, find, make, setText } from "./dom";
+import type { Batteries } from "./batteries";
+import { ageText, arrange, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
+import { robotColour } from "./robot_colours";
 import type { RobotView } from "./views";
+
+const FILTERED = 8; // with more, a filter is worth its place
 
 interface Card {
   label: HTMLLabelElement;
   input: HTMLInputElement;
   state: HTMLElement;
   speed: HTMLElement;
+  battery: HTMLElement;
+  signal: HTMLElement;
 }
 
 export class RobotList {
   private readonly list = find("#robots .list");
+  private readonly filter = find<HTMLInputElement>("#robots-filter");
   private readonly cards = new Map<string, Card>();
+  private order = "";
+  private shown = ""; // the chosen one, and how the list lies
 
   constructor(
     private readonly fleet: Fleet,
+    private readonly batteries: Batteries,
     private readonly driver: (robot: RobotView) => string | null,
-  ) {}
+  ) {
+    this.filter.addEventListener("input", () => this.show(true));
+  }
 
   /** `isHeard`: the daemon was; else nobody knows that there is no robot. */
   show(isHeard: boolean | null): void {
     const { robots, robot: chosen } = this.fleet;
     find("#robots .empty").hidden = robots.length > 0 || !isHeard;
+    find("#robots-all").hidden = robots.length < 2;
+    this.filter.hidden = robots.length <= FILTERED;
+    this.arrange(robots);
+    const words = this.filter.hidden ? [] : this.filter.value.toLowerCase().split(/\s+/).filter(Boolean);
+    let shown = 0;
     for (const robot of robots) {
-      const card = this.cards.get(robot.name) ?? this.add(robot.name);
+      const card = this.cards.get(robot.name);
+      if (card === undefined) continue;
+      const what = this.describe(robot);
+      const isMatch = words.every((word) => `${robot.name} ${what}`.toLowerCase().includes(word));
+      card.label.hidden = !isMatch;
+      shown += Number(isMatch);
       card.input.checked = robot === chosen;
-      card.label.dataset.state = robot.locked ? "locked" : robot.connected ? "connected" : "gone";
-      setText(card.state, this.describe(robot));
-      setText(card.speed, robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
+      this.fill(card, robot, what);
     }
+    this.reveal(chosen?.name ?? "");
+    find("#robots .none").hidden = shown > 0 || robots.length === 0;
+  }
+
+  /** Scroll to the chosen one, once: a person may scroll on. */
+  private reveal(name: string): void {
+    const key = `${name} ${document.body.dataset["robots"]} ${this.order}`;
+    if (key === this.shown) return;
+    this.shown = key;
+    this.cards.get(name)?.label.scrollIntoView({ block: "nearest", inline: "nearest" });
+  }
+
+  private fill(card: Card, robot: RobotView, what: string): void {
+    const { fleet } = this;
+    const link = fleet.linkOf(robot);
+    const state = fleet.state(robot);
+    card.label.dataset.state = state === "connected" && this.driver(robot) !== null ? "driving" : state;
+    card.label.title = robot.host ? `${robot.name}: ${what}` : what;
+    setText(card.state, what);
+    setText(card.speed, robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
+    const volts = this.batteries.volts(robot.name);
+    setText(card.battery, volts === null ? "" : `${digits(volts, 1)} V`);
+    const dbm = link?.signal_dbm ?? null;
+    const rate = robot.connected && robot.odometry ? `${digits(robot.odometry.rate_hz, 0)} Hz` : "";
+    setText(card.signal, [rate, dbm === null ? "" : `${digits(dbm, 0)} dBm`].filter(Boolean).join(" "));
+  }
+
+  /** In the fleet's order. Robots that are gone for good go from the list too. */
+  private arrange(robots: RobotView[]): void {
+    const order = robots.map(({ name }) => name).join("\n");
+    if (order === this.order) return;
+    this.order = order;
+    const names = new Set(robots.map(({ name }) => name));
+    for (const name of this.cards.keys()) if (!names.has(name)) this.cards.delete(name);
+    const cards = robots.map(({ name }) => this.cards.get(name) ?? this.make(name));
+    arrange(
+      this.list,
+      cards.map(({ label }) => label),
+    );
   }
 
   private describe(robot: RobotView): string {
-    const host = robot.host ? `, at ${robot.host}` : "";
-    const others = robot.also_at?.length ? `; this name is also at ${robot.also_at.join(", ")}` : "";
+    const host = robot.host ? ` · at ${robot.host}` : "";
+    const others = robot.also_at?.length ? ` · this name is also at ${robot.also_at.join(", ")}` : "";
     return `${this.describeDriver(robot)}${host}${others}`;
   }
 
   private describeDriver(robot: RobotView): string {
-    if (!robot.connected) return "not connected";
-    if (robot.locked) return "locked";
+    const state = this.fleet.state(robot);
+    if (state === "gone") return "not connected";
+    if (state === "silent") return `silent ${ageText(this.fleet.age_s(robot))}`;
+    if (state === "locked") return "locked";
     const driver = this.driver(robot);
     return driver === null ? "nobody drives" : `${driver} drive${driver === "you" ? "" : "s"}`;
   }
 
-  private add(name: string): Card {
+  private make(name: string): Card {
     const input = make("input", { type: "radio", name: "robot", value: name });
     const [state, speed] = [make("span", { class: "what" }), make("span", { class: "speed" })];
-    const label = make("label", { class: "robot" }, input, make("b", {}, name), state, speed);
+    const [battery, signal] = [make("span", { class: "battery" }), make("span", { class: "signal" })];
+    const dot = make("i", { class: "dot" });
+    const label = make("label", { class: "robot" }, input, dot, make("b", {}, name), state, speed, battery, signal);
+    label.style.setProperty("--robot", robotColour(name));
     input.addEventListener("change", () => this.fleet.choose(name));
-    this.list.append(label);
-    const card = { label, input, state, speed };
+    // by a pointer: then the arrows drive it, and choose no other
+    label.addEventListener("click", (event) => event.detail > 0 && setTimeout(() => input.blur()));
+    const card = { label, input, state, speed, battery, signal };
     this.cards.set(name, card);
     return card;
   }

@@ -3,8 +3,10 @@
 import { digits, find, setText } from "./dom";
 import type { Driving } from "./driving";
 import type { PlotData } from "./plots";
+import { StepChart } from "./stepchart";
 
 const RISE = [0.1, 0.9] as const;
+const STEADY_S = 0.5; // at the end of a step
 const SETTLED = 0.05; // of the target, to each side
 const LEAST_S = 1.5; // a shorter one has no figures
 const MOST_S = 30; // a longer one ends by itself
@@ -14,7 +16,7 @@ const LONGEST_PAUSE_MS = 400; // of this page; after a lease, 500 ms, the robot 
 const SILENCE_MS = 1000; // of plot_data: nothing is measured
 const HELD_KEY = "Enter"; // a space stops
 
-interface Sample {
+export interface Sample {
   seconds: number; // since the button was pressed
   setPoint: number;
   measured: number;
@@ -24,6 +26,7 @@ interface Figures {
   rise: number | null; // s; null: not reached
   overshoot: number; // percent
   settled: number | null; // s
+  steady: number; // mean of what was missing at the end, percent; below zero: too fast
 }
 
 const WHEELS: { row: string; read: (data: PlotData) => [setPoint: number, measured: number] }[] = [
@@ -39,6 +42,7 @@ export class Step {
   private measuredAt = 0;
   private newest: PlotData | null = null;
   private samples: Sample[][] = WHEELS.map(() => []);
+  private readonly chart = new StepChart();
 
   constructor(private readonly driving: Driving) {
     this.button.addEventListener("pointerdown", (event) => {
@@ -65,6 +69,14 @@ export class Step {
     this.release();
   }
 
+  /** Another robot's plot_data follow, or none. */
+  forget(): void {
+    this.discard("");
+    this.newest = null;
+    this.chart.clear();
+    for (const { row } of WHEELS) showFigures(row, null);
+  }
+
   add(data: PlotData): void {
     this.newest = data;
     this.check(); // a message may come before the timer
@@ -75,19 +87,21 @@ export class Step {
       const [setPoint, measured] = read(data);
       this.samples[index]?.push({ seconds, setPoint, measured });
     });
+    this.chart.show(this.samples);
     if (seconds > MOST_S || !this.driving.holds("step")) this.release(); // or a stop, or a refusal, came between
   }
 
   private press(): void {
     if (this.button.disabled || this.pressedAt !== null) return;
     const { newest } = this;
-    if (newest === null || WHEELS.some(({ read }) => read(newest).some((speed) => Math.abs(speed) > STANDING))) {
+    if (newest === null || WHEELS.some(({ read }) => read(newest).some((speed) => !isStanding(speed)))) {
       setText(this.state, "A step begins with a robot that stands.");
       return;
     }
     this.pressedAt = this.ranAt = this.measuredAt = performance.now();
     this.samples = WHEELS.map(() => []);
     setText(this.state, "Hold until the speed is steady.");
+    this.chart.begin();
     this.driving.hold("step", { forward: 1, turn: 0 });
   }
 
@@ -116,12 +130,22 @@ export class Step {
   }
 }
 
+/** null: what the device sent is no number. */
+function isStanding(speed: number | null): boolean {
+  return speed !== null && Math.abs(speed) <= STANDING;
+}
+
 function showFigures(row: string, figures: Figures | null): boolean {
   const cells = find(row).querySelectorAll("td");
   const texts =
     figures === null
-      ? ["–", "–", "–"]
-      : [seconds(figures.rise), `${digits(figures.overshoot, 1)} %`, seconds(figures.settled)];
+      ? ["–", "–", "–", "–"]
+      : [
+          seconds(figures.rise),
+          `${digits(figures.overshoot, 1)} %`,
+          seconds(figures.settled),
+          `${digits(figures.steady, 1)} %`,
+        ];
   cells.forEach((cell, index) => setText(cell, texts[index] ?? ""));
   return figures !== null;
 }
@@ -143,7 +167,15 @@ function figuresOf(samples: Sample[]): Figures | null {
     rise: begin == null || end == null ? null : end - begin,
     overshoot: Math.max(0, ...shares.map(({ share }) => 100 * (share - 1))),
     settled: shares[settled]?.seconds ?? null,
+    steady: steadyError(samples, moving.seconds, target),
   };
+}
+
+/** Over the last samples with the whole target. */
+function steadyError(samples: Sample[], end_s: number, target: number): number {
+  const steady = samples.filter(({ seconds, setPoint }) => seconds > end_s - STEADY_S && setPoint === target);
+  const missing = steady.reduce((sum, { measured }) => sum + (target - measured), 0);
+  return (100 * missing) / (Math.max(1, steady.length) * target);
 }
 
 /** When a share of the target is reached first, on the line between two samples. */

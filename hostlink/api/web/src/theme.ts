@@ -12,11 +12,16 @@ const colours = new Map<string, string>();
 
 /** The colour of a variable of the style sheet, as it is now. */
 export function colour(variable: string): string {
-  let found = colours.get(variable);
+  return computedColour(`var(--${variable})`);
+}
+
+/** What a colour of a style sheet is now, for a canvas. */
+export function computedColour(value: string): string {
+  let found = colours.get(value);
   if (found === undefined) {
-    probe.style.color = `var(--${variable})`;
+    probe.style.color = value;
     found = getComputedStyle(probe).color;
-    colours.set(variable, found);
+    colours.set(value, found);
   }
   return found;
 }

@@ -2,6 +2,8 @@
 
 const KEY = "hostlink.token";
 
+let known = kept();
+
 /** Move a token from the address bar into the session's store; call it before any request. */
 export function moveTokenFromAddress(): void {
   const address = new URL(location.href);
@@ -13,11 +15,24 @@ export function moveTokenFromAddress(): void {
 }
 
 export function keepToken(token: string): void {
-  if (token) sessionStorage.setItem(KEY, token);
-  else sessionStorage.removeItem(KEY);
+  known = token || null;
+  try {
+    if (token) sessionStorage.setItem(KEY, token);
+    else sessionStorage.removeItem(KEY);
+  } catch {
+    return; // a browser may forbid to keep anything: then it holds until the page is left
+  }
 }
 
 /** Null: none was given. */
 export function token(): string | null {
-  return sessionStorage.getItem(KEY);
+  return known;
+}
+
+function kept(): string | null {
+  try {
+    return sessionStorage.getItem(KEY);
+  } catch {
+    return null;
+  }
 }

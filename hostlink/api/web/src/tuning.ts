@@ -3,6 +3,7 @@
 import type { Connection } from "./connection";
 import { find, make, remember, remembered, setText } from "./dom";
 import type { Fleet } from "./fleet";
+import { KeptGains } from "./keptgains";
 import { topicOf } from "./views";
 
 const TYPE = "geometry_msgs/Vector3";
@@ -21,8 +22,9 @@ export class Tuning {
   constructor(
     private readonly fleet: Fleet,
     private readonly connection: Connection,
+    private readonly canDrive: () => boolean,
   ) {
-    const rows = document.querySelectorAll("#tuning form tbody tr");
+    const rows = document.querySelectorAll("#tuning .gains tbody tr");
     SIDES.forEach((side, index) => {
       for (const gain of GAINS) {
         const name = `${side === "l" ? "Left" : "Right"} ${NAMES[gain]}`;
@@ -31,17 +33,25 @@ export class Tuning {
         rows[index]?.append(make("td", {}, input));
       }
     });
-    find<HTMLFormElement>("#tuning form").addEventListener("submit", (event) => {
+    find<HTMLFormElement>("#tuning .gains").addEventListener("submit", (event) => {
       event.preventDefault();
       this.send();
     });
+    new KeptGains(
+      find("#tuning"),
+      () => Object.fromEntries([...this.inputs].map(([key, { value }]) => [key, value])),
+      (gains) => {
+        for (const [key, input] of this.inputs) input.value = gains[key] ?? input.value;
+        setText(this.state, "Not sent yet.");
+      },
+    );
   }
 
   show(): void {
     const { robot } = this.fleet;
     const isTunable = SIDES.every((side) => this.topic(side) !== null);
-    for (const control of document.querySelectorAll<HTMLInputElement>("#tuning form input, #tuning form button")) {
-      control.disabled = !isTunable;
+    for (const control of document.querySelectorAll<HTMLInputElement>("#tuning .gains input, #tuning .gains button")) {
+      control.disabled = !isTunable || !this.canDrive();
     }
     if (robot && robot.name !== this.shown) {
       this.shown = robot.name;
@@ -56,8 +66,9 @@ export class Tuning {
     if (robot?.connected && this.fleet.link && !isTunable) setText(this.state, "This robot takes no gains.");
   }
 
-  refused(reason: string): void {
-    setText(this.state, reason);
+  /** What was published on a topic was refused. */
+  refused(topic: string, reason: string): void {
+    if (SIDES.some((side) => topic === this.topic(side))) setText(this.state, reason);
   }
 
   private topic(side: Side): string | null {

@@ -1,8 +1,11 @@
 /** Which part of the floor a canvas shows: metres to pixels and back, fitting, zooming, panning. */
 
-const MARGIN = 1.25;
-const LEAST_SPAN_M = 2;
-const PX_PER_M = { min: 2, max: 2000 };
+const MARGIN = 1.1;
+const BODY_PX = 30; // a robot at the edge, with its ring
+const INSETS_PX = { top: 44, bottom: 34 }; // for the buttons and the scale, where there is room
+const LOW_PX = 200; // a map that is lower has none
+const LEAST_SPAN_M = 1.6;
+const PX_PER_M = { min: 1e-4, max: 2000 };
 const EASE = 0.2; // of the way, a picture
 
 interface Box {
@@ -32,17 +35,21 @@ export class Viewport {
   fit(box: Box, isAtOnce: boolean): boolean {
     const spanX = Math.max(LEAST_SPAN_M, (box.right - box.left) * MARGIN);
     const spanY = Math.max(LEAST_SPAN_M, (box.top - box.bottom) * MARGIN);
+    const { top, bottom } = this.height > LOW_PX ? INSETS_PX : { top: 0, bottom: 0 };
+    const free = { width: this.width - 2 * BODY_PX, height: this.height - top - bottom - 2 * BODY_PX };
+    const pxPerM = Math.max(PX_PER_M.min, Math.min(free.width / spanX, free.height / spanY));
     const wanted = {
       x_m: (box.left + box.right) / 2,
-      y_m: (box.bottom + box.top) / 2,
-      pxPerM: Math.min(this.width / spanX, this.height / spanY),
+      y_m: (box.bottom + box.top) / 2 + (top - bottom) / 2 / pxPerM,
+      pxPerM,
     };
+    const offPx = Math.hypot(wanted.x_m - this.x_m, wanted.y_m - this.y_m) * this.pxPerM;
+    if (offPx <= 0.5 && Math.abs(wanted.pxPerM / this.pxPerM - 1) <= 0.002) return false; // what is drawn stays good
     const ease = isAtOnce ? 1 : EASE;
     this.x_m += (wanted.x_m - this.x_m) * ease;
     this.y_m += (wanted.y_m - this.y_m) * ease;
     this.pxPerM += (wanted.pxPerM - this.pxPerM) * ease;
-    const offPx = Math.hypot(wanted.x_m - this.x_m, wanted.y_m - this.y_m) * this.pxPerM;
-    return offPx > 0.5 || Math.abs(wanted.pxPerM / this.pxPerM - 1) > 0.002;
+    return !isAtOnce;
   }
 
   /** Zoom around a point of the canvas, which stays where it is. */
@@ -78,4 +85,10 @@ export function boxAround(points: Iterable<{ x: number; y: number }>): Box {
 export function roundUp(value: number): number {
   const power = 10 ** Math.floor(Math.log10(value));
   return ([1, 2, 5].find((step) => step * power >= value * 0.999) ?? 10) * power;
+}
+
+/** A round length in words. */
+export function lengthText(length_m: number): string {
+  if (length_m < 1) return `${Math.round(length_m * 100)} cm`;
+  return length_m < 1000 ? `${length_m} m` : `${length_m / 1000} km`;
 }

@@ -17,14 +17,17 @@ export interface RobotView {
   also_at?: string[]; // other daemons that have a robot of this name
   connected: boolean;
   link: number | null;
+  frames?: number | null; // that its device has sent on this link
   velocity_topic: string;
   odometry_topic: string;
   holder: string | null;
+  holder_address?: string | null;
   priority?: number | null;
   velocity: Velocity;
   odometry: { pose: Pose; twist: Velocity; age_s: number; rate_hz: number; count: number; restarts?: number } | null;
   locked?: boolean;
   lock_reason?: string | null;
+  unreachable?: string | null; // why its device could not receive the last velocity
 }
 
 export interface TopicView {
@@ -62,12 +65,64 @@ export interface ClientView {
   dropped: number;
 }
 
+/** A recording that is under way. */
+export interface RecordingView {
+  name: string;
+  owner: string;
+  topics: string[];
+  seconds: number;
+  messages: number;
+  dropped: number;
+  bytes: number;
+  failure?: string;
+}
+
+export interface IncidentView {
+  robot: string;
+  cause: string;
+  detail: string;
+  at: string;
+  file: string; // empty: the half minute after it lasts
+  bytes: number;
+}
+
+export interface IncidentCounts {
+  pending: number;
+  saved: number;
+  missed: number;
+}
+
+/** The event `recordings`. */
+export interface RecordingNews {
+  recordings: RecordingView[];
+  changes: number; // of the files
+  incidents: IncidentCounts;
+}
+
 /** rosgraph_msgs/Log. */
 export interface LogLine {
   header: { stamp: { secs: number } };
   level: number;
   name: string;
   msg: string;
+}
+
+/** GET api/drives */
+export interface DriveView {
+  robot: string;
+  owner: string;
+  address?: string;
+  began: string;
+  seconds: number;
+  fastest_m_s: number;
+  fastest_rad_s: number;
+  end: string; // empty: it lasts
+}
+
+/** As `client 3 (phone, 10.0.0.5)`: who it is, and from where; a name that has the address already stays as it is. */
+export function named(owner: string, address: string | null | undefined): string {
+  if (!address || owner.includes(address)) return owner;
+  return owner.endsWith(")") ? `${owner.slice(0, -1)}, ${address})` : `${owner} (${address})`;
 }
 
 /** A robot's topic of this leaf and type, on its link. */

@@ -1,0 +1,62 @@
+/** The panel of who drove which robot, from when to when, and why it ended; the newest first. */
+
+import "./style/recordings.css";
+import { ageText, digits, make, setText } from "./dom";
+import type { Page } from "./page";
+import { reasonOf, rest } from "./rest";
+import { type DriveView, named } from "./views";
+
+const MAX_SHOWN = 50;
+const PATH = `api/drives?limit=${MAX_SHOWN}`;
+const INTERVAL_MS = 1000; // between two requests, however often drivers change
+
+export function startDrives(page: Page): HTMLElement {
+  const panel = new Drives(page);
+  page.onShow(() => panel.show());
+  return panel.root;
+}
+
+class Drives {
+  readonly root: HTMLElement;
+
+  private readonly list = make("ul", { class: "drives", tabindex: "0", "aria-labelledby": "drives-title" });
+  private readonly state = make("p", { class: "hint", role: "status" });
+  private known: string | null = null; // who drove what when it was loaded
+  private loadedAt = Number.NEGATIVE_INFINITY;
+
+  constructor(private readonly page: Page) {
+    this.root = make("section", {}, this.state, this.list, make("p", { class: "hint none" }, "Nobody has driven yet."));
+  }
+
+  /** Load it when somebody began or ended, while it can be seen. */
+  show(): void {
+    const now = performance.now();
+    const key = JSON.stringify(this.page.fleet.robots.map(({ name, holder, locked }) => [name, holder, locked]));
+    const isShown = this.list.parentElement?.checkVisibility() === true; // a list without items is not
+    if (key === this.known || now - this.loadedAt < INTERVAL_MS || !isShown) return;
+    this.known = key;
+    this.loadedAt = now;
+    void this.load();
+  }
+
+  private async load(): Promise<void> {
+    try {
+      const { drives, lost } = await rest<{ drives: DriveView[]; lost: number }>("GET", PATH);
+      this.list.replaceChildren(...drives.map(makeItem));
+      setText(this.state, lost > 0 ? `${lost} are not on the disk: the log of hostlink has the reason.` : "");
+    } catch (error) {
+      this.known = null;
+      setText(this.state, reasonOf(error));
+    }
+  }
+}
+
+function makeItem(drive: DriveView): HTMLElement {
+  const { robot, owner, address, began, seconds, fastest_m_s, fastest_rad_s, end } = drive;
+  const when = new Date(began).toLocaleString([], { hour12: false });
+  const title = make("span", { class: "what" }, make("b", {}, named(owner, address)), make("i", {}, robot));
+  const time = make("time", { datetime: began }, end === "" ? `since ${when}` : `${when}, for ${ageText(seconds)}`);
+  const fastest = `up to ${digits(fastest_m_s, 2)} m/s, ${digits(fastest_rad_s, 2)} rad/s`;
+  const why = end === "" ? "drives now" : `ended: ${end}`;
+  return make("li", {}, title, time, make("span", { class: "detail" }, `${fastest}; ${why}`));
+}

@@ -1,0 +1,204 @@
+/** The frame: the tabs of the layouts, the columns with their panels, each with a bar to fold and to move it. */
+
+import { find, make, remember, remembered, setText } from "./dom";
+import { COLUMNS, LAYOUTS, type LayoutName, Layouts } from "./layouts";
+import type { Page } from "./page";
+import { PANELS, type Panel } from "./panels";
+
+const SHORT = "(max-height: 640px)";
+const PHONE =
+  "(max-width: 479px), (max-width: 599px) and (min-height: 421px), (max-width: 899px) and (min-height: 521px)";
+const NARROW = "(max-width: 767px)"; // for two columns, where it is no phone that stands
+
+interface Framed {
+  panel: Panel;
+  element: HTMLElement;
+  fold: HTMLButtonElement;
+  body: HTMLElement;
+}
+
+export class Frame {
+  layout: LayoutName;
+
+  private readonly layouts = new Layouts(PANELS, remembered("panels", ""), (kept) => remember("panels", kept));
+  private readonly folded = new Set(remembered("folded", "").split(" ").filter(Boolean));
+  private readonly framed = new Map<string, Framed>();
+  private readonly tabs = new Map<LayoutName, HTMLButtonElement>();
+  private readonly isPhone = matchMedia(PHONE);
+  private readonly isShort = matchMedia(SHORT);
+  private readonly isNarrow = matchMedia(NARROW);
+  private readonly menu = new PanelMenu(this);
+
+  /** `onLayout`: another layout is shown. */
+  constructor(
+    page: Page,
+    private readonly onLayout: (layout: LayoutName) => void,
+  ) {
+    this.layout = LAYOUTS.find((each) => each === remembered("layout", "Drive")) ?? "Drive";
+    for (const panel of PANELS) this.add(panel, page);
+    for (const name of LAYOUTS) {
+      const tab = make("button", { type: "button" }, name);
+      tab.addEventListener("click", () => this.choose(name));
+      this.tabs.set(name, tab);
+      find("#layouts").append(tab);
+    }
+    for (const query of [this.isPhone, this.isShort, this.isNarrow])
+      query.addEventListener("change", () => this.arrange());
+    this.arrange();
+  }
+
+  choose(layout: LayoutName): void {
+    this.layout = layout;
+    remember("layout", layout);
+    this.arrange();
+  }
+
+  /** Put every panel where it belongs now. One that stays where it is is not touched: a finger may be on it. */
+  arrange(): void {
+    const arrangement = this.layouts.arrangement(this.layout);
+    const { matches: isPhone } = this.isPhone;
+    const columns = { left: [...arrangement.left], middle: [...arrangement.middle], right: [...arrangement.right] };
+    if (isPhone) {
+      const all = PANELS.filter(({ name }) => !arrangement.away.includes(name));
+      columns.left = all.filter(({ isFirst }) => isFirst).map(({ name }) => name);
+      columns.middle = [];
+      columns.right = all.filter(({ isFirst }) => !isFirst).map(({ name }) => name);
+    }
+    const isPair = !isPhone && this.isNarrow.matches;
+    if (isPair && columns.left.length > 0) {
+      columns.middle.splice(1, 0, ...columns.right); // behind the map
+      columns.right = [];
+    }
+    for (const column of COLUMNS) this.fill(find(`main > .${column}`), columns[column]);
+    this.fill(find("#shelf"), arrangement.away);
+    document.body.dataset.layout = this.layout;
+    document.body.dataset.shape = isPhone ? "phone" : "columns";
+    document.body.dataset.columns = isPair ? "two" : "three";
+    const isStrip = this.layout !== "Fleet" && (isPhone || this.isShort.matches);
+    document.body.dataset.robots = isStrip ? "strip" : "list";
+    for (const [name, tab] of this.tabs) tab.setAttribute("aria-pressed", String(name === this.layout));
+    dispatchEvent(new Event("resize")); // for what measures where it is: the joystick
+    this.onLayout(this.layout);
+  }
+
+  isFolded(name: string): boolean {
+    return this.folded.has(name);
+  }
+
+  fold(name: string): void {
+    if (!this.folded.delete(name)) this.folded.add(name);
+    remember("folded", [...this.folded].join(" "));
+    const framed = this.framed.get(name);
+    if (framed) this.showFold(framed);
+  }
+
+  /** What a person may do with a panel: its label, and what it does; `isOn` for what is chosen among others. */
+  choices(name: string): { label: string; isOn?: boolean; act: () => void }[] {
+    const { layout, layouts } = this;
+    const done = (act: () => void) => () => {
+      act();
+      this.arrange();
+    };
+    const isHere = layouts.columnOf(layout, name);
+    return [
+      { label: this.isFolded(name) ? "Unfold" : "Fold", act: () => this.fold(name) },
+      { label: "Up", act: done(() => layouts.shift(layout, name, -1)) },
+      { label: "Down", act: done(() => layouts.shift(layout, name, 1)) },
+      ...COLUMNS.map((column) => ({
+        label: `To the ${column}`,
+        isOn: isHere === column,
+        act: done(() => layouts.put(layout, name, column)),
+      })),
+      ...LAYOUTS.map((each) => ({
+        label: `In ${each}`,
+        isOn: layouts.columnOf(each, name) !== "away",
+        act: done(() => {
+          const isIn = layouts.columnOf(each, name) !== "away";
+          layouts.put(each, name, isIn ? "away" : (PANELS.find((one) => one.name === name)?.places[each] ?? "right"));
+        }),
+      })),
+      { label: `Reset ${layout}`, act: done(() => layouts.reset(layout)) },
+    ];
+  }
+
+  /** A bar with its title, what the panel has for it (`data-bar`), and its menu; below it the body. */
+  private add(panel: Panel, page: Page): void {
+    const { name, title } = panel;
+    const element = panel.start?.(page) ?? find(`#${name}`);
+    element.id = name;
+    element.classList.add("panel");
+    element.setAttribute("aria-labelledby", `${name}-title`);
+    const fold = make("button", { type: "button", class: "fold", "aria-expanded": "true" }, title);
+    const more = make("button", { type: "button", class: "more", "aria-label": `${title}: move, fold` }, "⋯");
+    const extras = element.querySelectorAll(":scope > [data-bar]");
+    const body = make("div", { class: "body", id: `${name}-body` });
+    const bar = make("div", { class: "bar" }, make("h2", { id: `${name}-title` }, fold), ...extras, more);
+    body.append(...element.childNodes);
+    element.append(bar, body);
+    fold.setAttribute("aria-controls", body.id);
+    fold.addEventListener("click", () => this.fold(name));
+    more.addEventListener("click", () => this.menu.open(name, title, more));
+    const framed = { panel, element, fold, body };
+    this.framed.set(name, framed);
+    this.showFold(framed);
+  }
+
+  private showFold({ panel, element, fold, body }: Framed): void {
+    const isFolded = this.isFolded(panel.name);
+    body.hidden = isFolded;
+    element.classList.toggle("folded", isFolded);
+    fold.setAttribute("aria-expanded", String(!isFolded));
+  }
+
+  private fill(place: HTMLElement, names: string[]): void {
+    names.forEach((name, index) => {
+      const element = this.framed.get(name)?.element;
+      if (element && place.children[index] !== element) place.insertBefore(element, place.children[index] ?? null);
+    });
+  }
+}
+
+/** One menu for all panels, beside the button that opened it. */
+class PanelMenu {
+  private readonly box = make("div", { id: "panel-menu", popover: "", role: "menu" });
+
+  constructor(private readonly frame: Frame) {
+    const { box } = this;
+    document.body.append(box);
+    box.addEventListener("keydown", (event) => this.move(event));
+    // the stop has the key, too, and lets nobody else have it
+    addEventListener("keydown", ({ code }) => code === "Escape" && box.hidePopover(), { capture: true });
+  }
+
+  /** As in every menu: the arrows go round, Home and End to its ends. */
+  private move(event: KeyboardEvent): void {
+    const items = [...this.box.querySelectorAll("button")];
+    const at = items.findIndex((item) => item === document.activeElement);
+    const to = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: -1 }[event.code];
+    if (to === undefined) return;
+    event.preventDefault();
+    items.at(to % items.length)?.focus();
+  }
+
+  open(name: string, title: string, button: HTMLElement): void {
+    const { box } = this;
+    const heading = make("p", { role: "presentation" });
+    setText(heading, title);
+    const items = this.frame.choices(name).map(({ label, isOn, act }) => {
+      const role = isOn === undefined ? "menuitem" : "menuitemcheckbox";
+      const item = make("button", { type: "button", role }, label);
+      if (isOn !== undefined) item.setAttribute("aria-checked", String(isOn));
+      item.addEventListener("click", () => {
+        box.hidePopover();
+        act();
+      });
+      return item;
+    });
+    box.replaceChildren(heading, ...items);
+    box.showPopover();
+    const at = button.getBoundingClientRect();
+    box.style.left = `${Math.max(4, Math.min(at.right - box.offsetWidth, innerWidth - box.offsetWidth - 4))}px`;
+    box.style.top = `${Math.max(4, Math.min(at.bottom + 4, innerHeight - box.offsetHeight - 4))}px`;
+    items[0]?.focus();
+  }
+}

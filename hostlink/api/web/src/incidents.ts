@@ -1,0 +1,91 @@
+/** The incidents panel: what happened to robots, the newest first; each opens with its path, plots and log. */
+
+import "./style/recordings.css";
+import { make, setText } from "./dom";
+import { makeDownload } from "./download";
+import { causeInWords, IncidentWindow } from "./incident";
+import type { Page } from "./page";
+import { reasonOf, rest } from "./rest";
+import type { IncidentCounts, IncidentView } from "./views";
+import { bytes, makeButton } from "./widgets";
+
+const MAX_SHOWN = 100;
+const PATH = "api/incidents";
+
+export function startIncidents(page: Page): HTMLElement {
+  const panel = new Incidents(page);
+  page.onRecordings(({ incidents }) => panel.show(incidents));
+  return panel.root;
+}
+
+class Incidents {
+  readonly root: HTMLElement;
+
+  private readonly list = make("ul", { class: "incidents" });
+  private readonly state = make("p", { class: "hint", role: "status" });
+  private readonly window = new IncidentWindow();
+  private known = "";
+
+  constructor(private readonly page: Page) {
+    const hint = make("p", { class: "hint none" }, "Nothing has happened. Stops, lost links and errors are kept here.");
+    const save = makeButton("Save now", () => void this.save(), {
+      "data-bar": "",
+      title: "Save the last minutes of the chosen robot, and half a minute to come",
+    });
+    page.onShow(() => {
+      save.disabled = !page.canDrive || page.fleet.robot === undefined;
+    });
+    this.root = make("section", {}, save, this.state, this.list, hint);
+  }
+
+  /** How many there are: other numbers are another list. */
+  show(counts: IncidentCounts): void {
+    const key = JSON.stringify(counts);
+    if (key === this.known) return;
+    this.known = key;
+    void this.load();
+  }
+
+  private async load(): Promise<void> {
+    try {
+      const { incidents, missed } = await rest<{ incidents: IncidentView[]; missed: number }>("GET", PATH);
+      this.list.replaceChildren(...incidents.slice(0, MAX_SHOWN).map((each) => this.makeItem(each)));
+      setText(this.state, missed > 0 ? `${missed} could not be saved: the log of hostlink has the reason.` : "");
+    } catch (error) {
+      this.known = "";
+      setText(this.state, reasonOf(error));
+    }
+  }
+
+  private makeItem(incident: IncidentView): HTMLElement {
+    const { robot, cause, detail, at, file } = incident;
+    const words = causeInWords(cause);
+    const when = new Date(at);
+    const time = make("time", { datetime: at }, when.toLocaleString([], { hour12: false }));
+    const title = make("span", { class: "what" }, make("b", {}, words), make("i", {}, robot), time);
+    const item = make("li", { "data-cause": cause }, title, make("span", { class: "detail" }, detail));
+    if (file === "") item.append(make("em", {}, "being saved, with the half minute after it"));
+    else {
+      const open = makeButton("Open", () => void this.window.open(incident, open), {
+        "aria-label": `Open ${words} of ${robot} at ${when.toLocaleTimeString([], { hour12: false })}`,
+        title: bytes(incident.bytes),
+      });
+      item.append(make("span", { class: "actions" }, open, makeDownload(`${PATH}/${encodeURIComponent(file)}`, file)));
+    }
+    return item;
+  }
+
+  private async save(): Promise<void> {
+    const robot = this.page.fleet.robot?.name;
+    if (robot === undefined) {
+      setText(this.state, "There is no robot.");
+      return;
+    }
+    try {
+      await rest("POST", PATH, { robot, reason: "saved on the page" });
+      await this.load();
+    } catch (error) {
+      setText(this.state, reasonOf(error));
+    }
+  }
+}

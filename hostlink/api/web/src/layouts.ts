@@ -1,0 +1,93 @@
+/** Which panels a layout has and where: the default of the table of panels, and what a person moved. No element. */
+
+export const LAYOUTS = ["Drive", "Tune", "Fleet", "Watch"] as const;
+export type LayoutName = (typeof LAYOUTS)[number];
+
+export const COLUMNS = ["left", "middle", "right"] as const;
+export type Column = (typeof COLUMNS)[number];
+
+/** The panels of each column, the topmost first; `away`: a person took them out of this layout. */
+export type Arrangement = Record<Column | "away", string[]>;
+
+/** What the layouts know of a panel. */
+export interface Place {
+  name: string;
+  places: Partial<Record<LayoutName, Column>>; // where it is until somebody moves it
+}
+
+export class Layouts {
+  private readonly moved: Partial<Record<LayoutName, Arrangement>>;
+
+  /** `kept` is what `save` was called with the last time. */
+  constructor(
+    private readonly panels: readonly Place[],
+    kept: string,
+    private readonly save: (kept: string) => void,
+  ) {
+    this.moved = parsed(kept);
+  }
+
+  /** As a person left it; a panel that is new since then is where it belongs. */
+  arrangement(layout: LayoutName): Arrangement {
+    const known = this.panels.map(({ name }) => name);
+    const arrangement: Arrangement = { left: [], middle: [], right: [], away: [] };
+    for (const column of [...COLUMNS, "away"] as const) {
+      const names = this.moved[layout]?.[column];
+      if (Array.isArray(names)) arrangement[column] = [...new Set(names)].filter((name) => known.includes(name));
+    }
+    const placed = new Set(Object.values(arrangement).flat());
+    for (const { name, places } of this.panels) {
+      if (!placed.has(name)) arrangement[places[layout] ?? "away"].push(name);
+    }
+    return arrangement;
+  }
+
+  /** Into a layout, at the end of a column; or out of it. */
+  put(layout: LayoutName, name: string, column: Column | "away"): void {
+    const arrangement = this.arrangement(layout);
+    for (const names of Object.values(arrangement)) remove(names, name);
+    arrangement[column].push(name);
+    this.keep(layout, arrangement);
+  }
+
+  /** Up (-1) or down (1) within its column. */
+  shift(layout: LayoutName, name: string, by: -1 | 1): void {
+    const arrangement = this.arrangement(layout);
+    for (const names of Object.values(arrangement)) {
+      const at = names.indexOf(name);
+      const other = names[at + by];
+      if (at >= 0 && other !== undefined) [names[at], names[at + by]] = [other, name];
+    }
+    this.keep(layout, arrangement);
+  }
+
+  columnOf(layout: LayoutName, name: string): Column | "away" {
+    const arrangement = this.arrangement(layout);
+    return COLUMNS.find((column) => arrangement[column].includes(name)) ?? "away";
+  }
+
+  /** Everything where it was in the beginning. */
+  reset(layout: LayoutName): void {
+    delete this.moved[layout];
+    this.save(JSON.stringify(this.moved));
+  }
+
+  private keep(layout: LayoutName, arrangement: Arrangement): void {
+    this.moved[layout] = arrangement;
+    this.save(JSON.stringify(this.moved));
+  }
+}
+
+function remove(names: string[], name: string): void {
+  const at = names.indexOf(name);
+  if (at >= 0) names.splice(at, 1);
+}
+
+function parsed(kept: string): Partial<Record<LayoutName, Arrangement>> {
+  try {
+    const value: unknown = JSON.parse(kept);
+    return typeof value === "object" && value !== null ? value : {};
+  } catch {
+    return {}; // of another version, or by hand
+  }
+}

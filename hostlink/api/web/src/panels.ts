@@ -1,0 +1,39 @@
+/** The table of panels: each one's name, title, layouts, and how it begins. */
+
+import { startDrives } from "./drives";
+import { startIncidents } from "./incidents";
+import type { Place } from "./layouts";
+import type { Page } from "./page";
+import { startRecordings } from "./recordings";
+import { startTopics } from "./topics";
+
+export interface Panel extends Place {
+  title: string;
+  /** On a phone it belongs to the first screen of the layouts that drive; the others follow below. */
+  isFirst?: boolean;
+  /** Makes the panel's element: a section whose id is `name`. Without it index.html has the section. */
+  start?: (page: Page) => HTMLElement;
+}
+
+/** In the order in which they stand in a column. */
+export const PANELS: readonly Panel[] = [
+  {
+    name: "robots",
+    title: "Robots",
+    isFirst: true,
+    places: { Drive: "left", Tune: "left", Fleet: "middle", Watch: "left" },
+  },
+  { name: "map", title: "Map", isFirst: true, places: { Drive: "middle", Fleet: "right", Watch: "middle" } },
+  { name: "drive", title: "Drive", isFirst: true, places: { Drive: "left", Tune: "left" } },
+  { name: "link", title: "Link", isFirst: true, places: { Drive: "right", Watch: "left" } },
+  { name: "speeds", title: "Asked and done", places: { Drive: "middle", Watch: "middle" } },
+  { name: "steps", title: "Step", places: { Tune: "middle" } },
+  { name: "plots", title: "Wheels", places: { Tune: "middle" } },
+  { name: "tuning", title: "PID tuning", places: { Tune: "right" } },
+  { name: "topics", title: "Any topic", places: { Watch: "middle" }, start: startTopics },
+  { name: "recordings", title: "Recordings", places: { Watch: "left" }, start: startRecordings },
+  { name: "incidents", title: "Incidents", places: { Watch: "right" }, start: startIncidents },
+  { name: "drives", title: "Who drove", places: { Watch: "right" }, start: startDrives },
+  { name: "log", title: "Log", places: { Drive: "right", Watch: "right" } },
+  { name: "clients", title: "Clients", places: { Drive: "right", Fleet: "right", Watch: "right" } },
+];

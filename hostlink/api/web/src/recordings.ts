@@ -1,0 +1,174 @@
+/** The recordings panel: start and stop one, how far it is, and the files to download or remove. */
+
+import "./style/recordings.css";
+import { arrange, confirmed, make, setText } from "./dom";
+import { makeDownload } from "./download";
+import type { Page } from "./page";
+import { reasonOf, rest } from "./rest";
+import type { RecordingNews, RecordingView } from "./views";
+import { bytes, duration, makeButton, makeField } from "./widgets";
+
+const MAX_SHOWN = 100; // files
+const STOP_TIMEOUT_MS = 15_000; // its last chunk is written, and brought to the disk
+const PATH = "api/recordings";
+
+interface StoredView {
+  file: string;
+  bytes: number;
+  modified: string;
+  is_open: boolean;
+}
+
+export function startRecordings(page: Page): HTMLElement {
+  const panel = new Recordings(page);
+  page.onRecordings((news) => panel.show(news));
+  return panel.root;
+}
+
+class Recordings {
+  readonly root: HTMLElement;
+
+  private readonly robots = make("select", {}, make("option", { value: "" }, "all robots"));
+  private readonly topics = make("input", {
+    type: "text",
+    maxlength: "400",
+    placeholder: "all, or some",
+    title: "Names, or patterns as /robot_0/*",
+  });
+  private readonly start = make("button", { type: "submit", class: "main record" }, "Record");
+  private readonly underWay = make("ul", { class: "underway" });
+  private readonly files = make("ul", { class: "files" });
+  private readonly state = make("p", { class: "hint", role: "status" });
+  private readonly rows = new Map<string, { root: HTMLElement; figures: HTMLElement }>();
+  private items = new Map<string, HTMLElement>();
+  private known = "";
+
+  constructor(private readonly page: Page) {
+    const form = make("form", {}, makeField("Robots", this.robots), makeField("Topics", this.topics), this.start);
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.begin();
+    });
+    const hint = make("p", { class: "hint none" }, "No file yet. A recording opens in Foxglove and by hostlink play.");
+    this.root = make("section", {}, form, this.state, this.underWay, this.files, hint);
+    page.onShow(() => {
+      this.showRights();
+      this.showRobots();
+    });
+  }
+
+  /** What is being recorded now, and whether the files have changed. */
+  show({ recordings, changes }: RecordingNews): void {
+    for (const [name, row] of this.rows) {
+      if (recordings.some((each) => each.name === name)) continue;
+      row.root.remove();
+      this.rows.delete(name);
+    }
+    for (const each of recordings) setText(this.row(each.name).figures, figuresOf(each));
+    const known = [changes, ...recordings.map(({ name }) => name)].join("\n");
+    if (known === this.known && this.files.dataset.loaded) return;
+    this.known = known;
+    void this.load();
+  }
+
+  /** Everything here changes something, but the downloads. */
+  private showRights(): void {
+    for (const button of this.root.querySelectorAll("button")) button.disabled = !this.page.canDrive;
+  }
+
+  private showRobots(): void {
+    const names = ["", ...this.page.fleet.robots.map(({ name }) => name)];
+    if (names.join("\n") === this.robots.dataset.names) return;
+    this.robots.dataset.names = names.join("\n");
+    const chosen = this.robots.value;
+    this.robots.replaceChildren(...names.map((name) => make("option", { value: name }, name || "all robots")));
+    this.robots.value = names.includes(chosen) ? chosen : "";
+  }
+
+  private row(name: string): { root: HTMLElement; figures: HTMLElement } {
+    const known = this.rows.get(name);
+    if (known) return known;
+    const figures = make("span", { class: "figures" });
+    const stop = makeButton("Stop recording", () => void this.end(name), { "aria-label": `Stop recording ${name}` });
+    const root = make("li", {}, make("b", {}, name), figures, stop);
+    const row = { root, figures };
+    this.rows.set(name, row);
+    this.underWay.append(root);
+    this.showRights();
+    return row;
+  }
+
+  private async begin(): Promise<void> {
+    const robot = this.robots.value;
+    const topics = this.topics.value.split(/[\s,]+/).filter(Boolean);
+    await this.attempt(async () => {
+      const body = { topics, robots: robot === "" ? [] : [robot] };
+      const begun = await rest<RecordingView>("POST", PATH, body, STOP_TIMEOUT_MS);
+      setText(this.row(begun.name).figures, figuresOf(begun));
+    });
+  }
+
+  private async end(name: string): Promise<void> {
+    await this.attempt(async () => {
+      const path = `${PATH}/${encodeURIComponent(name)}/stop`;
+      const ended = await rest<RecordingView>("POST", path, undefined, STOP_TIMEOUT_MS);
+      setText(this.state, `${name}: ${figuresOf(ended)}`);
+      this.rows.get(name)?.root.remove();
+      this.rows.delete(name);
+      await this.load();
+    });
+  }
+
+  private async load(): Promise<void> {
+    await this.attempt(async () => {
+      const { files } = await rest<{ files: StoredView[] }>("GET", PATH);
+      this.files.dataset.loaded = String(files.length);
+      const closed = files.filter(({ is_open }) => !is_open);
+      const before = this.items;
+      this.items = new Map();
+      for (const file of closed.slice(0, MAX_SHOWN)) {
+        const key = `${file.file} ${file.bytes} ${file.modified}`;
+        this.items.set(key, before.get(key) ?? this.makeFile(file)); // a button that was pressed once stays so
+      }
+      arrange(this.files, this.items.values());
+      this.showRights();
+    });
+  }
+
+  private makeFile({ file, bytes: size, modified }: StoredView): HTMLElement {
+    const when = new Date(modified).toLocaleString([], { dateStyle: "short", timeStyle: "short", hour12: false });
+    const remove = make("button", { type: "button", "aria-label": `Remove ${file}` }, "Remove");
+    confirmed(remove, "Remove it?", () => () => void this.remove(file));
+    const facts = make("span", { class: "figures" }, `${bytes(size)} · ${when}`);
+    return make(
+      "li",
+      {},
+      make("b", {}, file),
+      facts,
+      makeDownload(`${PATH}/${encodeURIComponent(file)}`, file),
+      remove,
+    );
+  }
+
+  private async remove(file: string): Promise<void> {
+    await this.attempt(async () => {
+      await rest("DELETE", `${PATH}/${encodeURIComponent(file)}`);
+      setText(this.state, `${file} is removed.`);
+      await this.load();
+    });
+  }
+
+  private async attempt(work: () => Promise<void>): Promise<void> {
+    try {
+      await work();
+    } catch (error) {
+      setText(this.state, reasonOf(error));
+    }
+  }
+}
+
+function figuresOf({ messages, bytes: size, seconds, dropped, failure }: RecordingView): string {
+  const count = `${messages.toLocaleString("en")} message${messages === 1 ? "" : "s"}`;
+  const figures = `${count} · ${bytes(size)} · ${duration(seconds)} · ${dropped} dropped`;
+  return failure === undefined ? figures : `${figures} · ${failure}`;
+}
