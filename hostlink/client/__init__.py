@@ -6,14 +6,24 @@ async with hostlink.client.connect() as host:
     async for odometry in robot.odometry():
         print(odometry["pose"]["x_m"])
 
+In a program without asyncio, and in Jupyter, connect_blocking() has the same without `async` and `await`:
+
+with hostlink.client.connect_blocking() as host:
+    host.robot("robot_0").drive(0.2, 0.5)
+
 Whatever cannot be done is a HostlinkError whose text says what to do. docs/client.md has complete examples.
 """
 
-from hostlink.client.host import DEFAULT_URL, Host, connect
+from hostlink.client.blocking import BlockingHost, connect_blocking
+from hostlink.client.blocking_calls import BlockingRobot
+from hostlink.client.connecting import DEFAULT_URL, connect
+from hostlink.client.host import Host
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.robot import PRIORITY, Robot
+from hostlink.client.streams import Messages, Opened, Stream
 from hostlink.client.views import (
     ConnectionChange,
+    Driven,
     Event,
     Odometry,
     Pose,
@@ -28,18 +38,25 @@ from hostlink.errors import HostlinkError
 __all__ = [
     "DEFAULT_URL",
     "PRIORITY",
+    "BlockingHost",
+    "BlockingRobot",
     "ConnectionChange",
+    "Driven",
     "Event",
     "Host",
     "HostlinkError",
     "Mailbox",
+    "Messages",
     "Odometry",
+    "Opened",
     "Pose",
     "RawMessage",
     "Refusal",
     "Robot",
     "RobotState",
+    "Stream",
     "TopicState",
     "Twist",
     "connect",
+    "connect_blocking",
 ]

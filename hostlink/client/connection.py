@@ -15,6 +15,7 @@ import cbor2
 import msgspec
 from aiohttp import WSMsgType
 
+from hostlink.client.encoding import encode
 from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient
 from hostlink.client.views import Event
 from hostlink.errors import HostlinkError
@@ -82,12 +83,13 @@ class Connection:
         """Send one operation.
 
         Raises:
-            HostlinkError: there is no connection.
+            HostlinkError: there is no connection, or something in it has no JSON.
         """
         if self._socket is None or not self.is_connected:
             raise self.lost()
+        text = encode(request).decode()
         try:
-            await self._socket.send_str(msgspec.json.encode(request).decode())
+            await self._socket.send_str(text)
         except (aiohttp.ClientError, OSError) as error:  # `run` notices it too
             raise self.lost(str(error)) from error
 

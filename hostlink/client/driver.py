@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hostlink.client.connection import Connection
-from hostlink.client.views import Refusal
+from hostlink.client.connection import Connection, Message
+from hostlink.client.views import Driven, Refusal
 from hostlink.errors import HostlinkError
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
@@ -28,7 +28,9 @@ class _Repeated:
     number: int
     request: Mapping[str, Any]
     sent_s: float
+    is_yielding: bool
     link: int | None = None  # of the device that accepted it; None: not answered yet
+    stops: int | None = None  # of the robot, as that answer counts them; None: it does not
 
 
 class Driver:
@@ -41,6 +43,7 @@ class Driver:
 
     def __init__(self, connection: Connection) -> None:
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
+        self.client_name: str | None = None  # as the daemon's newest answer calls this connection
         self._connection = connection
         self._numbers = itertools.count(1)
         self._repeated: dict[str, _Repeated] = {}
@@ -54,33 +57,50 @@ class Driver:
         """The names of the robots that are driven."""
         return tuple(self._repeated)
 
-    async def drive(self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> None:
+    async def drive(
+        self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int, *, is_yielding: bool = False
+    ) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
+
+        `is_yielding`: a stop of anybody since the command before refuses it, and breaks off what is repeated.
 
         Raises:
             HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
         """
-        request = _request(robot, linear_m_s, angular_rad_s, priority)
+        before = self._repeated.get(robot)
+        try:
+            request = _request(robot, linear_m_s, angular_rad_s, priority)
+        except BaseException:  # what was held is not meant any more, and what is meant nobody knows
+            self.stop_repeating(robot)
+            raise
         if (reason := self._broken.pop(robot, None)) is not None:
             raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {reason}")
-        before = self._repeated.get(robot)
-        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, _now_s())
+        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, _now_s(), is_yielding)
         try:
-            repeated.link = await self._command(repeated, None if before is None else before.link)
-            repeated.sent_s = _now_s()
+            answer = await self._command(repeated, before)
+            driven = _driven(answer)
+            repeated.link, repeated.stops, repeated.sent_s = int(answer["link"]), answer.get("stops"), _now_s()
+        except KeyError as missing:
+            self.stop_repeating(robot)
+            raise HostlinkError(f"hostlink is of another version than this one: its answer has no {missing}") from None
         except BaseException:  # a cancellation too: what nobody waits for is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.stop_repeating(robot)
             raise
+        return driven
 
-    async def _command(self, repeated: _Repeated, link: int | None) -> int:
+    async def _command(self, repeated: _Repeated, before: _Repeated | None) -> Message:
         """For the device that was driven before, if one was: else a new one would be driven on without notice."""
         self._sent_s[str(repeated.request["robot"])] = repeated.sent_s
+        link, stops = (None, None) if before is None else (before.link, before.stops)
         request = {**repeated.request, "sent_s": repeated.sent_s, "link": link}
+        if repeated.is_yielding:
+            request["stops"] = stops
         answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
             raise HostlinkError(str(answer["reason"]))
-        return int(answer["link"])
+        self._remember_name(answer)
+        return answer
 
     async def command(
         self, robot: str, velocity: tuple[float, float], priority: int, *, link: int | None = None
@@ -130,11 +150,14 @@ class Driver:
             return
         repeated.sent_s = self._sent_s[robot] = now_s
         request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "link": repeated.link}
+        if repeated.is_yielding:
+            request["stops"] = repeated.stops
         with contextlib.suppress(HostlinkError):  # the connection reports its loss to everybody
             await self._connection.send({**repeated.request, **request})
 
     def _receive_answer(self, answer: dict[str, Any]) -> None:
         """Of a command that nobody waits for."""
+        self._remember_name(answer)
         key = str(answer["id"])
         refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]))
         if key.startswith(_COMMAND):
@@ -150,6 +173,9 @@ class Driver:
         if key.startswith(_COMMAND):
             self.refusals[key.removeprefix(_COMMAND)] = Refusal("NoRole", str(status["msg"]))
 
+    def _remember_name(self, answer: Message) -> None:
+        self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither
+
     def _break(self, robot: str, reason: str) -> None:
         del self._repeated[robot]
         self._broken[robot] = reason
@@ -160,6 +186,11 @@ def _request(robot: str, linear_m_s: float, angular_rad_s: float, priority: int)
         raise HostlinkError(f"{robot}: a velocity must be made of finite numbers")
     velocity = {"linear": float(linear_m_s), "angular": float(angular_rad_s)}
     return {"op": "drive", "robot": robot, **velocity, "priority": priority}
+
+
+def _driven(answer: Message) -> Driven:
+    velocity = answer["velocity"]
+    return Driven(velocity["linear_m_s"], velocity["angular_rad_s"], answer["is_limited"], answer.get("limited_by"))
 
 
 def _now_s() -> float:

@@ -24,7 +24,7 @@ class GraphWatch:
         Raises:
             HostlinkError: there is no connection.
         """
-        watcher: Graphs = Mailbox()
+        watcher: Graphs = Mailbox("the graph")
         self._watchers.add(watcher)
         await self._request()
         return watcher

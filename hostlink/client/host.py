@@ -1,8 +1,7 @@
-"""Host: a running hostlink as its users see it, and `connect`, the way to get one."""
+"""Host: a running hostlink as its users see it."""
 
 import asyncio
 import contextlib
-import ssl
 import weakref
 from collections.abc import AsyncGenerator, AsyncIterator, Mapping
 from typing import Any, cast
@@ -17,36 +16,6 @@ from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RawSubscription, Subscription, Topics
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
-
-DEFAULT_URL = "http://127.0.0.1:9090"
-
-
-@contextlib.asynccontextmanager
-async def connect(
-    url: str = DEFAULT_URL,
-    *,
-    token: str | None = None,
-    ssl: ssl.SSLContext | None = None,
-    reconnect: bool = True,
-    group: str = "",
-) -> AsyncIterator["Host"]:
-    """A connection to hostlink for the length of the block. Leaving it stops every robot that it drives.
-
-    `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
-    `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
-    and advertisements too, velocities never; without it, whatever waits for a message raises. `group`: the name of a
-    foreign graph, for a bridge: it receives nothing that a connection of the same group has published.
-
-    Raises:
-        HostlinkError: there is no hostlink at `url`, or it refuses.
-    """
-    http = HttpClient(url, token, ssl)
-    try:
-        host = Host(http, reconnect=reconnect, group=group)
-        async with host.running():
-            yield host
-    finally:
-        await http.aclose()
 
 
 class Host:
@@ -85,6 +54,10 @@ class Host:
                     reader.cancel()
         except BaseExceptionGroup as group:  # what went wrong in the caller's block is the caller's own error
             raise group.exceptions[0] from None
+        self._topics.raise_refusals()
+
+    def __repr__(self) -> str:
+        return f"<Host {self.url}: {'connected' if self.is_connected else 'not connected'}>"
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
@@ -128,8 +101,11 @@ class Host:
     ) -> None:
         """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.
 
+        Numbers and arrays of numpy are as good as Python's.
+
         Raises:
-            HostlinkError: there is no connection, or an earlier message on this topic was refused.
+            HostlinkError: there is no connection, or an earlier message on this topic was refused. The refusal of the
+                last one is raised by `settle`, and at the end of the connection's block.
         """
         await self._topics.publish(topic, message, type_name, priority)
 
@@ -194,24 +170,27 @@ class Host:
         """
         return await self._graph.watch()
 
-    def provide(self, service: str, type_name: str, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
+    def serve(self, service: str, type_name: str, answer: Answer) -> contextlib.AbstractAsyncContextManager[None]:
         """Answer the calls of a service for the length of the block, across losses of the connection too.
 
-        `answer` receives the request and returns the response, both as dicts; a HostlinkError fails the call.
+        `answer`, a function or a coroutine function, receives the request and returns the response, both as dicts;
+        None is an empty response, a HostlinkError fails the call.
 
         Raises:
             HostlinkError: there is no connection when it begins.
         """
-        return self._services.provide(service, type_name, answer)
+        return self._services.serve(service, type_name, answer)
 
-    async def call(self, service: str, arguments: Mapping[str, Any], *, timeout_s: float = REQUEST_TIMEOUT_S) -> Any:
-        """Call a service; returns its response.
+    async def call(
+        self, service: str, arguments: Mapping[str, Any] | None = None, *, timeout_s: float = REQUEST_TIMEOUT_S
+    ) -> Any:
+        """Call a service; returns its response. Fields of the request that are missing are zero.
 
         Raises:
             HostlinkError: no such service, it failed, it did not answer within `timeout_s`, or the connection was lost
                 meanwhile: then nobody knows whether it was done, and it is not called again.
         """
-        request = {"op": "call_service", "service": service, "args": arguments, "timeout": timeout_s}
+        request = {"op": "call_service", "service": service, "args": arguments or {}, "timeout": timeout_s}
         answer = await self._connection.request(request, timeout_s=timeout_s + CLOSE_TIMEOUT_S)
         if not answer["result"]:
             raise HostlinkError(str(answer["values"]))
@@ -226,7 +205,7 @@ class Host:
 
     def connection(self) -> Mailbox[ConnectionChange]:
         """Each loss and each return of the connection from now on, with the robots whose velocity was dropped."""
-        watcher: Mailbox[ConnectionChange] = Mailbox()
+        watcher: Mailbox[ConnectionChange] = Mailbox("changes of the connection")
         self._watchers.add(watcher)
         return watcher
 
@@ -263,11 +242,32 @@ class Host:
         await self._connection.send(request)
 
     async def settle(self) -> None:
-        """Wait until the daemon has read what was sent so far; a refusal of it is known then.
+        """Wait until the daemon has read what was sent so far.
 
         Raises:
-            HostlinkError: there is no connection, or it is lost meanwhile.
+            HostlinkError: a message that was published was refused, and nobody has been told; there is no connection,
+                or it is lost meanwhile.
         """
+        await self._round_trip()
+        self._topics.raise_refusals()
+
+    async def stop_driven(self) -> None:
+        """Stop what this connection drives; a robot that cannot be stopped keeps no other from it.
+
+        It waits a second at most: nothing is repeated then, and the daemon stops whoever is left.
+        """
+        names = self._driver.robots
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                for name in names:
+                    # RuntimeError: at the end of a program no name is resolved; then the end of the connection stops it
+                    with contextlib.suppress(HostlinkError, RuntimeError):  # of one; the others are stopped
+                        await self.robot(name).stop()
+        for name in names:
+            self._driver.stop_repeating(name)
+
+    async def _round_trip(self) -> None:
+        self._topics.is_settled = True  # nothing that is published from now on
         await self._connection.request({"op": "call_service", "service": "/rosapi/get_time", "args": {}})
 
     async def _set_level(self) -> None:
@@ -291,12 +291,11 @@ class Host:
             watcher.put(change)
 
     async def _leave(self) -> None:
-        """Stop what is driven; a connection that is gone has stopped it already."""
+        """Stop what is driven, and learn what was refused; a connection that is gone has stopped it already."""
+        await self.stop_driven()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S):
-                for name in self._driver.robots:
-                    with contextlib.suppress(HostlinkError):  # of one; the others are stopped
-                        await self.robot(name).stop()
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                if not self._topics.is_settled:
+                    with contextlib.suppress(HostlinkError):  # the connection is gone
+                        await self._round_trip()
                 await self._connection.aclose()

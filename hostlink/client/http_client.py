@@ -6,18 +6,22 @@ import weakref
 from collections.abc import AsyncIterator, Mapping
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
 
 import aiohttp
 import msgspec
 
+from hostlink.client.encoding import encode
 from hostlink.client.event_stream import EventStream
 from hostlink.client.views import Event
 from hostlink.errors import HostlinkError
 
+DEFAULT_PORT = 9090  # of an address that is a host alone
 REQUEST_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 1.0
 _SCHEMES = {"http": "http", "https": "https", "ws": "http", "wss": "https"}
+_NOT_KNOWN = "it does not know this token, or not any more: ask whoever runs it for one"
+_JSON = {"Content-Type": "application/json"}
 _ADVICE = {
     HTTPStatus.UNAUTHORIZED: "it wants a token that it knows: connect(url, token=...), or --token of a command",
     HTTPStatus.FORBIDDEN: "this token, or this place, may not do that: ask whoever runs it",
@@ -31,16 +35,18 @@ class HttpClient:
     """Requests, and the WebSocket. Every error is a HostlinkError."""
 
     def __init__(self, url: str, token: str | None, context: ssl.SSLContext | None) -> None:
-        """`url` may be http, https, ws or wss, and may end in `?token=...`.
+        """`url` may be http, https, ws or wss, or a host with or without a port, and may end in `?token=...`.
 
         Raises:
-            HostlinkError: it is none of these.
+            HostlinkError: it is none of these, or the token is none.
         """
-        parts = urlsplit(url if "://" in url else f"http://{url}")
-        if parts.scheme not in _SCHEMES or not parts.hostname:
-            raise HostlinkError(f"{url!r} is no address of a hostlink: write it as http://HOST:9090")
-        self.url = f"{_SCHEMES[parts.scheme]}://{parts.netloc}{parts.path.rstrip('/')}"
+        parts = _parts(url)
+        port = f":{DEFAULT_PORT}" if "://" not in url and parts.port is None else ""
+        self.url = f"{_SCHEMES[parts.scheme]}://{parts.netloc}{port}{parts.path.rstrip('/')}"
         token = token or parse_qs(parts.query).get("token", [""])[0]
+        if not token.isprintable():
+            raise HostlinkError("the token has a character that is none, as the end of a line: give it without that")
+        self._has_token = bool(token)
         self._session = aiohttp.ClientSession(
             timeout=aiohttp.ClientTimeout(total=REQUEST_TIMEOUT_S),
             headers={"Authorization": f"Bearer {token}"} if token else None,
@@ -73,7 +79,7 @@ class HttpClient:
                 max_msg_size=0,
             )
         except aiohttp.WSServerHandshakeError as error:
-            raise HostlinkError(f"hostlink at {self.url} refuses: {_advise(error.status)}") from error
+            raise HostlinkError(f"hostlink at {self.url} refuses: {self._advise(error.status)}") from error
         except (aiohttp.ClientError, OSError, ValueError) as error:
             raise HostlinkError(self._explain(error)) from error
 
@@ -85,10 +91,12 @@ class HttpClient:
         Raises:
             HostlinkError: the daemon refuses, with its reason; or it was not reached.
         """
+        data = None if body is None else encode(body)
+        headers = None if body is None else _JSON
         try:
             async with (
                 asyncio.timeout(timeout_s),
-                self._session.request(method, self.url + path, json=body) as response,
+                self._session.request(method, self.url + path, data=data, headers=headers) as response,
             ):
                 return self._read(path, response.status, await response.read())
         except TimeoutError as error:
@@ -135,12 +143,29 @@ class HttpClient:
         try:
             answer: Any = msgspec.json.decode(body)
         except msgspec.DecodeError as error:
-            raise HostlinkError(f"{self.url}{path}: {_advise(status)}") from error
+            raise HostlinkError(f"{self.url}{path}: {self._advise(status)}") from error
         if not isinstance(answer, dict):
-            raise HostlinkError(f"{self.url}{path}: {_advise(status)}")
+            raise HostlinkError(f"{self.url}{path}: {self._advise(status)}")
         if "error" in answer:
-            raise HostlinkError(_reason(answer["error"], status))
+            raise HostlinkError(self._reason(answer["error"], status))
         return answer
+
+    def _reason(self, error: Any, status: int) -> str:
+        """The daemon's own words, and what to do where they do not say it."""
+        kind, reason = (error.get("kind"), error.get("reason")) if isinstance(error, dict) else ("", error)
+        match status:
+            case HTTPStatus.UNAUTHORIZED:
+                return f"hostlink at {self.url} refuses: {self._advise(status)}"
+            case HTTPStatus.FORBIDDEN:
+                return f"{reason}; ask whoever runs it"
+            case HTTPStatus.NOT_FOUND if kind == "HTTP":  # it has no such path
+                return f"hostlink at {self.url} is of another version than this one, and does not know what is wanted"
+        return str(reason)
+
+    def _advise(self, status: int) -> str:
+        if status == HTTPStatus.UNAUTHORIZED and self._has_token:
+            return _NOT_KNOWN
+        return _ADVICE.get(HTTPStatus(status), f"HTTP {status}: what answers there may be no hostlink")
 
     def _explain(self, error: Exception) -> str:
         match error:
@@ -165,11 +190,15 @@ class HttpClient:
         return f"no hostlink at {self.url}: {cause}"
 
 
-def _advise(status: int) -> str:
-    return _ADVICE.get(HTTPStatus(status), f"HTTP {status}: what answers there may be no hostlink")
-
-
-def _reason(error: Any, status: int) -> str:
-    """The daemon's own words, and what to do about a token."""
-    reason = str(error.get("reason", error)) if isinstance(error, dict) else str(error)
-    return f"{reason}: {_advise(status)}" if status in (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN) else reason
+def _parts(url: str) -> SplitResult:
+    """Raises:
+    HostlinkError: it is no address.
+    """
+    try:
+        parts = urlsplit(url if "://" in url else f"http://{url}")
+        is_address = parts.scheme in _SCHEMES and bool(parts.hostname) and parts.port != 0
+    except ValueError:  # a port that is no number, brackets that do not match
+        is_address = False
+    if not is_address:
+        raise HostlinkError(f"{url!r} is no address of a hostlink: write it as http://HOST:{DEFAULT_PORT}")
+    return parts

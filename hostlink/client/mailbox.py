@@ -13,7 +13,9 @@ Item = TypeVar("Item")
 class Mailbox(Generic[Item]):
     """Iterate over it with `async for`; `dropped` counts what the reader was too slow for."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        """`name`: what comes, for people."""
+        self.name = name
         self.dropped = 0
         self._queue: asyncio.Queue[Item | HostlinkError] = asyncio.Queue(MAX_ITEMS)
 
@@ -37,6 +39,9 @@ class Mailbox(Generic[Item]):
                 raise item
             found.append(item)
         return found
+
+    def __repr__(self) -> str:
+        return f"<Mailbox of {self.name or 'messages'}: {self._queue.qsize()} waiting, {self.dropped} dropped>"
 
     def __aiter__(self) -> "Mailbox[Item]":
         return self

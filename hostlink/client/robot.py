@@ -7,7 +7,7 @@ from urllib.parse import quote
 from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient
-from hostlink.client.views import Odometry, Refusal, RobotState
+from hostlink.client.views import Driven, Odometry, Refusal, RobotState
 
 PRIORITY = 50  # of a program; a person at the keys is 60
 
@@ -21,10 +21,18 @@ class Robot:
         self._http, self._driver, self._connection = http, driver, connection
         self._path = f"/api/robots/{quote(self.name, safe='')}"
 
+    def __repr__(self) -> str:
+        return f"<Robot {self.name} at {self._http.url}, priority {self.priority}>"
+
     @property
     def is_driven(self) -> bool:
         """Whether this connection holds a velocity of the robot."""
         return self.name in self._driver.robots
+
+    @property
+    def client_name(self) -> str | None:
+        """What the daemon calls this connection, as in `holder` of `state()`; None: nothing was commanded yet."""
+        return self._driver.client_name
 
     async def state(self) -> RobotState:
         """Connected, holder, velocity (m/s, rad/s) and odometry, as they are now.
@@ -34,11 +42,13 @@ class Robot:
         """
         return cast(RobotState, await self._http.request("GET", self._path))
 
-    async def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
+    async def drive(self, linear_m_s: float, angular_rad_s: float, *, is_yielding: bool = False) -> Driven:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
 
-        m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command; it is then repeated ten
-        times a second. `drive(0, 0)` slows down and goes on driving; `stop()` stops and lets go.
+        m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command, with what the robot's
+        limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and goes on driving;
+        `stop()` stops and lets go. With `is_yielding` a stop of anybody ends it as a refusal does: for motions that
+        no person oversees.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
@@ -47,7 +57,7 @@ class Robot:
                 such a refusal, because the robot's device connected again or this program did not run for half a
                 second.
         """
-        await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority)
+        return await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority, is_yielding=is_yielding)
 
     async def command(self, linear_m_s: float, angular_rad_s: float, *, link: int | None = None) -> None:
         """Send one velocity, which lasts for half a second and is not repeated: for who decides ten times a second.

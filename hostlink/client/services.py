@@ -2,13 +2,15 @@
 
 import asyncio
 import contextlib
+import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Any
 
 from hostlink.client.connection import Connection, Message
 from hostlink.errors import HostlinkError
 
-Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+Values = Mapping[str, Any]
+Answer = Callable[[Values], Awaitable[Values | None] | Values | None]
 MAX_CALLS = 64  # under way at once; the daemon has as many for one program
 
 
@@ -34,20 +36,21 @@ class ProvidedServices:
             call.cancel()
 
     @contextlib.asynccontextmanager
-    async def provide(self, service: str, type_name: str, answer: Answer) -> AsyncIterator[None]:
+    async def serve(self, service: str, type_name: str, answer: Answer) -> AsyncIterator[None]:
         """Answer the calls of a service for the length of the block.
 
         Raises:
             HostlinkError: there is no connection.
         """
         await self._offer(service, type_name)
-        self._answers[service] = (type_name, answer)
+        mine = self._answers[service] = (type_name, answer)
         try:
             yield
         finally:
-            del self._answers[service]
-            with contextlib.suppress(HostlinkError):  # with the connection gone, so is the service
-                await self._connection.send({"op": "unadvertise_service", "service": service})
+            if self._answers.get(service) is mine:  # else it was offered again meanwhile
+                del self._answers[service]
+                with contextlib.suppress(HostlinkError):  # with the connection gone, so is the service
+                    await self._connection.send({"op": "unadvertise_service", "service": service})
 
     async def _offer(self, service: str, type_name: str) -> None:
         request = {"op": "advertise_service", "id": f"provide:{service}", "service": service, "type": type_name}
@@ -65,9 +68,12 @@ class ProvidedServices:
 
     async def _answer(self, call: Message) -> None:
         values, is_right = await self._values(call)
-        response = {"op": "service_response", "id": call["id"], "service": call["service"], "values": values}
-        with contextlib.suppress(HostlinkError):  # nobody waits for the answer of a connection that is gone
-            await self._connection.send(response | {"result": is_right})
+        response = {"op": "service_response", "id": call["id"], "service": call["service"]}
+        try:
+            await self._connection.send(response | {"values": values, "result": is_right})
+        except HostlinkError as error:  # the values have no JSON; or the connection is gone, and nobody waits for them
+            with contextlib.suppress(HostlinkError):
+                await self._connection.send(response | {"values": str(error), "result": False})
 
     async def _values(self, call: Message) -> tuple[Mapping[str, Any] | str, bool]:
         _, answer = self._answers.get(str(call["service"]), ("", None))
@@ -76,6 +82,9 @@ class ProvidedServices:
         if len(self._calls) > MAX_CALLS:
             return f"more than {MAX_CALLS} calls under way", False
         try:
-            return await answer(call["args"]), True
+            values = answer(call["args"])
+            if inspect.isawaitable(values):
+                values = await values
         except HostlinkError as error:
             return str(error), False
+        return values or {}, True

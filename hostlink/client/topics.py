@@ -4,7 +4,7 @@ import base64
 import contextlib
 import itertools
 from collections.abc import AsyncIterator, Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from hostlink.client.connection import Connection
@@ -23,7 +23,7 @@ class _Subscribed:
     topic: str
     request: Mapping[str, Any]
     read: Callable[[dict[str, Any]], Any]
-    mailbox: Mailbox[Any] = field(default_factory=Mailbox)
+    mailbox: Mailbox[Any]
 
 
 class Topics:
@@ -35,6 +35,7 @@ class Topics:
         self._subscribed: dict[str, _Subscribed] = {}
         self._advertised: dict[str, Mapping[str, Any]] = {}
         self._refusals: dict[str, str] = {}
+        self.is_settled = True  # nothing was published since the daemon has read all of it
         connection.handlers["publish"].append(self._deliver)
         connection.handlers["status"].append(self._receive_refusal)
         connection.on_open.append(self._restore)
@@ -45,11 +46,7 @@ class Topics:
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        refusal = self.pop_refusal(topic)
-        if refusal:
-            raise HostlinkError(refusal)
-        request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "msg": message, "priority": priority}
-        await self._connection.send(request | _typed(type_name))
+        await self._publish(topic, {"msg": message, **_typed(type_name)}, priority)
 
     async def publish_raw(self, topic: str, payload: bytes, type_name: str, priority: int) -> None:
         """Send one serialised message.
@@ -57,16 +54,29 @@ class Topics:
         Raises:
             HostlinkError: there is no connection, or an earlier message on this topic was refused.
         """
-        refusal = self.pop_refusal(topic)
-        if refusal:
+        await self._publish(topic, {"raw": base64.b64encode(payload).decode(), **_typed(type_name)}, priority)
+
+    async def _publish(self, topic: str, message: Mapping[str, Any], priority: int) -> None:
+        if refusal := self.pop_refusal(topic):
             raise HostlinkError(refusal)
-        raw = base64.b64encode(payload).decode()
-        request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "raw": raw, "priority": priority}
-        await self._connection.send(request | _typed(type_name))
+        request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "priority": priority}
+        self.is_settled = False
+        await self._connection.send({**request, **message})
 
     def pop_refusal(self, topic: str) -> str:
         """Why a message that was published on the topic was refused since the last call; empty if none was."""
         return self._refusals.pop(topic, "")
+
+    def raise_refusals(self) -> None:
+        """Report each refusal that nobody has been told, once.
+
+        Raises:
+            HostlinkError: there are some.
+        """
+        refusals = "; ".join(self._refusals.values())
+        self._refusals.clear()
+        if refusals:
+            raise HostlinkError(refusals)
 
     @contextlib.asynccontextmanager
     async def advertise(self, topic: str, type_name: str, *, is_latched: bool) -> AsyncIterator[None]:
@@ -82,9 +92,10 @@ class Topics:
         try:
             yield
         finally:
-            del self._advertised[topic]
-            with contextlib.suppress(HostlinkError):  # with the connection gone, so is the advertisement
-                await self._connection.send({"op": "unadvertise", "topic": topic})
+            if self._advertised.get(topic) is request:  # else it was advertised again meanwhile
+                del self._advertised[topic]
+                with contextlib.suppress(HostlinkError):  # with the connection gone, so is the advertisement
+                    await self._connection.send({"op": "unadvertise", "topic": topic})
 
     def subscribe(
         self, topic: str, type_name: str, throttle_rate_ms: int, queue_length: int
@@ -112,7 +123,7 @@ class Topics:
         key = f"subscribe:{next(self._numbers)}"
         request = {"op": "subscribe", "id": key, "topic": topic, **options}
         await self._connection.send(request)
-        subscribed = self._subscribed[key] = _Subscribed(topic, request, read)
+        subscribed = self._subscribed[key] = _Subscribed(topic, request, read, Mailbox(topic))
         try:
             yield subscribed.mailbox
         finally:

@@ -40,6 +40,7 @@ class RobotState(TypedDict):
     velocity_topic: str
     odometry_topic: str
     holder: str | None  # who drives it
+    holder_address: NotRequired[str | None]  # from where
     velocity: Twist  # as commanded, within the limits
     odometry: Odometry | None  # None: no pose came yet
     priority: NotRequired[int | None]  # of who drives it
@@ -66,6 +67,15 @@ class RawMessage(NamedTuple):
 
     payload: bytes
     stamp_ns: int  # wall time at which it reached the daemon
+
+
+class Driven(NamedTuple):
+    """What the robot's gate made of a `drive`."""
+
+    linear_m_s: float  # that the robot receives, once its accelerations are over
+    angular_rad_s: float
+    is_limited: bool  # it is slower than what was commanded
+    limited_by: str | None  # the robot's setting that slows it down most; None: none, or its daemon is another
 
 
 class Refusal(NamedTuple):

@@ -1,0 +1,36 @@
+"""What ends the drives of a program: without connections, by what they are asked to do."""
+
+import concurrent.futures
+import time
+
+from hostlink.client import program_end
+
+
+class SilentConnection:
+    """Of a daemon that does not answer."""
+
+    def __init__(self, order: list[str]) -> None:
+        self._order = order
+
+    def begin_stop(self) -> concurrent.futures.Future[None]:
+        self._order.append("stop")
+        return concurrent.futures.Future()
+
+    def end(self) -> None:
+        self._order.append("end")
+
+    def finish(self) -> None:
+        self._order.append("finished")
+
+
+def test_a_daemon_that_does_not_answer_delays_no_stop_at_another() -> None:
+    order: list[str] = []
+    connections = [SilentConnection(order) for _ in range(3)]
+    for connection in connections:
+        program_end._watched.add(connection)
+    began_s = time.monotonic()
+    program_end._stop_all(timeout_s=0.05)
+    assert time.monotonic() - began_s < 1.0
+    assert order == ["stop"] * 3
+    program_end._finish_all()
+    assert order[3:] == ["end"] * 3 + ["finished"] * 3
