@@ -1,11 +1,11 @@
 """Arguments that several commands have, and the names that a shell completes for them."""
 
-import json
 from typing import Annotated
 
 import typer
 
 from hostlink.cli.completion import parameter_names, robot_names, service_names, topic_names, type_names
+from hostlink.cli.ros_text import read_message
 from hostlink.errors import ConfigError
 
 Url = Annotated[str, typer.Option(help="Where hostlink's API is.", envvar="HOSTLINK_URL")]
@@ -37,15 +37,15 @@ Origins = Annotated[
 
 
 def json_object(name: str, text: str) -> dict[str, object]:
-    """The JSON object of an argument.
+    """The object of an argument, in JSON or in YAML's flow style.
 
     Raises:
         ConfigError: it is none; the exit status is 2.
     """
     try:
-        value = json.loads(text)
+        value = read_message(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(name, f"is no JSON: {error}") from error
+        raise ConfigError(name, f'is no JSON: {error}; write it as \'{{"linear": {{"x": 0.1}}}}\'') from error
     if not isinstance(value, dict):
         raise ConfigError(name, 'must be a JSON object, as {"data": 1}')
     return value

@@ -1,36 +1,11 @@
 """`hostlink bw`: the bandwidth of a topic: its messages as they are serialised, without rosserial's 8 bytes a frame."""
 
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from hostlink.cli.arguments import JsonLines, Seconds, Token, TopicName, Url
-from hostlink.cli.following import Followed, measure
 from hostlink.cli.measuring import Measured, size
-from hostlink.client import DEFAULT_URL
+from hostlink.cli.topic_figures import Figures, command_of
 
 WINDOW = 100  # messages, as rostopic has it
-
-
-def command(
-    topic: TopicName,
-    *,
-    window: Annotated[int, typer.Option(min=2, help="Of the last so many messages.")] = WINDOW,
-    seconds: Seconds = 0.0,
-    url: Url = DEFAULT_URL,
-    token: Token = None,
-    json: JsonLines = False,
-) -> None:
-    """Measure the bandwidth of a topic; a line each second until Ctrl-C."""
-    followed = Followed(topic=topic, url=url, token=token, seconds=seconds, as_json=json)
-    measured = Measured(window)
-    measure(
-        followed,
-        measured,
-        lambda message: measured.add(message.stamp_ns / 1e9, len(message.payload)),
-        lambda: _view(measured),
-        lambda: _line(measured),
-    )
 
 
 def _view(measured: Measured) -> dict[str, Any]:
@@ -54,3 +29,14 @@ def _line(measured: Measured) -> str:
         f"{size(measured.rate_hz * bytes_.mean)}/s   {measured.rate_hz:.1f} messages a second of {size(bytes_.mean)} "
         f"(min {size(bytes_.least)}, max {size(bytes_.most)})"
     )
+
+
+command = command_of(
+    Figures(
+        text="Measure the bandwidth of a topic; a line each second until Ctrl-C.",
+        view=_view,
+        line=_line,
+        figure=lambda message: len(message.payload),
+        window=WINDOW,
+    )
+)

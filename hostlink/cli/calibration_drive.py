@@ -8,6 +8,7 @@ import signal
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import Any
 
+from hostlink.cli.drivers import driver
 from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
@@ -178,7 +179,7 @@ async def _state(host: Host, name: str) -> RobotState:
     if state.get("locked"):
         raise HostlinkError(f"{name} is locked: {state.get('lock_reason')}")
     if state["holder"] is not None:
-        raise HostlinkError(f"{name}: {state['holder']} drives it; end that first, or it drives on while you measure")
+        raise HostlinkError(f"{name}: {driver(state)} drives it; end that first, or it drives on while you measure")
     return state
 
 

@@ -1,55 +1,27 @@
 """`hostlink delay`: how old messages are when they come, by the stamp of their header and this computer's clock."""
 
-import asyncio
 import struct
 import time
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from hostlink.cli.arguments import JsonLines, Seconds, Token, TopicName, Url
-from hostlink.cli.connecting import connected
-from hostlink.cli.following import Followed, measure
-from hostlink.cli.measuring import WINDOW, Measured, duration
-from hostlink.client import DEFAULT_URL, RawMessage
+from hostlink.cli.measuring import Measured, duration
+from hostlink.cli.topic_figures import Figures, command_of
+from hostlink.client import Host, RawMessage
 from hostlink.errors import HostlinkError
 
 _HEADER = struct.Struct("<III")  # seq, secs, nsecs: what a std_msgs/Header begins with
 
 
-def command(
-    topic: TopicName,
-    *,
-    window: Annotated[int, typer.Option(min=2, help="Of the last so many messages.")] = WINDOW,
-    seconds: Seconds = 0.0,
-    url: Url = DEFAULT_URL,
-    token: Token = None,
-    json: JsonLines = False,
-) -> None:
-    """Measure how old the messages of a topic are; a line each second until Ctrl-C. They need a header with a stamp."""
-    followed = Followed(topic=topic, url=url, token=token, seconds=seconds, as_json=json)
-    asyncio.run(_check_header(followed))
-    measured = Measured(window)
-    measure(
-        followed,
-        measured,
-        lambda message: measured.add(message.stamp_ns / 1e9, _age_s(message)),
-        lambda: _view(measured),
-        lambda: _line(measured),
-    )
-
-
-async def _check_header(followed: Followed) -> None:
+async def _check_header(host: Host, topic: str) -> None:
     """Raises HostlinkError for a topic whose type has no header."""
-    async with connected(followed.url, followed.token) as host:
-        type_name = (await host.call("/rosapi/topic_type", {"topic": followed.topic}))["type"]
-        if not type_name:
-            raise HostlinkError(f"{followed.topic} has no type yet: nobody publishes it; `hostlink topics` lists them")
-        fields = (await host.call("/rosapi/message_details", {"type": type_name}))["typedefs"][0]["fieldtypes"]
+    type_name = (await host.call("/rosapi/topic_type", {"topic": topic}))["type"]
+    if not type_name:
+        raise HostlinkError(f"{topic} has no type yet: nobody publishes it; `hostlink topics` lists them")
+    fields = (await host.call("/rosapi/message_details", {"type": type_name}))["typedefs"][0]["fieldtypes"]
     if fields[:1] != ["std_msgs/Header"]:
         raise HostlinkError(
-            f"{followed.topic}: a {type_name} has no header, and so no stamp to measure by; "
-            f"`hostlink hz {followed.topic}` shows when its messages come"
+            f"{topic}: a {type_name} has no header, and so no stamp to measure by; "
+            f"`hostlink hz {topic}` shows when its messages come"
         )
 
 
@@ -74,3 +46,15 @@ def _line(measured: Measured) -> str:
         f"delay {duration(age_s.mean)} (min {duration(age_s.least)}, max {duration(age_s.most)}, "
         f"std dev {duration(age_s.deviation)}) of {age_s.count} messages"
     )
+
+
+command = command_of(
+    Figures(
+        text="Measure how old the messages of a topic are; a line each second until Ctrl-C. "
+        "They need a header with a stamp.",
+        view=_view,
+        line=_line,
+        figure=_age_s,
+        check=_check_header,
+    )
+)

@@ -4,13 +4,14 @@ import asyncio
 import contextlib
 import math
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from hostlink import logs
 from hostlink.cli.arguments import Origins
-from hostlink.cli.ending import stop_signals
+from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import write, write_over
 from hostlink.cli.serve import allow_origins, merge, running
 from hostlink.config import Config, RobotConfig
@@ -19,6 +20,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
+from hostlink.sim.controller import RobotKind
 from hostlink.sim.run import run_fleet
 
 OWNER = "demo"
@@ -33,6 +35,9 @@ PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # doc
 def command(
     *,
     robots: Annotated[int, typer.Option(min=1, max=50, help="How many simulated robots.")] = 1,
+    robot: Annotated[
+        RobotKind, typer.Option(help="nimble: at a new speed within 0.3 s; paper: the paper's, in two seconds.")
+    ] = RobotKind.NIMBLE,
     listen: Annotated[str, typer.Option(help="Where devices connect: HOST:PORT.")] = "127.0.0.1:11411",
     api: Annotated[str, typer.Option(help="Where programs connect: HOST:PORT.")] = "127.0.0.1:9090",
     origin: Origins = None,
@@ -40,29 +45,54 @@ def command(
     """Run the daemon with simulated robots; drive them from anywhere, or watch."""
     logs.configure(level="error")
     names = {f"robot_{number}": PAPER_ROBOT for number in range(robots)}
-    asyncio.run(_demo(allow_origins(merge(Config(robots=names), listen=listen, api=api), origin), robots))
+    asyncio.run(_demo(allow_origins(merge(Config(robots=names), listen=listen, api=api), origin), robots, robot))
 
 
-async def _demo(config: Config, robots: int) -> None:
+class Output:
+    """What is shown. The demo ends in order when it cannot be written any more; then that is raised."""
+
+    def __init__(self, ending: Ending) -> None:
+        self._ending = ending
+        self._error: OSError | None = None
+
+    def show(self, show: Callable[..., None], *lines: str) -> None:
+        """With `write` or `write_over`."""
+        try:
+            show(*lines)
+        except OSError as error:
+            self._error = error
+            self._ending.request("standard output is gone")
+
+    def raise_error(self) -> None:
+        """Raises:
+        OSError: it could not be written.
+        """
+        if self._error is not None:
+            raise self._error
+
+
+async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
     with stop_signals() as ending:
+        output = Output(ending)
         async with running(config) as (hub, addresses), asyncio.TaskGroup() as tasks:
             host, port = addresses.tcp
-            fleet = tasks.create_task(run_fleet(host, port, robots=robots), name="simulated robots")
+            fleet = tasks.create_task(run_fleet(host, port, robots=robots, kind=kind), name="simulated robots")
             participant = hub.join(OWNER, priority=DEMO_PRIORITY)
             driver = tasks.create_task(drive_robots(hub, participant), name="demo driver")
-            line = tasks.create_task(_show(hub), name="live line")
-            _print_welcome(addresses.api)
+            line = tasks.create_task(_show(hub, output), name="live line")
+            output.show(write, *_welcome(addresses.api))
             await ending.wait()
             line.cancel()
             driver.cancel()
-            write("", "stopping the robots ...")
+            output.show(write, "", "stopping the robots ...")
             participant.leave()
             await asyncio.sleep(LINE_INTERVAL_S)  # the simulated robots receive it before they go
             fleet.cancel()
+    output.raise_error()
 
 
-def _print_welcome(api: str) -> None:
-    write(
+def _welcome(api: str) -> tuple[str, ...]:
+    return (
         f"hostlink runs: {api}  (open it in a browser)",
         f"  drive     hostlink teleop --url {api}",
         f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'',
@@ -85,14 +115,14 @@ async def drive_robots(hub: Hub, participant: Participant) -> None:
         await asyncio.sleep(COMMAND_INTERVAL_S)
 
 
-async def _show(hub: Hub) -> None:
+async def _show(hub: Hub, output: Output) -> None:
     """One line that is written over again on a terminal; elsewhere a line a second."""
     is_terminal = sys.stdout.isatty()
     while True:
         robots = hub.robots.here()
         if robots:
             text = "   ".join(_describe(robot) for robot in robots[:2])
-            write_over(text)
+            output.show(write_over, text)
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 

@@ -10,6 +10,7 @@ from hostlink.errors import ConfigError
 OWN = 64  # of the daemon itself: listening sockets, the loop, the log, files that are read
 NODE_SHARES = 3  # of nodes of ROS: those that connect to each of two ports, and those to which hostlink connects
 FEWEST = OWN + 4 * KEPT_FOR_REQUESTS
+FEWEST_DEVICES = 2  # of each port
 
 
 def limit() -> int:
@@ -35,16 +36,16 @@ def fitted(config: Config, descriptors: int) -> Config:
     if devices + programs + nodes <= room:
         return config
     if nodes:
-        nodes = room * nodes // (devices + programs + nodes)
+        nodes = min(room * nodes // (devices + programs + nodes), room - (FEWEST - OWN))
         ros1 = dataclasses.replace(config.ros1, max_connections=max(1, nodes // NODE_SHARES))
         config, room = dataclasses.replace(config, ros1=ros1), room - nodes
-    programs = max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs))
-    datagrams = min(datagrams, max(2, (room - programs) * datagrams // devices)) if datagrams else 0
+    kept = FEWEST_DEVICES * (2 if datagrams else 1)
+    programs = min(max(KEPT_FOR_REQUESTS + 1, room * programs // (devices + programs)), programs, room - kept)
+    room -= programs
+    datagrams = min(max(FEWEST_DEVICES, room * datagrams // devices), datagrams, room - FEWEST_DEVICES)
     return dataclasses.replace(
         config,
-        tcp=dataclasses.replace(
-            config.tcp, max_connections=min(config.tcp.max_connections, room - programs - datagrams)
-        ),
+        tcp=dataclasses.replace(config.tcp, max_connections=min(config.tcp.max_connections, room - datagrams)),
         udp=None if config.udp is None else dataclasses.replace(config.udp, max_connections=datagrams),
         api=dataclasses.replace(config.api, max_connections=programs),
     )

@@ -5,19 +5,19 @@ Exit status: 0 nothing is wrong, 1 something is, 2 the arguments are.
 
 import asyncio
 import contextlib
+import dataclasses
+import importlib
 import json as json_text
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 import typer
 
-from hostlink import logs
-from hostlink.api.views import finding_views
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
 from hostlink.cli.output import show_progress, write, write_error
-from hostlink.cli.probe import probe_capture, probe_network, probe_port
 from hostlink.cli.report import Report, report_lines, report_of
 from hostlink.client import DEFAULT_URL
 from hostlink.diagnosis.finding import finding
@@ -48,12 +48,12 @@ def command(  # noqa: PLR0913 - the options of a command line
     Queries the running daemon. Without one it listens for devices itself, on a serial port, or reads a recording.
     Exit status: 0 nothing is wrong, 1 something is.
     """
-    logs.configure(level="critical")
+    report: Report
     folders = tuple(messages or ())
     if file is not None:
-        report = probe_capture(file, folders)
+        report = _probe().probe_capture(file, folders)
     elif serial is not None:
-        report = asyncio.run(probe_port(parse_serial(serial), folders, _show_progress))
+        report = asyncio.run(_probe().probe_port(parse_serial(serial), folders, _show_progress))
     elif listen is not None:
         report = asyncio.run(_listen(listen, seconds, folders))
     else:
@@ -70,19 +70,28 @@ async def _query_or_listen(url: str, token: str | None, seconds: float, folders:
         async with connected(url, token) as host:
             view, robots = await host.get("/api/links"), await host.robots()
     except HostlinkError as error:
-        write_error(str(error))
-        if url != DEFAULT_URL:  # named by the user: another daemon is no answer
+        if url != DEFAULT_URL or not isinstance(error.__cause__, OSError):  # named by the user; or there is a daemon
             raise
+        write_error(str(error))
         return await _listen(LISTEN, seconds, folders)
     report = report_of(view, url, robots)
     if not report["links"] and not report["findings"]:
         refused = ", ".join(f"{cause} {count}" for cause, count in view["refused"].items())
-        report["findings"] += finding_views([finding("not_let_in", refused) if refused else finding("no_device")])
+        found = finding("not_let_in", refused) if refused else finding("no_device")
+        report["findings"].append(dataclasses.asdict(found))
     return report
 
 
 async def _listen(address: str, seconds: float, folders: tuple[Path, ...]) -> Report:
-    return await probe_network(*parse_address("--listen", address, "0.0.0.0"), seconds, folders, _show_progress)  # noqa: S104
+    host, port = parse_address("--listen", address, "0.0.0.0")  # noqa: S104
+    report: Report = await _probe().probe_network(host, port, seconds, folders, _show_progress)
+    return report
+
+
+def _probe() -> ModuleType:
+    """What listens by itself, with a log of its own: a whole daemon. Where one runs, nobody waits for these imports."""
+    importlib.import_module("hostlink.logs").configure(level="critical")
+    return importlib.import_module("hostlink.cli.probe")
 
 
 def _show_progress(line: str) -> None:

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
+from hostlink.cli.measuring import megabytes
 from hostlink.cli.output import show_progress
 from hostlink.client import Host
 from hostlink.errors import ConfigError, HostlinkError
-
-MEGABYTE = 1_000_000
 
 
 def check_output(output: Path) -> None:
@@ -15,9 +14,9 @@ def check_output(output: Path) -> None:
     Raises:
         ConfigError: nothing can be written there, or there is something already.
     """
-    if output.exists():
-        raise ConfigError("--output", f"{output} is there already; choose another name, or remove it")
     try:
+        if output.exists():
+            raise ConfigError("--output", f"{output} is there already; choose another name, or remove it")
         output.touch()
         output.unlink()
     except OSError as error:
@@ -32,11 +31,11 @@ async def fetch(host: Host, path: str, target: Path) -> None:
     """
     size = 0
     try:
-        with target.open("wb") as out:
+        with target.open("xb") as out:
             async for piece in host.download(path):
                 out.write(piece)
                 size += len(piece)
-                show_progress(f"fetching: {size / MEGABYTE:.1f} MB")
+                show_progress(f"fetching: {megabytes(size)}")
     except OSError as error:
         raise HostlinkError(f"{target}: {error.strerror}; the daemon still has it") from error
     show_progress("")

@@ -2,6 +2,9 @@
 
 from typing import Any, NamedTuple
 
+from hostlink.cli.drivers import driver
+from hostlink.cli.names import natural
+
 LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", "lost %", "silent s", "diagnosis")
 ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "heading °", "Hz", "age s")
 _DEGREES = 57.29577951308232
@@ -64,15 +67,15 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
 
 
 def robot_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
-    """The cells of each robot under ROBOT_COLUMNS."""
-    return [_robot_row(robot) for robot in shown["robots"]]
+    """The cells of each robot under ROBOT_COLUMNS, in the natural order of their names."""
+    return [_robot_row(robot) for robot in sorted(shown["robots"], key=lambda robot: natural(robot["name"]))]
 
 
 def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
     odometry = robot["odometry"]
     host = robot.get("host")  # the daemon that has it, if not the one that sent this
     link = "gone" if robot["link"] is None else f"at {host}" if host else str(robot["link"])
-    who = "locked" if robot.get("locked") else robot["holder"] or "nobody"
+    who = "locked" if robot.get("locked") else driver(robot) or "nobody"
     if odometry is None:
         return (robot["name"], link, who, *("-",) * 7)
     pose, twist = odometry["pose"], odometry["twist"]

@@ -33,7 +33,15 @@ def command(
 
     Of a recording: topics, types, rates, what of the file is damaged.
     """
-    if name.endswith(_RECORDING) or Path(name).is_file():
+    if is_recording(name):
         show_recording(Path(name), as_json=json)
     else:
         show_name(name, url, token, as_json=json)
+
+
+def is_recording(name: str) -> bool:
+    """Whether it is meant as a file; what can be no file's name is one of the graph."""
+    try:
+        return name.endswith(_RECORDING) or Path(name).is_file()
+    except (OSError, ValueError):  # too long, or with a zero byte
+        return False

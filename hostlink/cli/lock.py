@@ -16,7 +16,7 @@ from hostlink.client import DEFAULT_URL, RobotState
 def command(
     robot: RobotName = None,
     *,
-    reason: Annotated[str, typer.Option(help="For the next driver.")] = "hostlink lock",
+    reason: Annotated[str, typer.Option(help="For the next driver.")] = "a lock from the terminal",
     url: Url = DEFAULT_URL,
     token: Token = None,
     json: Json = False,

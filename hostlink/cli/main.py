@@ -2,9 +2,11 @@
 that runs is imported.
 """
 
+import contextlib
 import importlib
 import os
 import shlex
+import signal
 import sys
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
@@ -12,7 +14,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.output import write, write_error
+from hostlink.cli.other_words import OPTIONS, meant
+from hostlink.cli.output import allow_any_text, write, write_error
 from hostlink.errors import ConfigError, HostlinkError
 
 PANELS = {
@@ -23,6 +26,7 @@ PANELS = {
         "ros1": "Run the daemon as a node of ROS 1, started as rosserial_python is.",
         "ros2": "Show the robots in ROS 2, and let ROS 2 drive them.",
         "setup": "Ask ten questions and write a configuration.",
+        "reload": "Let the daemon read its configuration again.",
     },
     "Robots": {
         "robots": "List the robots.",
@@ -53,7 +57,12 @@ PANELS = {
         "play": "Play a recording as the robots that are in it.",
         "plot": "Draw fields or paths of a recording.",
         "export": "Write a recording as CSV, or as a bag of ROS.",
+        "drives": "List who drove which robot, and when.",
         "incidents": "List what happened to robots, and fetch their last minutes.",
+    },
+    "Boards": {
+        "arduino-library": "Write rosserial for boards, with headers of all messages, as a ZIP.",
+        "board": "Read and set what a board keeps: its host, name, WiFi and keys.",
     },
     "What is wrong": {
         "doctor": "Find what is wrong with the devices, and what to do next.",
@@ -66,6 +75,7 @@ PANELS = {
 }
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
 FAILED, MISUSED = 1, 2
+UsageError: Any = typer.BadParameter.__base__  # click's own, which newer versions of typer have inside of themselves
 
 
 def build_app(wanted: str | None) -> typer.Typer:
@@ -84,7 +94,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
-    module: Any = importlib.import_module(f"hostlink.cli.{name}") if is_wanted else None
+    module: Any = importlib.import_module(f"hostlink.cli.{name.replace('-', '_')}") if is_wanted else None
     if hasattr(module, "app"):
         app.add_typer(module.app, name=name, short_help=text, rich_help_panel=panel)
     else:
@@ -100,21 +110,66 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
 
 
 def main() -> None:
-    """Run; an error of hostlink's own is one line, and 2 means that the arguments or the configuration are wrong."""
+    """Run; an error is one line, and 2 means that the arguments or the configuration are wrong."""
     _open_standard_descriptors()
+    allow_any_text()
     arguments = sys.argv[1:]
     try:
-        build_app(wanted_command([*arguments, *completed_words(os.environ)]))(prog_name="hostlink")
+        sys.exit(_run(arguments))
     except HostlinkError as error:
         if "--debug" in arguments:
             raise
-        write_error(f"hostlink: {error}")
+        _complain(str(error))
         sys.exit(MISUSED if isinstance(error, ConfigError) else FAILED)
-    except BrokenPipeError:  # the reader of our output is gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:  # most of all: the reader of our output is gone, or its disk is full
+        if "--debug" in arguments:
+            raise
+        _end_output()
+        if not isinstance(error, BrokenPipeError):
+            _complain(f"{error.filename or 'the system refuses'}: {error.strerror or error}")
         sys.exit(FAILED)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(128 + 2)
+
+
+def _run(arguments: list[str]) -> int:
+    """Returns the exit status.
+
+    Raises:
+        ConfigError: the arguments are wrong.
+    """
+    words = meant(arguments)
+    if words is not None:
+        raise ConfigError(arguments[0], f"is no command; `hostlink {words}` is what comes near")
+    app = build_app(wanted_command([*arguments, *completed_words(os.environ)]))
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # hostlink.cli.start
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        status = app(prog_name="hostlink", standalone_mode=False)
+    except UsageError as error:
+        if not error.format_message():  # a group of commands has shown its help
+            return MISUSED
+        raise ConfigError(*_complaint(error)) from error
+    return status if isinstance(status, int) else 0
+
+
+def _complaint(error: Any) -> tuple[str, str]:
+    """Of which command, and what is wrong, in one line with the next step."""
+    command = "" if error.ctx is None else error.ctx.command_path.removeprefix("hostlink").strip()
+    text = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
+    option = OPTIONS.get((command, getattr(error, "option_name", "")))
+    then = f"here it is {option}" if option else f"`hostlink {f'{command} --help'.strip()}` shows what there is"
+    return command or "arguments", f"{text[:1].lower()}{text[1:]}{' ' if text.endswith('?') else '; '}{then}"
+
+
+def _complain(text: str) -> None:
+    with contextlib.suppress(OSError):  # nobody can read it; the status says it, too
+        write_error(f"hostlink: {text}")
+
+
+def _end_output() -> None:
+    """Nothing is written any more: what waits in the buffer would fail again at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def wanted_command(words: Iterable[str]) -> str | None:

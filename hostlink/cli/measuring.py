@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 WINDOW = 10_000  # messages, as rostopic has it
+BYTES_PER_MB = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,3 +80,8 @@ def size(count: float) -> str:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
         count /= 1000
     return f"{count:.1f} GB"
+
+
+def megabytes(count: float) -> str:
+    """Of a file: always in MB, so that a column or a line that is written again and again keeps its unit."""
+    return f"{count / BYTES_PER_MB:.1f} MB"

@@ -1,12 +1,33 @@
 """Output of the commands. It contains names and texts of devices and programs: none of them steers a terminal."""
 
+import codecs
 import contextlib
+import io
 import json
 import os
 import sys
 from typing import Any, TextIO
 
 _CLEAR_LINE = "\r\x1b[2K"
+_AS_JSON = "hostlink.json"  # how a text is written that the terminal's encoding does not have
+
+
+def allow_any_text() -> None:
+    """Let no character fail on a terminal or in a pipe of another encoding: it is escaped as in JSON."""
+    codecs.register_error(_AS_JSON, _escape_unknown)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            with contextlib.suppress(OSError):  # its place is asked for, which a pipe behind the same number has not
+                stream.reconfigure(errors=_AS_JSON)
+
+
+def _escape_unknown(error: UnicodeError) -> tuple[str, int]:
+    """Raises:
+    UnicodeError: it is none of encoding.
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(json.dumps(char)[1:-1] for char in error.object[error.start : error.end]), error.end
 
 
 def plain(text: str) -> str:
@@ -56,8 +77,15 @@ def _escaped(char: str) -> str:
 
 
 def _write(stream: TextIO, text: str) -> None:
-    stream.write(text)
-    stream.flush()
+    """Raises:
+    OSError: with the stream's name.
+    """
+    try:
+        stream.write(text)
+        stream.flush()
+    except OSError as error:
+        error.filename = error.filename or stream.name
+        raise
 
 
 def table(head: list[str], rows: list[list[Any]]) -> list[str]:

@@ -3,11 +3,12 @@
 import asyncio
 import contextlib
 import fnmatch
+import os
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -18,7 +19,7 @@ from hostlink.cli.output import show_progress, show_question, write_error
 from hostlink.client import DEFAULT_URL, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
-from hostlink.recording.playing import Due, robots_of, schedule
+from hostlink.recording.playing import Due, drives, is_drive, may_move, robots_of, schedule
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.recording.tables import Decoders
 from hostlink.sim.played_device import PlayedDevice, PlayedTopic
@@ -30,7 +31,7 @@ SETTLE_S = 1.0  # until the robots' topics are in every graph: what is sent befo
 PROGRESS_S = 0.5
 SOON_S = 0.001
 
-Put = Callable[[StoredMessage], Any]
+Put = Callable[[StoredMessage], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     loop: Annotated[bool, typer.Option("--loop", help="Again and again, until Ctrl-C.")] = False,
     step: Annotated[bool, typer.Option("--step", help="Enter sends the next message.")] = False,
     as_program: Annotated[
-        bool, typer.Option("--as-program", help="Publish these topics to robots that are there; velocities never.")
+        bool, typer.Option("--as-program", help="Publish these topics to robots that are there; no Twist.")
     ] = False,
     drive: Annotated[
         str | None, typer.Option(metavar="ROBOT", help="Drive this robot as the recorded one was driven. It moves!")
@@ -67,19 +68,21 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     They obey nobody. With --as-program or --drive no device is played: messages go to robots that are there.
     """
     pace = Pace(rate, start, loop, step)
+    if drive is not None and (step or as_program):
+        raise ConfigError("--drive", "goes without --step and --as-program: a robot is driven at the recorded times")
     if drive is not None:
-        asyncio.run(_drive(url, token, file, pace, drive, robot or []))
+        asyncio.run(drive_robot(url, token, file, pace, drive, robot or []))
     elif as_program:
         if not topics:
             raise ConfigError("--as-program", "name the topics to be published, or a pattern: '/chat' '/robot_0/led*'")
-        asyncio.run(_publish(url, token, file, pace, topics))
+        asyncio.run(publish_topics(url, token, file, pace, topics))
     elif topics:
         raise ConfigError("topics", "go with --as-program; robots are chosen with --robot")
     else:
-        asyncio.run(_play_devices(file, pace, parse_address("--connect", to, "127.0.0.1"), robot or []))
+        asyncio.run(play_devices(file, pace, parse_address("--connect", to, "127.0.0.1"), robot or []))
 
 
-async def _play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted: list[str]) -> None:
+async def play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted: list[str]) -> None:
     channels = _channels_of(file)
     robots = {name: found for name, found in robots_of(channels).items() if not wanted or name in wanted}
     if not robots:
@@ -87,16 +90,19 @@ async def _play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted
         raise BadRequest(f"{file} has no such robot; there are: {there}")
     devices = {name: _device(name, file, found) for name, found in robots.items()}
 
-    def put(message: StoredMessage) -> None:
+    async def put(message: StoredMessage) -> None:
         device = devices.get(message.channel.robot)
         if device is not None and message.channel.origin == DEVICE:
             device.publish(message.channel.topic, message.payload)
+            await device.drained()
 
     async with _connected(devices, address):
         write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends it")
         count = await _play(file, pace, put)
     dropped = sum(device.dropped for device in devices.values())
-    write_error(f"{count} messages played{f', {dropped} of them while no host was there' if dropped else ''}")
+    left_out = sum(device.left_out for device in devices.values())
+    without = f", {dropped} of them while no host was there" if dropped else ""
+    write_error(f"{count} messages played{without}{f', {left_out} left out' if left_out else ''}")
 
 
 @contextlib.asynccontextmanager
@@ -122,13 +128,18 @@ async def _connected(devices: dict[str, PlayedDevice], address: tuple[str, int])
     except* TimeoutError:
         problem = HostlinkError("what answers at {}:{} requests no topics: is it hostlink?".format(*address))
     except* OSError as error:
-        reason = error.exceptions[0]
-        problem = HostlinkError("no host at {}:{}: is `hostlink serve` running? ({})".format(*address, reason))
+        problem = HostlinkError("no host at {}:{}: is `hostlink serve` running? ({})".format(*address, _why(error)))
     except* HostlinkError as error:
         problem = error.exceptions[0]
     raise_if_cancelled()
     if problem is not None:
         raise problem
+
+
+def _why(error: ExceptionGroup[OSError]) -> str:
+    """Of the first, without asyncio's words."""
+    first = error.exceptions[0]
+    return os.strerror(first.errno) if isinstance(first, OSError) and first.errno else str(first)
 
 
 def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:
@@ -145,13 +156,13 @@ def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:
     return PlayedDevice(name, file.name, topics)
 
 
-async def _publish(url: str, token: str | None, file: Path, pace: Pace, topics: list[str]) -> None:
+async def publish_topics(url: str, token: str | None, file: Path, pace: Pace, topics: list[str]) -> None:
     decoders = Decoders()
     async with connect(url, token=token, reconnect=False) as host:
 
         async def put(message: StoredMessage) -> None:
             channel = message.channel
-            if channel.encoding != ROS1 or channel.origin == VELOCITY or not _matches(channel.topic, topics):
+            if channel.encoding != ROS1 or may_move(channel) or not _matches(channel.topic, topics):
                 return
             fields = decoders.decode(message)
             if fields is not None:
@@ -160,25 +171,65 @@ async def _publish(url: str, token: str | None, file: Path, pace: Pace, topics: 
         write_error(f"{await _play(file, pace, put)} messages played, of them those of {' '.join(topics)}")
 
 
-async def _drive(url: str, token: str | None, file: Path, pace: Pace, robot: str, recorded: list[str]) -> None:
+async def drive_robot(url: str, token: str | None, file: Path, pace: Pace, robot: str, recorded: list[str]) -> None:
     """Drive a robot as the one in the recording was, through its gate; the end of it all stops the robot."""
-    velocities = [channel for channel in _channels_of(file) if channel.origin == VELOCITY]
+    velocities = [channel for channel in _channels_of(file) if is_drive(channel)]
     names = sorted({channel.robot for channel in velocities if not recorded or channel.robot in recorded})
     if len(names) != 1:
         raise BadRequest(f"{file} has velocities of {', '.join(names) or 'no robot'}: choose one with --robot")
     topic = min(channel.topic for channel in velocities if channel.robot == names[0])
-    decoders = Decoders()
     async with connect(url, token=token, reconnect=False) as host:
         driven = host.robot(robot)
-
-        async def put(message: StoredMessage) -> None:
-            fields = decoders.decode(message) if message.channel.topic == topic else None
-            if fields is not None:
-                await driven.drive(fields["linear"]["x"], fields["angular"]["z"])
-
-        write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops it")
-        await _play(file, pace, put)
+        write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops it, and so does whoever stops the robot")
+        count = 0
+        while True:
+            due_messages = schedule(Reader(file).messages(), rate=pace.rate, start_s=pace.start_s)
+            clock = Clock(pace, "velocities")
+            for due in drives(due_messages, topic, rate=pace.rate):
+                await clock.reach(due.at_s)
+                await driven.drive(due.velocity.linear_x_m_s, due.velocity.angular_z_rad_s, is_yielding=True)
+                clock.count += 1
+            count += clock.done()
+            if not pace.is_looped:
+                break
         await driven.stop()
+    write_error(f"{count} velocities driven")
+
+
+class Clock:
+    """Of one play: when what is due, and how far it is, on a terminal."""
+
+    def __init__(self, pace: Pace, what: str) -> None:
+        self.count = 0
+        self._pace, self._what = pace, what
+        self._began_s, self._shown_s = asyncio.get_running_loop().time(), float("-inf")
+
+    async def reach(self, at_s: float) -> None:
+        """Sleep until then; in a long pause too somebody sees that it goes on."""
+        loop = asyncio.get_running_loop()
+        while (wait_s := self._began_s + at_s - loop.time()) > SOON_S:
+            await self.show()
+            await asyncio.sleep(min(wait_s, PROGRESS_S))
+
+    async def show(self) -> None:
+        """How far it is, twice a second at most."""
+        loop = asyncio.get_running_loop()
+        if loop.time() >= self._shown_s + PROGRESS_S:
+            self._shown_s = loop.time()
+            at_s = (self._shown_s - self._began_s) * self._pace.rate + self._pace.start_s
+            show_progress(f"{at_s:.1f} s  {self.count} {self._what}")
+            await asyncio.sleep(0)  # a file without pauses leaves the devices their turn
+
+    def done(self) -> int:
+        """How many there were.
+
+        Raises:
+            BadRequest: none; played in a loop it would never end, and never wait.
+        """
+        show_progress("")
+        if not self.count:
+            raise BadRequest(f"the recording has no {self._what} after {self._pace.start_s:g} s")
+        return self.count
 
 
 async def _play(file: Path, pace: Pace, put: Put) -> int:
@@ -195,23 +246,16 @@ async def _play(file: Path, pace: Pace, put: Put) -> int:
 
 
 async def _play_once(file: Path, pace: Pace, put: Put) -> int:
-    loop = asyncio.get_running_loop()
-    began_s, shown_s, count = loop.time(), 0.0, 0
+    clock = Clock(pace, "messages")
     for due in schedule(Reader(file).messages(), rate=pace.rate, start_s=pace.start_s):
         if pace.is_stepped:
             await _ask(due)
-        elif began_s + due.at_s > loop.time() + SOON_S:
-            await asyncio.sleep(began_s + due.at_s - loop.time())
-        done = put(due.message)
-        if done is not None:
-            await done
-        count += 1
-        if loop.time() > shown_s + PROGRESS_S:
-            shown_s = loop.time()
-            show_progress(f"{due.at_s * pace.rate + pace.start_s:.1f} s  {count} messages")
-            await asyncio.sleep(0)  # a file without pauses leaves the devices their turn
-    show_progress("")
-    return count
+        else:
+            await clock.reach(due.at_s)
+        await put(due.message)
+        clock.count += 1
+        await clock.show()
+    return clock.done()
 
 
 async def _ask(due: Due) -> None:

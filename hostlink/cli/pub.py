@@ -1,6 +1,8 @@
 """`hostlink pub`: publish messages on a topic."""
 
 import asyncio
+import re
+import shlex
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import Annotated
@@ -13,7 +15,9 @@ from hostlink.cli.following import run_until_interrupted
 from hostlink.cli.output import show_progress, write_error
 from hostlink.cli.waiting import PATIENCE_S
 from hostlink.client import DEFAULT_URL, Host
-from hostlink.errors import HostlinkError
+from hostlink.errors import ConfigError
+
+_TYPE = re.compile(r"[A-Za-z]\w*(/msg)?/[A-Za-z]\w*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +37,13 @@ class Sent:
 
 def command(
     topic: TopicName,
-    message: Annotated[
-        str, typer.Argument(help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero, all of them without it.')
-    ] = "{}",
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TYPE] [MESSAGE]",
+            help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero, all of them without it.',
+        ),
+    ] = None,
     *,
     type_name: Annotated[
         str, typer.Option("--type", help="As geometry_msgs/Twist; that of the topic if it is known.")
@@ -47,11 +55,24 @@ def command(
 ) -> None:
     """Publish a message once, or at a rate. A robot that is driven so stops when this command ends."""
     sent = Sent()
-    run_until_interrupted(
-        _pub(connected(url, token), topic, json_object("MESSAGE", message), type_name, Pace(rate, count), sent)
-    )
+    named_type, message = type_and_message(words or [])
+    request = json_object("MESSAGE", message)
+    run_until_interrupted(_pub(connected(url, token), topic, request, type_name or named_type, Pace(rate, count), sent))
     show_progress("")
     write_error(f"{sent.messages} sent")
+
+
+def type_and_message(words: list[str]) -> tuple[str, str]:
+    """Of `[TYPE] [MESSAGE]`, as rostopic and ros2 have them; the type is empty where none is named.
+
+    Raises:
+        ConfigError: there are more of them.
+    """
+    is_typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
+    type_name, rest = (words[0].replace("/msg/", "/"), words[1:]) if is_typed else ("", words)
+    if len(rest) > 1:
+        raise ConfigError("MESSAGE", f"is one argument, in quotes: {shlex.quote('{linear: {x: 0.1}}')}")
+    return type_name, rest[0] if rest else "{}"
 
 
 async def _pub(
@@ -70,11 +91,4 @@ async def _pub(
             sent.messages += 1
             if sent.messages > pace.rate_hz * PATIENCE_S and not sent.messages % max(1, round(pace.rate_hz)):
                 show_progress(f"{sent.messages} sent{f' of {pace.count}' if pace.count else ''}; Ctrl-C ends")
-        await _await_refusal(host, topic)
-
-
-async def _await_refusal(host: Host, topic: str) -> None:
-    await host.settle()
-    refusal = host.pop_refusal(topic)
-    if refusal:
-        raise HostlinkError(refusal)
+        await host.settle()

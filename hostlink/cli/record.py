@@ -11,12 +11,13 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.fetching import check_output, fetch
+from hostlink.cli.measuring import BYTES_PER_MB, megabytes
 from hostlink.cli.output import show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, Host, connect
-from hostlink.errors import HostlinkError
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.recording.folder import is_name
 
 POLL_S = 0.5
-MEGABYTE = 1_000_000
 _PATH = "/api/recordings"
 
 
@@ -48,6 +49,8 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         return
     if output is not None:
         check_output(output)
+    if name and not is_name(name):
+        raise ConfigError("--name", f"{name} is none: letters and digits, and . _ + - between them, 100 at most")
     if list_:
         work = _list(url, token, as_json=as_json)
     elif stop is not None:
@@ -125,7 +128,7 @@ async def _list(url: str, token: str | None, *, as_json: bool) -> None:
         write(msgspec.json.encode(view).decode())
         return
     rows = [
-        [file["file"], f"{file['bytes'] / MEGABYTE:.1f}", file["modified"], "now" if file["is_open"] else ""]
+        [file["file"], f"{file['bytes'] / BYTES_PER_MB:.1f}", file["modified"], "now" if file["is_open"] else ""]
         for file in view["files"]
     ]
     write(f"{len(view['files'])} files in {view['folder']}", *table(["file", "MB", "written", "recording"], rows))
@@ -133,8 +136,9 @@ async def _list(url: str, token: str | None, *, as_json: bool) -> None:
 
 def _line(view: dict[str, Any]) -> str:
     minutes, seconds = divmod(int(view["seconds"]), 60)
-    size = f"{view['bytes'] / MEGABYTE:.1f} MB"
-    return f"{minutes}:{seconds:02d}  {view['messages']} messages  {size}  {view['dropped']} dropped"
+    return (
+        f"{minutes}:{seconds:02d}  {view['messages']} messages  {megabytes(view['bytes'])}  {view['dropped']} dropped"
+    )
 
 
 def _repair(file: Path, *, as_json: bool) -> None:

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import msgspec
 
+from hostlink.cli.measuring import megabytes
 from hostlink.cli.output import table, write
+from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.contents import Contents, TopicContents, contents_of
-
-MEGABYTE = 1_000_000
-NS_PER_S = 1_000_000_000
 
 
 def show_recording(file: Path, *, as_json: bool) -> None:
@@ -24,7 +23,7 @@ def show_recording(file: Path, *, as_json: bool) -> None:
         return
     begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.first_ns // NS_PER_S))
     write(
-        f"{file}: {found.size_bytes / MEGABYTE:.1f} MB, {found.messages} messages, {found.seconds:.1f} s from {begin}",
+        f"{file}: {megabytes(found.size_bytes)}, {found.messages} messages, {found.seconds:.1f} s from {begin}",
         *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
         *(f"  damage: {damage}; hostlink record --repair {file} mends it" for damage in found.damage),
         *table(["topic", "type", "messages", "Hz", "robot", "from"], [_row(topic) for topic in found.topics]),

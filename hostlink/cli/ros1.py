@@ -21,7 +21,8 @@ from hostlink.config import Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
 from hostlink.graphs.ros1.names import Names, NodeArguments, joined, parse_arguments
 from hostlink.graphs.ros1.rpc import Master, Rpc, Unreachable
-from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.graphs.ros1.xml_rpc import BadXml, Refused
+from hostlink.messages.catalog import Catalog
 
 NODE = "serial_node"
 PORT, BAUD, TCP_PORT = "/dev/ttyUSB0", 57600, 11411  # rosserial_python's own
@@ -94,6 +95,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     node = _node(settings.ros1, arguments, master=master, host=host, namespace=namespace)
     options = _Options(tcp, serial, baud)
     with_devices(settings, {}, arguments.others, options)  # what is wrong is reported before the master is waited for
+    Catalog(settings.message_folders)
     asyncio.run(_run(dataclasses.replace(settings, ros1=node), arguments, options))
 
 
@@ -172,7 +174,10 @@ async def _parameters(config: Ros1Config, names: Names, given: Mapping[str, str]
 
 async def _read(master: Master, names: Names, given: Mapping[str, str]) -> dict[str, Any]:
     for name, text in given.items():
-        await master.call("setParam", names.resolve(f"~{name}"), scalar(text))
+        try:
+            await master.call("setParam", names.resolve(f"~{name}"), scalar(text))
+        except (BadXml, Refused) as error:
+            raise ConfigError(f"_{name}:={text}", f"the master cannot have it: {error}") from error
     found: dict[str, Any] = {}
     for key, name in (("tcp_port", GLOBAL_TCP_PORT), ("port", "~port"), ("baud", "~baud"), ("tcp_port", "~tcp_port")):
         try:

@@ -25,12 +25,14 @@ from hostlink.cli.ending import stop_signals
 from hostlink.cli.examples import read_example
 from hostlink.cli.garbage import collect_while_idle
 from hostlink.cli.output import write, write_error
+from hostlink.cli.reload_signal import reload_signal
 from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, Ros1Config, UdpConfig, ZenohConfig, load
 from hostlink.errors import ConfigError
 from hostlink.guardian.guardian import guarded
 from hostlink.hub.guard import Guard
 from hostlink.hub.hub import Hub
+from hostlink.hub.reloader import Read, Reloader
 from hostlink.listeners.serial_ports import serve_serial
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.listeners.udp_acceptor import UdpAcceptor
@@ -60,21 +62,27 @@ class Addresses:
 
 @contextlib.asynccontextmanager
 async def running(
-    config: Config, *, guard: Guard | None = None, on_graph_end: OnGraphEnd = lambda _: None
+    config: Config,
+    *,
+    guard: Guard | None = None,
+    on_graph_end: OnGraphEnd = lambda _: None,
+    read: Read | None = None,
 ) -> AsyncIterator[tuple[Hub, Addresses]]:
     """The whole daemon for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `on_graph_end` is called with the reason when this node of a foreign graph was shut down from there.
+    `on_graph_end` is called with the reason when this node of a foreign graph was shut down from there. `read` reads
+    the configuration again, as a new start would.
     """
     hub = Hub(config, Catalog(config.message_folders), guard=guard)
+    reloader = Reloader(hub, read)
     try:
         async with (
             complaints_logged(hub.refused),
             _hub_running(hub),
             _recordings(hub) as recordings,
-            _listening(hub, config, recordings) as addresses,
             _graphs(hub, config, on_graph_end),
+            _listening(hub, config, recordings, reloader) as addresses,
         ):
             udp = {} if addresses.udp is None else {"udp": "{}:{}".format(*addresses.udp)}
             log.info("daemon.started", tcp="{}:{}".format(*addresses.tcp), api=addresses.api, **udp)
@@ -108,7 +116,7 @@ async def _hub_running(hub: Hub) -> AsyncIterator[None]:
 async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
     """They end after the robots were stopped, which is worth recording."""
     recordings = Recordings(hub)
-    recordings.black_box.start()
+    await recordings.open()
     try:
         yield recordings
     finally:
@@ -116,16 +124,12 @@ async def _recordings(hub: Hub) -> AsyncIterator[Recordings]:
 
 
 @contextlib.asynccontextmanager
-async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncIterator[Addresses]:
+async def _listening(hub: Hub, config: Config, recordings: Recordings, reloader: Reloader) -> AsyncIterator[Addresses]:
     """Listeners and ports, for devices and for programs."""
     async with (
-        serve_api(config.api, hub, recordings) as api,
+        serve_api(config.api, hub, recordings, reloader) as api,
         contextlib.AsyncExitStack() as last,  # mDNS may be slow
     ):
-        if config.zenoh is not None:
-            from hostlink.graphs.zenoh.running import zenoh_running  # noqa: PLC0415 - a daemon without it is lighter
-
-            await last.enter_async_context(zenoh_running(hub, config.zenoh))
         acceptor = TcpAcceptor(hub, config.tcp)
         async with (
             serve_tcp(config.tcp, acceptor.accept) as listener,
@@ -133,6 +137,7 @@ async def _listening(hub: Hub, config: Config, recordings: Recordings) -> AsyncI
             _serial_ports(hub, config),
         ):
             await last.enter_async_context(advertised(config.tcp, listener.address))
+            last.enter_context(reload_signal(reloader))
             yield Addresses(listener.address, api, udp)
 
 
@@ -153,17 +158,15 @@ async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[
 
 @contextlib.asynccontextmanager
 async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator[None]:
-    """The daemon as a node of foreign graphs; what one of them needs is imported with it."""
-    async with asyncio.TaskGroup() as tasks:
-        nodes = []
+    """The daemon's parts in foreign graphs; what one of them needs is imported with it."""
+    async with contextlib.AsyncExitStack() as graphs:
+        if config.zenoh is not None:
+            module = importlib.import_module("hostlink.graphs.zenoh.running")
+            await graphs.enter_async_context(module.zenoh_running(hub, config.zenoh))
         if config.ros1.master:
             module = importlib.import_module("hostlink.graphs.ros1.node")
-            nodes.append(tasks.create_task(module.serve_ros1(hub, config.ros1, on_end), name="ROS 1"))
-        try:
-            yield
-        finally:
-            for node in nodes:
-                node.cancel()
+            await graphs.enter_async_context(module.ros1_running(hub, config.ros1, on_end))
+        yield
 
 
 @contextlib.asynccontextmanager
@@ -223,14 +226,19 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     new_loop = loop_factory(loop)
     logs.configure(level=log_level)
     file = check_config or config
-    settings = merge(
-        load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
-    )
-    settings = allow_origins(settings, origin)
-    if zenoh and settings.zenoh is None:
-        settings = dataclasses.replace(settings, zenoh=ZenohConfig())
-    if ros1 is not None:
-        settings = dataclasses.replace(settings, ros1=with_master(settings.ros1, "--ros1", ros1))
+
+    def read() -> Config:
+        settings = merge(
+            load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
+        )
+        settings = allow_origins(settings, origin)
+        if zenoh and settings.zenoh is None:
+            settings = dataclasses.replace(settings, zenoh=ZenohConfig())
+        if ros1 is not None:
+            settings = dataclasses.replace(settings, ros1=with_master(settings.ros1, "--ros1", ros1))
+        return settings
+
+    settings = read()
     warnings = asyncio.run(check(settings, descriptors=limit()))
     if check_config is not None:
         write(*describe(settings))
@@ -239,7 +247,8 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     for warning in warnings:
         log.warning("config.suspicious", reason=warning)
     with asyncio.Runner(loop_factory=new_loop) as runner:
-        runner.run(serve(fitted(settings, limit())))
+        read_again = (lambda: fitted(read(), limit())) if config else None
+        runner.run(serve(fitted(settings, limit()), read=read_again))
 
 
 def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
@@ -248,6 +257,8 @@ def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
     Raises:
         ConfigError: it is no address of one; `where` names it.
     """
+    if not url:
+        raise ConfigError(where, "no address of a master is given; they look like http://localhost:11311")
     try:
         return dataclasses.replace(config, master=url)
     except ValueError as error:
@@ -283,7 +294,7 @@ def shorten_pauses() -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
 
 
-async def serve(config: Config, *, ends_with_graph: bool = False) -> None:
+async def serve(config: Config, *, ends_with_graph: bool = False, read: Read | None = None) -> None:
     """Run the daemon until a signal ends it; with `ends_with_graph` also when its node is shut down."""
     notifier = Notifier(os.environ)
     with stop_signals() as ending, guarded(is_wanted=config.guardian) as guardian:
@@ -292,7 +303,7 @@ async def serve(config: Config, *, ends_with_graph: bool = False) -> None:
             if ends_with_graph:
                 ending.request(reason)
 
-        async with running(config, guard=guardian, on_graph_end=graph_ended) as (hub, _):
+        async with running(config, guard=guardian, on_graph_end=graph_ended, read=read) as (hub, _):
             hub.spawn(notifier.beat(lambda: _status(hub)), name="heartbeat")
             shorten_pauses()
             hub.spawn(collect_while_idle(hub.robots), name="garbage collector")

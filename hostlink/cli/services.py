@@ -8,6 +8,7 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import connected
+from hostlink.cli.names import natural
 from hostlink.cli.output import table, write, write_error
 from hostlink.client import DEFAULT_URL
 
@@ -40,6 +41,6 @@ async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict
                 "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
                 "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
             }
-            for name in names
+            for name in sorted(names, key=natural)
             if with_own or not name.startswith(_OWN)
         ]

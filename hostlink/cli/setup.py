@@ -1,6 +1,5 @@
 """`hostlink setup`: asks ten questions, and writes a configuration."""
 
-import contextlib
 import os
 import secrets
 from collections.abc import Iterator
@@ -9,10 +8,11 @@ from typing import Annotated
 
 import typer
 
+from hostlink.cli.new_file import check_new_file, replacing
 from hostlink.cli.output import write, write_error
 from hostlink.cli.setup_plan import Question, configuration, questions
 from hostlink.config import load
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import HostlinkError
 
 PLACES = ("serial/by-id/*", "ttyACM*", "ttyUSB*")  # the first has names that stay
 OWNER_ONLY = 0o600  # a token stands in it
@@ -25,8 +25,7 @@ def command(
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
     """Ask ten questions and write a configuration. An empty answer means what is in brackets; Ctrl-C writes nothing."""
-    if file.exists() and not force:
-        raise ConfigError("FILE", f"{file} is there already: name another, or add --force")
+    check_new_file("FILE", file, is_forced=force, example="hostlink.toml")
     answers: dict[str, str] = {}
     asked = questions(list(_serial_ports()))
     for number, question in enumerate(asked, 1):
@@ -54,6 +53,7 @@ def _ask(question: Question, place: str) -> str:
         try:
             answer = input(f"{place}  {question.text}{shown} ").strip() or question.default
         except EOFError:
+            write("")  # the question has no end of a line
             raise HostlinkError(f"no answer to question {place}; nothing is written") from None
         complaint = question.complaint(answer)
         if not complaint:
@@ -67,15 +67,8 @@ def _write(file: Path, text: str) -> None:
     Raises:
         ConfigError: it cannot be written.
     """
-    beside = file.with_name(f".{file.name}.new")
-    try:
+    with replacing("FILE", file) as beside:
         descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, OWNER_ONLY)
         with os.fdopen(descriptor, "w", encoding="utf-8") as out:
             out.write(text)
         load(beside)
-        beside.replace(file)
-    except OSError as error:
-        raise ConfigError("FILE", f"{file} cannot be written: {error.strerror}; name another") from error
-    finally:
-        with contextlib.suppress(OSError):  # the folder may not be there
-            beside.unlink(missing_ok=True)

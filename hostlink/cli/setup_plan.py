@@ -11,6 +11,7 @@ WAYS = ("wifi", "usb", "both")
 REACHES = ("computer", "network")
 MAX_PORT = 0xFFFF
 MAX_BAUD = 4_000_000
+LEAST_NUMBER = 0.01  # m, m/s, m/s2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,27 +63,9 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
                 "" if answer == "-" or _is_name(answer) else "letters, digits and _, a letter first"
             ),
         ),
-        Question(
-            key="separation_m",
-            text="Distance between its wheels in m? Empty: unknown",
-            default="",
-            complaint=_number(0.01, 10.0),
-            is_asked=_has_robot,
-        ),
-        Question(
-            key="speed_m_s",
-            text="The fastest that it may drive, in m/s?",
-            default="0.5",
-            complaint=_number(0.01, 20.0, is_needed=True),
-            is_asked=_has_robot,
-        ),
-        Question(
-            key="deceleration_m_s2",
-            text="How hard it may brake, in m/s2? Empty: at once",
-            default="",
-            complaint=_number(0.01, 100.0),
-            is_asked=_has_robot,
-        ),
+        _number("separation_m", "Distance between its wheels in m? Empty: unknown", most=10.0),
+        _number("speed_m_s", "The fastest that it may drive, in m/s?", most=20.0, default="0.5"),
+        _number("deceleration_m_s2", "How hard it may brake, in m/s2? Empty: at once", most=100.0),
         Question(
             key="reach",
             text="Who may use page and API: this computer, or the network (with a token)?",
@@ -107,14 +90,14 @@ def configuration(answers: Answers, *, token: str) -> str:
 def _tcp(answers: Answers) -> list[str]:
     if not _has_wifi(answers):
         return ["", "[tcp]", 'host = "127.0.0.1"  # robots come by USB alone']
-    allow = [f"allow = [{json.dumps(answers['network'])}]"] if answers["network"] else []
+    allow = [f"allow = [{_toml(answers['network'])}]"] if answers["network"] else []
     return ["", "[tcp]", f"port = {answers['device_port']}", *allow]
 
 
 def _serial(answers: Answers) -> list[str]:
     if not _has_usb(answers):
         return []
-    return ["", "[[serial]]", f"path = {json.dumps(answers['serial'])}", f"baud = {answers['baud']}"]
+    return ["", "[[serial]]", f"path = {_toml(answers['serial'])}", f"baud = {answers['baud']}"]
 
 
 def _api(answers: Answers, token: str) -> list[str]:
@@ -141,7 +124,7 @@ def _robot(answers: Answers) -> list[str]:
         "max_linear_deceleration_m_s2": answers["deceleration_m_s2"],
     }
     if answers["way"] == "usb":
-        settings = {"address": json.dumps(answers["serial"]), **settings}
+        settings = {"address": _toml(answers["serial"]), **settings}
     lines = [f"{key} = {_toml_number(value)}" for key, value in settings.items() if value]
     return ["", f"[robots.{answers['robot']}]", *lines]
 
@@ -187,14 +170,21 @@ def _whole(least: int, most: int) -> Callable[[str], str]:
     return complaint
 
 
-def _number(least: float, most: float, *, is_needed: bool = False) -> Callable[[str], str]:
+def _number(key: str, text: str, *, most: float, default: str = "") -> Question:
+    """A figure of the robot; without a default it may be left out."""
+
     def complaint(answer: str) -> str:
-        if not answer and not is_needed:
+        if not answer and not default:
             return ""
         try:
-            is_right = least <= float(answer) <= most
+            is_right = LEAST_NUMBER <= float(answer) <= most
         except ValueError:
             is_right = False
-        return "" if is_right else f"a number from {least:g} to {most:g}"
+        return "" if is_right else f"a number from {LEAST_NUMBER:g} to {most:g}"
 
-    return complaint
+    return Question(key=key, text=text, default=default, complaint=complaint, is_asked=_has_robot)
+
+
+def _toml(text: str) -> str:
+    """The text as TOML quotes it: JSON's escapes, but for what lies beyond 16 bits, and for DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

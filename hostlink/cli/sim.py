@@ -10,6 +10,7 @@ import typer
 from hostlink.cli.addresses import parse_address
 from hostlink.cli.output import write_error
 from hostlink.errors import ConfigError
+from hostlink.sim.controller import RobotKind
 from hostlink.sim.faults import FAULTS, HEALTHY
 from hostlink.sim.run import run_fleet
 from hostlink.sim.world_parameters import WorldParameters, read
@@ -24,6 +25,9 @@ def command(
     world: Annotated[
         Path | None, typer.Option(help="A file of lines name=value: what their motors, wheels and floor are like.")
     ] = None,
+    robot: Annotated[
+        RobotKind, typer.Option(help="nimble: at a new speed within 0.3 s; paper: the paper's, in two seconds.")
+    ] = RobotKind.PAPER,
     fault: Annotated[str | None, typer.Option(help=f"What is wrong with them: {', '.join(FAULTS)}.")] = None,
 ) -> None:
     """Run simulated robots: the paper's, on a 38400 baud UART with all the faults of the original client library."""
@@ -33,7 +37,7 @@ def command(
     host, port = parse_address("--connect", connect, "127.0.0.1")
     parameters = WorldParameters() if world is None else _read(world)
     fleet = run_fleet(
-        host, port, robots=robots, first=first, is_udp=udp, fault=chosen, world=parameters, log=write_error
+        host, port, robots=robots, first=first, is_udp=udp, fault=chosen, world=parameters, kind=robot, log=write_error
     )
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(fleet)

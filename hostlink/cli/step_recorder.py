@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hostlink.cli.drivers import driver
 from hostlink.cli.step_stages import Stage, Wheel
 from hostlink.client import PRIORITY, Host, Mailbox, Robot, RobotState
 from hostlink.errors import DeviceGone, HostlinkError, RobotHeld, UnknownTopic
@@ -83,7 +84,7 @@ async def connected_state(robot: Robot) -> RobotState:
     if state.get("locked"):
         raise RobotHeld(robot.name, state["holder"], lock_reason=str(state.get("lock_reason") or ""))
     if state["holder"] is not None and not _is_less_important(state):
-        raise HostlinkError(f"{robot.name}: {state['holder']} drives it; end that first")
+        raise HostlinkError(f"{robot.name}: {driver(state)} drives it; end that first")
     return state
 
 

@@ -104,9 +104,6 @@ async def _send(host: Host, robot: str, wheels: Mapping[str, TunedWheel]) -> Non
         gains = wheels[side].proposed
         await host.publish(str(topic), {"x": gains.kp, "y": gains.ki, "z": gains.kd}, type_name=GAINS_TYPE)
     await host.settle()
-    for topic in found.values():
-        if refusal := host.pop_refusal(str(topic)):
-            raise HostlinkError(refusal)
 
 
 def _digits(gains: PidGains) -> list[str]:

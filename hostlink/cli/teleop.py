@@ -15,7 +15,7 @@ from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
 from hostlink.cli.keys import Key, KeyReader
 from hostlink.cli.standstill import Standstill
-from hostlink.cli.teleop_screen import UNLOCK_KEY, lost_screen, screen
+from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.cli.terminal import Terminal, draw, key_terminal, size
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
@@ -90,17 +90,8 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> N
                 if _now_s() >= draw_at_s:
                     draw_at_s = _now_s() + DRAW_INTERVAL_S
                     standstill.observe(watched.state, _now_s())
-                    draw(
-                        screen(
-                            watched.state,
-                            driving,
-                            _now_s(),
-                            layout=layout,
-                            refusal=driver.refusal,
-                            warning=standstill.warning,
-                            width=size()[0] - 1,
-                        )
-                    )
+                    own = OwnState(robot.client_name, driver.refusal, standstill.warning)
+                    draw(screen(watched.state, driving, _now_s(), own, layout=layout, width=size()[0] - 1))
                 await keyboard.wait(TICK_S)
         finally:
             driving.stop()

@@ -5,6 +5,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from hostlink.cli.drivers import driver
 from hostlink.cli.driving import Driving
 from hostlink.client import RobotState
 
@@ -34,11 +35,17 @@ class Line(NamedTuple):
     colour: str = ""
 
 
-def screen(
-    state: RobotState, driving: Driving, now_s: float, *, layout: str, refusal: str, warning: str, width: int
-) -> list[Line]:
+class OwnState(NamedTuple):
+    """What this program knows beside the robot's state as the daemon shows it."""
+
+    client_name: str | None = None  # what the daemon calls this program
+    refusal: str = ""
+    warning: str = ""
+
+
+def screen(state: RobotState, driving: Driving, now_s: float, own: OwnState, *, layout: str, width: int) -> list[Line]:
     """Every line, none wider than the terminal."""
-    lines = [*_facts(state, driving, now_s, refusal, warning), Line(""), *_keys(layout, width)]
+    lines = [*_facts(state, driving, now_s, own), Line(""), *_keys(layout, width)]
     lines.append(Line("arrows drive too; space, k or s stops; any other key stops; Ctrl-C ends"))
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
@@ -49,7 +56,7 @@ def lost_screen(name: str, reason: str, *, width: int) -> list[Line]:
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
 
-def _facts(state: RobotState, driving: Driving, now_s: float, refusal: str, warning: str) -> Iterator[Line]:
+def _facts(state: RobotState, driving: Driving, now_s: float, own: OwnState) -> Iterator[Line]:
     linear_m_s, angular_rad_s = driving.velocity(now_s)
     is_connected = state["connected"]
     connected = "connected" if is_connected else "NOT CONNECTED"
@@ -57,12 +64,12 @@ def _facts(state: RobotState, driving: Driving, now_s: float, refusal: str, warn
     if state.get("locked"):
         yield Line(f"LOCKED: {state.get('lock_reason')}   {UNLOCK_KEY} unlocks it", RED)
     else:
-        yield Line(warning, YELLOW)
+        yield Line(own.warning, YELLOW)
     yield Line(f"speeds    {driving.linear_m_s:5.2f} m/s  {driving.angular_rad_s:5.2f} rad/s")
     yield Line(f"asked     {linear_m_s:+5.2f} m/s  {angular_rad_s:+5.2f} rad/s")
     yield from _odometry(state)
-    why = "" if state.get("locked") else refusal
-    yield Line(f"driven by {state['holder'] or 'nobody'}   {why}".rstrip(), YELLOW if why else "")
+    why = "" if state.get("locked") else own.refusal
+    yield Line(f"driven by {driver(state, own.client_name) or 'nobody'}   {why}".rstrip(), YELLOW if why else "")
 
 
 def _odometry(state: RobotState) -> Iterator[Line]:

@@ -8,6 +8,7 @@ import typer
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import connected
+from hostlink.cli.names import natural
 from hostlink.cli.output import plain, show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, Host, TopicState
 
@@ -34,7 +35,8 @@ def command(
 
 async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]:
     async with connected(url, token) as host:
-        return await _rated(host) if with_rates else list(await host.topics())
+        topics = await _rated(host) if with_rates else await host.topics()
+        return sorted(topics, key=lambda topic: natural(topic["name"]))
 
 
 async def _rated(host: Host) -> list[Any]:

@@ -14,7 +14,10 @@ from hostlink.cli.output import write
 from hostlink.client import DEFAULT_URL, Host
 from hostlink.errors import HostlinkError
 
-Name = Annotated[str, typer.Argument(help="Of a topic or a service.", autocompletion=graph_names)]
+Name = Annotated[
+    str,
+    typer.Argument(help="Of a topic or a service; or a type.", autocompletion=graph_names),
+]
 
 
 def command(
@@ -27,7 +30,7 @@ def command(
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Show the type of a topic or of a service."""
+    """Show the type of a topic or of a service; of a type its fields."""
     found = asyncio.run(_find(url, token, "/" + name.lstrip("/~"), with_fields=fields))
     if json:
         write(json_text.dumps(found))
@@ -45,11 +48,23 @@ async def _find(url: str, token: str | None, name: str, *, with_fields: bool) ->
             type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
             details = "service_request_details"
         else:
-            raise unknown("topic or service", name, [*topics, *services], command="topics")
+            of_type = await _of_type(host, name.removeprefix("/").replace("/msg/", "/"))
+            if of_type is None:
+                raise unknown("topic or service", name, [*topics, *services], command="topics")
+            return of_type
         if not type_name:
             raise HostlinkError(f"{name} has no type yet: it has subscribers, and nobody publishes it")
         found: dict[str, Any] = {"name": name, "type": type_name}
         return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
+
+
+async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
+    """What `rosmsg show` has: the fields of a type of messages; None: there is none of that name."""
+    try:
+        fields = await _fields(host, "message_details", type_name)
+    except HostlinkError:
+        return None
+    return {"name": type_name, "type": type_name, "fields": fields} if fields else None
 
 
 async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, str]]:

@@ -1,6 +1,8 @@
 """Which command a line means, typed or to be completed."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,7 +38,7 @@ def test_every_command_has_a_line_that_fits_a_terminal() -> None:
 
 
 DOCUMENTS = Path(__file__).parents[3] / "docs"
-NAMED = re.compile(r"(?:`|^    |^    \.venv/bin/|\$ )hostlink ([a-z]+)\b", re.MULTILINE)
+NAMED = re.compile(r"(?:`|^    |^    \.venv/bin/|\$ )hostlink ([a-z][a-z-]*[a-z])\b", re.MULTILINE)
 
 
 def test_every_command_is_in_the_document_of_commands() -> None:
@@ -48,3 +50,29 @@ def test_no_document_names_a_command_that_does_not_exist() -> None:
     named = {name for path in DOCUMENTS.glob("*.md") for name in NAMED.findall(path.read_text())}
     assert len(named) > 15
     assert named - set(COMMANDS) == set()
+
+
+QUICK = (
+    "robots",
+    "teleop",
+    "stop",
+    "lock",
+    "unlock",
+    "topics",
+    "echo",
+    "hz",
+    "pub",
+    "find",
+    "record",
+    "drives",
+    "doctor",
+    "top",
+)
+
+
+def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
+    modules = [f"hostlink.cli.{name}" for name in QUICK]
+    slow = ("hostlink.hub.hub", "aiohttp.web", "structlog", "numpy")
+    text = f"import sys, importlib; [*map(importlib.import_module, {modules})]; print({{*{slow}}} & {{*sys.modules}})"
+    found = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    assert found.stdout == "set()\n"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.cli.names import near, unknown
+from hostlink.cli.names import natural, near, unknown
 
 TOPICS = ["/robot_0/odometry", "/robot_0/odom", "/robot_0/velocity_commands", "/robot_1/odometry", "/rosout", "/tf"]
 
@@ -20,6 +20,12 @@ TOPICS = ["/robot_0/odometry", "/robot_0/odom", "/robot_0/velocity_commands", "/
 )
 def test_what_comes_near(name: str, found: list[str]) -> None:
     assert near(name, TOPICS)[: len(found) or None] == found
+
+
+def test_names_are_in_the_order_of_their_numbers() -> None:
+    names = ["", "/a/odom", "robot", "robot_0", "robot_2", "robot_10", "robot_10_2", "robot_x", "x" + "1" * 5000]
+    names.reverse()
+    assert sorted(names, key=natural) == names[::-1]
 
 
 def test_the_error_names_what_comes_near_else_what_there_is() -> None:

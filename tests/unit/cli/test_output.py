@@ -1,6 +1,7 @@
 """What the commands write: nothing of a device's or a program's steers a terminal, and JSON stays what it was."""
 
 import ast
+import contextlib
 import fcntl
 import io
 import json
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 
 import hostlink.cli
 from hostlink import logs
-from hostlink.cli.output import plain, show_progress, write
+from hostlink.cli.output import allow_any_text, plain, show_progress, write
 
 WRITERS = {"output.py", "terminal.py", "capture.py"}  # the second its own codes, the third JSON of hexadecimal digits
 LINE = "  driving: 12 s, leg 1 of 8; Ctrl-C stops it"
@@ -33,6 +34,15 @@ def test_a_line_is_printable_whatever_it_was(text: str) -> None:
 def test_json_is_the_same_json(text: str) -> None:
     written = plain(json.dumps({text: text}, ensure_ascii=False))
     assert json.loads(written) == {text: text}
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_no_character_is_missing_in_a_terminal_of_another_encoding(encoding: str) -> None:
+    written = io.BytesIO()
+    with contextlib.redirect_stdout(io.TextIOWrapper(written, encoding)):
+        allow_any_text()
+        write(json.dumps({"heading °": "機器人 🤖"}, ensure_ascii=False))
+        assert json.loads(written.getvalue().decode(encoding)) == {"heading °": "機器人 🤖"}
 
 
 def test_plain_words_of_all_languages_stay() -> None:

@@ -59,6 +59,11 @@ def test_an_answer_that_cannot_be_is_refused_with_what_could_be(key: str, answer
     assert QUESTIONS[key].complaint(answer)
 
 
+def test_any_path_of_a_port_is_quoted_as_toml_wants_it() -> None:
+    port = '/dev/\U00010000"\x7f\\\t\u00e4'
+    assert made(way="usb", serial=port).serial[0].path == port
+
+
 TEXTS = st.one_of(st.text(max_size=20), st.from_regex(r"[\w./-]{1,12}"), st.floats().map(str), st.integers().map(str))
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hostlink.cli.driving import Driving
 from hostlink.cli.standstill import PATIENCE_S, Standstill
-from hostlink.cli.teleop_screen import MAPS, RED, YELLOW, Line, folded, lost_screen, screen
+from hostlink.cli.teleop_screen import MAPS, RED, YELLOW, Line, OwnState, folded, lost_screen, screen
 from hostlink.client import RobotState
 
 ODOMETRY: Any = {
@@ -31,7 +31,8 @@ def shown(
     width: int = 99, *, layout: str = "original", refusal: str = "", warning: str = "", **changes: Any
 ) -> list[Line]:
     driving = Driving(layout=layout, linear_m_s=0.2, angular_rad_s=0.8)
-    return screen(state(**changes), driving, 0.0, layout=layout, refusal=refusal, warning=warning, width=width)
+    own = OwnState("client 7", refusal, warning)
+    return screen(state(**changes), driving, 0.0, own, layout=layout, width=width)
 
 
 @given(st.integers(8, 200), st.sampled_from(sorted(MAPS)), st.text(max_size=80), st.text(max_size=80))
@@ -52,9 +53,9 @@ def test_forty_columns_keep_every_word_and_fit_24_lines(layout: str) -> None:
 
 
 def test_a_locked_robot_names_its_reason_and_the_key_that_unlocks() -> None:
-    lines = shown(locked=True, lock_reason="my foot", refusal="robot_0: locked: POST /api/robots/robot_0/unlock")
+    lines = shown(locked=True, lock_reason="my foot", refusal="robot_0: locked: hostlink unlock robot_0")
     assert Line("LOCKED: my foot   r unlocks it", RED) in lines
-    assert not any("POST" in line.text for line in lines)
+    assert not any("hostlink unlock" in line.text for line in lines)
 
 
 def test_what_is_wrong_is_coloured() -> None:
@@ -62,6 +63,12 @@ def test_what_is_wrong_is_coloured() -> None:
     assert Line("stands", YELLOW) in shown(warning="stands")
     assert Line("hostlink teleop   robot_0   NOT CONNECTED", RED) in shown(connected=False)
     assert Line("odometry  none yet") in shown(odometry=None)
+
+
+def test_it_says_you_where_this_program_drives() -> None:
+    assert Line("driven by you") in shown(holder="client 7", holder_address="10.0.0.5")
+    assert Line("driven by client 3 (10.0.0.5)") in shown(holder_address="10.0.0.5")
+    assert Line("driven by nobody") in shown(holder=None)
 
 
 def test_a_line_breaks_between_facts_before_it_breaks_between_words() -> None:

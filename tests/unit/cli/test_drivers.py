@@ -1,0 +1,25 @@
+"""Who drives, in a person's words."""
+
+import pytest
+
+from hostlink.cli.drivers import driver, named
+
+
+@pytest.mark.parametrize(
+    ("name", "address", "shown"),
+    [
+        ("client 3", "10.0.0.5", "client 3 (10.0.0.5)"),
+        ("client 3 (phone)", "10.0.0.5", "client 3 (phone, 10.0.0.5)"),
+        ("rest 10.0.0.5", "10.0.0.5", "rest 10.0.0.5"),
+        ("rest phone", "fe80::1", "rest phone (fe80::1)"),
+        ("demo", "", "demo"),
+    ],
+)
+def test_the_address_stands_beside_the_name(name: str, address: str, shown: str) -> None:
+    assert named(name, address) == shown
+    assert driver({"holder": name, "holder_address": address}) == shown
+
+
+def test_nobody_and_a_daemon_that_does_not_know_addresses() -> None:
+    assert driver({"holder": None}) is None
+    assert driver({"holder": "client 1"}) == "client 1"

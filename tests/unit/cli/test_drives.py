@@ -1,0 +1,24 @@
+"""The table of drives, in the width of a terminal."""
+
+from typing import Any
+
+from hostlink.cli.drives import HEADS, row
+from hostlink.cli.output import table
+
+
+def drive(**changes: Any) -> dict[str, Any]:
+    known = {"robot": "robot_0", "owner": "client 12", "address": "10.0.0.105", "seconds": 72.94, "end": "owner left"}
+    return {"began": "2026-11-22T08:40:57.123+00:00", "fastest_m_s": 0.3436, "fastest_rad_s": 1.5, **known, **changes}
+
+
+def test_a_drive_of_today_has_its_time_alone() -> None:
+    assert row(drive(), "2026-11-22")[:4] == ["08:40:57", "72.9", "robot_0", "client 12 (10.0.0.105)"]
+    assert row(drive(), "2026-11-23")[0] == "2026-11-22 08:40:57"
+    assert row(drive(end=""), "2026-11-22")[-1] == "drives now"
+    assert row({**drive(), "address": ""}, "2026-11-22")[3] == "client 12"
+
+
+def test_the_lines_of_a_lesson_fit_80_columns() -> None:
+    drives = [drive(), drive(owner="demo", address="", end=""), drive(end="no command came", seconds=4.0)]
+    lines = table(HEADS, [row(each, "2026-11-22") for each in drives])[1:]
+    assert max(map(len, lines)) <= 80

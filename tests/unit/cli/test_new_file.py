@@ -1,0 +1,36 @@
+"""A file that a command writes replaces nothing but a plain file."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from hostlink.cli.fetching import check_output
+from hostlink.cli.setup import command
+from hostlink.errors import ConfigError
+
+
+@pytest.mark.parametrize("is_forced", [False, True])
+def test_a_configuration_replaces_no_pipe_no_folder_and_no_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_forced: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    for name, problem in (
+        ("pipe", "FILE: pipe is no plain file: name a file, as hostlink.toml"),
+        (".", "FILE: . is a folder"),
+        ("-", "FILE: - is no file"),
+        ("x" * 300, "File name too long"),
+    ):
+        with pytest.raises(ConfigError, match=problem):
+            command(file=Path(name), yes=True, force=is_forced)
+    assert Path("pipe").is_fifo()
+    Path("link.toml").symlink_to("there.toml")
+    command(file=Path("link.toml"), yes=True, force=is_forced)
+    assert Path("link.toml").is_symlink()
+    assert Path("there.toml").read_text()
+
+
+def test_a_file_to_fetch_into_has_a_name_that_is_not_too_long(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="File name too long"):
+        check_output(tmp_path / ("x" * 300))
