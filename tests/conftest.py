@@ -3,6 +3,7 @@
 HYPOTHESIS_PROFILE=fuzz: fifty times the usual examples; ci: the same examples each time.
 """
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -57,6 +58,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> object:
     from tests.support.sharing import FilesThatShare  # noqa: PLC0415 - without workers pytest-xdist is not needed
 
     return FilesThatShare(config, log)
+
+
+def pytest_collection_finish() -> None:
+    """A full collection among all that the tests have imported takes as long as a lease: it is left out of them."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

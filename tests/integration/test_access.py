@@ -213,6 +213,24 @@ async def test_tls(tmp_path: Path) -> None:
                 pytest.fail("it trusted a certificate that nobody knows")
 
 
+async def test_a_refusal_is_in_the_words_of_a_person_not_of_the_api() -> None:
+    async with daemon(GUARDED) as host, fake_device(host.tcp, robot_topics()):
+        async with connect(host.url, token=READ) as program:
+            with pytest.raises(HostlinkError) as caught:
+                await program.robot("robot_0").unlock()
+            assert str(caught.value) == "the token wall may only read, not drive; ask whoever runs it"
+            with pytest.raises(HostlinkError) as caught:
+                await program.get("/api/of_another_version")
+            assert str(caught.value).startswith(f"hostlink at {host.url} is of another version than this one")
+        async with connect(host.url, token=DRIVE) as program:
+            await program.robot("robot_0").lock("somebody stands there")
+            with pytest.raises(HostlinkError) as caught:
+                await program.robot("robot_0").drive(0.1, 0.0)
+            assert str(caught.value).endswith("somebody stands there; to drive it again: hostlink unlock robot_0")
+    async with daemon(GUARDED) as host, host.session.get(host.url + "/api/robots") as response:
+        assert not (await response.json())["error"]["reason"].startswith("GET")
+
+
 async def test_the_client_brings_its_token() -> None:
     async with daemon(GUARDED) as host, fake_device(host.tcp, robot_topics()):
         async with connect(host.url, token=DRIVE) as program:

@@ -87,8 +87,7 @@ async def test_a_web_socket_for_another_protocol_is_refused() -> None:
             assert "topics" in await Client(socket).call("/rosapi/topics")
     assert refusal.value.status == 400
     assert (
-        reason
-        == "GET /: odd.v1 is not spoken here, but foxglove.sdk.v1 and foxglove.websocket.v1; rosbridge v2 has no name"
+        reason == "odd.v1 is not spoken here, but foxglove.sdk.v1 and foxglove.websocket.v1; rosbridge v2 has no name"
     )
 
 

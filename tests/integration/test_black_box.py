@@ -2,17 +2,25 @@
 
 import asyncio
 import contextlib
+import itertools
 import json
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hostlink.config import BlackBoxConfig, Config, RecordingConfig
+import pytest
+
+from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
+from hostlink.recording.black_box import MAX_CHANNELS, MAX_WISHES, BlackBox
+from hostlink.recording.channel import Channel
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import expect
+
+FORWARD, STANDING = ({"linear_m_s": speed_m_s, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
 
 
 def config(folder: Path, *, free_mb: float = 0.0, **changes: Any) -> Config:
@@ -46,6 +54,11 @@ def read(folder: Path, incident: dict[str, Any]) -> list[StoredMessage]:
     return list(Reader(folder / "incidents" / incident["file"]).messages())
 
 
+def commanded(history: dict[str, Any]) -> list[dict[str, float]]:
+    """The velocities that the device was sent, without repetitions."""
+    return [velocity for velocity, _ in itertools.groupby(each["velocity"] for each in history["commands"])]
+
+
 def topics(messages: list[StoredMessage]) -> set[str]:
     return {message.channel.topic for message in messages}
 
@@ -66,6 +79,18 @@ async def test_a_lock_saves_what_came_before_and_what_comes_after(tmp_path: Path
     assert poses == [pose(1.0, 2.0, 0.5)[7:-1], pose(3.0, 2.0, 0.5)[7:-1]]
     assert {"/robot_0/velocity_commands", "/hostlink/events"} <= topics(found)
     assert [message.stamp_ns for message in found] == sorted(message.stamp_ns for message in found)
+
+
+async def test_every_robot_of_a_room_may_be_locked_at_once(tmp_path: Path) -> None:
+    names = [f"robot_{number}" for number in range(12)]
+    async with daemon(config(tmp_path), has_black_box=True) as host, contextlib.AsyncExitStack() as devices:
+        for name in names:
+            await devices.enter_async_context(fake_device(host.tcp, robot_topics(name)))
+        await expect(lambda: all(map(host.hub.robots.has, names)))
+        for name in names:
+            assert (await host.rest("POST", f"/api/robots/{name}/lock"))[0] == 200
+        assert {each["robot"] for each in await saved(host, len(names))} == set(names)
+        assert (await host.get("/api/incidents"))["missed"] == 0
 
 
 async def test_a_driver_that_falls_silent_is_an_incident_and_one_that_stops_is_none(tmp_path: Path) -> None:
@@ -163,7 +188,105 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
         assert (await host.rest("GET", "/api/robots/robot_9/history"))[0] == 404
     assert [each["pose"]["x_m"] for each in history["poses"]] == [1.0, 1.01, 1.02, 1.03]
     assert history["poses"][-1]["pose"] == robot["odometry"]["pose"]
+    assert commanded(history) == [STANDING, FORWARD, STANDING]
     assert all(each["age_s"] >= 0 for each in history["poses"])
     assert [each["msg"]["kind"] for each in history["events"]][-1] == "locked"
     assert "commanded" not in {each["msg"]["kind"] for each in history["events"]}
     assert history["plot_data"] == []
+
+
+async def test_an_incidents_history_counts_back_from_it(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, device):
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        await asyncio.sleep(0.05)
+        await host.rest("POST", "/api/robots/robot_0/lock", b'{"reason": "a hand in the wheel"}')
+        await device.send(pose(1.02, 2.0, 0.5))
+        (incident,) = await saved(host)
+        status, view = await host.rest("GET", f"/api/incidents/{incident['file']}/history")
+        assert (status, (await host.rest("GET", "/api/incidents/nothing/history"))[0]) == (200, 404)
+        await asyncio.to_thread((tmp_path / "incidents" / "other.mcap").write_bytes, b"\x89MCAP0\r\n" + bytes(100))
+        assert (await host.rest("GET", "/api/incidents/other/history"))[0] == 404
+    assert {key: view[key] for key in incident} == incident
+    history = view["history"]
+    assert view["damage"] == []
+    assert [each["pose"]["x_m"] for each in history["poses"]] == [1.0, 1.02]
+    assert [each["age_s"] > 0 for each in history["poses"]] == [True, False]
+    assert commanded(history) == [STANDING, FORWARD, STANDING]
+    (lock,) = [each for each in history["events"] if each["msg"]["kind"] == "locked"]
+    assert abs(lock["age_s"]) < 0.01
+    assert "commanded" not in {each["msg"]["kind"] for each in history["events"]}
+
+
+async def test_a_damaged_incident_shows_what_is_left_of_it(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, _):
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        (incident,) = await saved(host)
+        path = tmp_path / "incidents" / incident["file"]
+        content = await asyncio.to_thread(path.read_bytes)
+        await asyncio.to_thread(path.write_bytes, content[: len(content) // 2])
+        status, view = await host.rest("GET", f"/api/incidents/{incident['file']}/history")
+    assert (status, view["cause"], len(view["damage"])) == (200, "locked", 1)
+
+
+async def test_all_robots_of_a_fleet_that_are_locked_at_once_are_incidents(tmp_path: Path) -> None:
+    names = [f"robot_{number}" for number in range(12)]
+    async with daemon(config(tmp_path), has_black_box=True) as host, contextlib.AsyncExitStack() as devices:
+        for name in names:
+            await devices.enter_async_context(fake_device(host.tcp, robot_topics(name)))
+        await expect(lambda: {robot.name for robot in host.hub.robots.all()} == set(names))
+        for name in names:
+            assert (await host.rest("POST", f"/api/robots/{name}/lock"))[0] == 200
+        assert {each["robot"] for each in await saved(host, len(names))} == set(names)
+        assert (await host.get("/api/incidents"))["missed"] == 0
+
+
+async def test_wishes_are_few_at_a_time_and_leave_room_for_what_happens(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path, after_s=5.0)) as (host, _):
+        wish = json.dumps({"robot": "robot_0"}).encode()
+        answers = [(await host.rest("POST", "/api/incidents", wish))[0] for _ in range(MAX_WISHES + 1)]
+        assert answers == [200] * MAX_WISHES + [409]
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        assert (await host.get("/api/incidents"))["incidents"][0]["cause"] == "locked"
+
+
+async def test_a_robot_that_is_forgotten_in_the_half_minute_after_is_in_its_incident(tmp_path: Path) -> None:
+    settings = config(tmp_path, after_s=0.6)
+    async with boxed(replace(settings, link=LinkConfig(forget_robot_after_s=0.1))) as (host, device):
+        drive = b'{"linear": 0.2, "angular": 0}'
+        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", drive))[0] == 200
+        device.break_off()
+        await expect(lambda: not host.hub.robots.has("robot_0"))
+        (incident,) = await saved(host)
+        assert "/robot_0/odometry" in topics(read(tmp_path, incident))
+
+
+async def test_of_channels_that_come_and_go_the_newest_are_kept(tmp_path: Path) -> None:
+    async with boxed(config(tmp_path)) as (host, _):
+        box = BlackBox(host.hub, tmp_path)
+        channels = [
+            Channel(f"/{number}", "ros1", "", "", (("robot", "robot_0"),)) for number in range(2 * MAX_CHANNELS)
+        ]
+        for each in channels:
+            box.announce(each)
+        box.save("robot_0", "too many")
+        await box.aclose()
+    (file,) = (tmp_path / "incidents").iterdir()
+    reader = Reader(file)
+    assert list(reader.messages()) == []
+    assert reader.channels == channels[MAX_CHANNELS:]
+
+
+@pytest.mark.parametrize("payload", [b"1", b"\xff", b"{"])
+async def test_a_program_that_publishes_as_hostlink_itself_spoils_no_history(tmp_path: Path, payload: bytes) -> None:
+    async with boxed(config(tmp_path)) as (host, _):
+        program = host.hub.join("program")
+        for name in ("/hostlink/events", "/robot_0/events"):
+            program.advertise(name, "std_msgs/UInt8")
+        await asyncio.sleep(0.1)
+        program.publish("/hostlink/events", payload)
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        history = await host.get("/api/robots/robot_0/history")
+        assert [each["msg"]["kind"] for each in history["events"]][-1] == "locked"
+        (incident,) = await saved(host)
+        stored = await host.get(f"/api/incidents/{incident['file']}/history")
+        assert stored["history"]["events"][-1]["msg"]["kind"] == "locked"

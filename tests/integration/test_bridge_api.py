@@ -100,9 +100,8 @@ async def test_bytes_of_another_type_reach_no_device() -> None:
         fake_device(server.tcp, [*robot_topics(), servo]) as device,
     ):
         await me.publish_raw("/robot_0/servo", bytes(5))
-        await me.settle()
         with pytest.raises(HostlinkError, match="std_msgs/Float64"):
-            await me.publish_raw("/robot_0/servo", bytes(8))
+            await me.settle()
         await me.publish_raw("/robot_0/servo", struct.pack("<d", 2.0))
         assert await device.frame(110) == struct.pack("<d", 2.0)
 
@@ -147,7 +146,7 @@ async def call(host: Host, a: int) -> Any:
 
 async def test_a_service_of_a_program_is_answered_refused_and_gone_with_its_block() -> None:
     async with daemon() as server, connect(server.url) as me, connect(server.url) as other:
-        async with me.provide("/add", "rospy_tutorials/AddTwoInts", add):
+        async with me.serve("/add", "rospy_tutorials/AddTwoInts", add):
             await me.settle()
             assert await call(other, 1) == {"sum": 3}
             with pytest.raises(HostlinkError, match="only positive ones"):
@@ -160,7 +159,7 @@ async def test_a_service_of_a_program_is_answered_refused_and_gone_with_its_bloc
 async def test_a_service_is_offered_again_after_the_connection_was_lost() -> None:
     async with daemon() as server, connect(server.url) as me, connect(server.url) as other:
         changes = me.connection()
-        async with me.provide("/add", "rospy_tutorials/AddTwoInts", add):
+        async with me.serve("/add", "rospy_tutorials/AddTwoInts", add):
             assert me._connection._socket is not None
             await me._connection._socket.close()
             async with asyncio.timeout(5):
@@ -182,7 +181,7 @@ async def test_a_block_that_is_left_waits_for_no_answer_of_its_own() -> None:
         async with (
             asyncio.timeout(5),
             connect(server.url) as me,
-            me.provide("/add", "rospy_tutorials/AddTwoInts", never),
+            me.serve("/add", "rospy_tutorials/AddTwoInts", never),
         ):
             await me.settle()
             calling = tasks.create_task(failed(other))

@@ -67,6 +67,7 @@ async def test_a_robot_is_driven_until_the_block_is_left() -> None:
             await robot.drive(0.2, 0.5)
             assert robot.is_driven
             assert (await robot.state())["velocity"] == {"linear_m_s": 0.2, "angular_rad_s": 0.5}
+            assert (await robot.state())["holder"] == robot.client_name
             for _ in range(10):  # at 10 Hz twice the length of a lease
                 assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
         assert await device.velocity_other_than((0.2, 0.5)) == ZERO
@@ -113,6 +114,18 @@ async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> N
         await expect(lambda: not me.robot("robot_0").is_driven)
         assert "its device is not connected" in await refused(me)  # what broke the hold
         assert await refused(me) == "robot_0: its device is not connected"
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, "fast"])
+async def test_a_velocity_that_is_no_number_ends_what_was_driven_before(wrong: float) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        with pytest.raises((HostlinkError, TypeError)):
+            await robot.drive(wrong, 0.0)
+        assert not robot.is_driven
+        await expect(lambda: host.hub.robots.find("robot_0").gate.owner_name is None)
+        await robot.drive(0.1, 0.0)
 
 
 async def test_a_repeated_velocity_that_is_overruled_is_dropped_and_the_next_drive_raises_once() -> None:
@@ -166,6 +179,7 @@ async def test_a_command_is_not_repeated_and_its_refusal_is_known_after_its_answ
         assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
         await me.settle()
         assert (robot.refusal, robot.is_driven, gate.counts.commands) == (None, False, 1)
+        assert robot.client_name == gate.owner_name is not None
         drive_as_a_person(host)
         await robot.command(0.2, 0.0)
         await me.settle()
@@ -366,7 +380,11 @@ async def test_a_reader_that_is_too_slow_loses_the_oldest_and_can_count_them() -
 async def test_refusals_reach_their_sender() -> None:
     async with daemon() as host, fake_device(host.tcp, [LED]), connect(host.url) as me:
         await me.publish("/led", {"dta": True})
+        with pytest.raises(HostlinkError, match="dta"):
+            await me.settle()
         await me.settle()
+        await me.publish("/led", {"dta": True})
+        await me.call("/rosapi/get_time")
         with pytest.raises(HostlinkError, match="dta"):
             await me.publish("/led", {"data": True})
         async with me.subscribe("/led", type_name="std_msgs/Int32") as messages:
@@ -430,6 +448,25 @@ async def test_a_token_goes_with_every_request() -> None:
     assert observed == [("/", "Bearer secret"), ("/api/robots", "Bearer secret"), ("/", "Bearer other")]
 
 
+async def test_a_daemon_of_another_version_drives_nothing_that_the_program_does_not_know_of() -> None:
+    """Its answer lacks what this client needs: `drive` raises, so nothing may be repeated."""
+
+    async def answer(request: web.Request) -> web.StreamResponse:
+        socket = web.WebSocketResponse()
+        await socket.prepare(request)
+        async for message in socket:
+            asked = message.json()
+            if asked["op"] == "drive":
+                await socket.send_json({"op": "drive_result", "id": asked["id"], "result": True, "link": 1})
+        return socket
+
+    async with serving(answer) as url, connect(url) as me:
+        robot = me.robot("robot_0")
+        with pytest.raises(HostlinkError, match=r"is of another version than this one: its answer has no 'velocity'"):
+            await robot.drive(0.2, 0.0)
+        assert not robot.is_driven
+
+
 @pytest.mark.parametrize(
     ("status", "advice"),
     [
@@ -447,7 +484,16 @@ async def test_a_refused_connection_raises_with_advice(status: int, advice: str)
         with pytest.raises(HostlinkError) as caught:
             async with connect(url):
                 pass
-    assert str(caught.value).startswith(f"hostlink at {url} refuses: {advice}")
+        assert str(caught.value).startswith(f"hostlink at {url} refuses: {advice}")
+        with pytest.raises(HostlinkError, match="does not know this token" if status == 401 else advice):
+            async with connect(url, token="of yesterday"):
+                pass
+
+
+async def test_a_token_with_the_end_of_a_line_is_told_so() -> None:
+    with pytest.raises(HostlinkError, match="the token has a character that is none, as the end of a line"):
+        async with connect("http://127.0.0.1:1", token="secret\r"):
+            pass
 
 
 @pytest.mark.parametrize(
@@ -459,6 +505,10 @@ async def test_a_refused_connection_raises_with_advice(status: int, advice: str)
         ),
         ("ftp://127.0.0.1", "'ftp://127.0.0.1' is no address of a hostlink: write it as http://HOST:9090"),
         ("http://", "'http://' is no address of a hostlink"),
+        ("127.0.0.1:909o", "'127.0.0.1:909o' is no address of a hostlink"),
+        ("http://[::1", "'http://[::1' is no address of a hostlink"),
+        ("127.0.0.77", "no hostlink at http://127.0.0.77:9090: "),
+        ("http://127.0.0.1:1/", "no hostlink at http://127.0.0.1:1: "),
     ],
 )
 async def test_an_address_without_hostlink_raises_with_advice(url: str, advice: str) -> None:

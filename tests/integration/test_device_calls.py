@@ -1,6 +1,7 @@
 """A device that calls a service always gets an answer that it can take, in time; else its link ends, and it is free."""
 
 import asyncio
+import contextlib
 import random
 import struct
 import tracemalloc
@@ -30,7 +31,7 @@ from tests.support.ros_lib_device import (
     ros_lib_device,
     running_hub,
 )
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 SAME_TURN_S = 5e-7  # within the resolution of the clock: behind what is due, in one turn of the loop
 LATEST_S = DEVICE_TIMEOUT_S + LAST_S
@@ -357,6 +358,47 @@ def test_a_flood_of_calls_costs_no_memory_and_the_device_receives_an_answer() ->
     tasks_now, grown, links = run_virtual(run())
     assert (tasks_now, links) == (1, 1)
     assert grown < 2**20
+
+
+def test_floods_of_calls_of_many_devices_wait_behind_one_who_drives() -> None:
+    devices, call_s = 16, 0.001
+
+    async def run() -> float:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        virtual, answered = loop, 0
+
+        async def answer(_: Mapping[str, object]) -> Mapping[str, object]:
+            nonlocal answered
+            answered += 1
+            virtual.burn(call_s)
+            return {"success": True}
+
+        async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub, contextlib.AsyncExitStack() as stack:
+            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", answer))
+
+            async def flood() -> None:
+                connected = await stack.enter_async_context(ros_lib_device(hub, trigger(), TRIGGER_RESPONSE))
+                while True:
+                    await connected.device.send(REQUESTS, b"")
+                    await asyncio.sleep(0.0005)
+
+            async with asyncio.TaskGroup() as tasks:
+                floods = [tasks.create_task(flood()) for _ in range(devices)]
+                await asyncio.sleep(0.1)
+                turns, longest_s = hub.turns(), 0.0
+                for _ in range(10):
+                    came_s = loop.time()
+                    longest_s = max(longest_s, await turns.begin(is_flooding=False) - came_s)
+                    await asyncio.sleep(0.02)
+                for task in floods:
+                    task.cancel()
+            assert answered > 50
+        return longest_s
+
+    with capture_logs():
+        longest_s = run_virtual(run())
+    assert longest_s <= 4 * call_s  # behind all of them it was 16
 
 
 def test_the_calls_of_one_device_are_bounded_and_each_is_answered() -> None:

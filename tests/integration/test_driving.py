@@ -225,7 +225,7 @@ async def test_a_lock_is_zero_past_every_ramp_and_refuses_everybody_until_it_is_
         assert await device.velocity() == CURVE
         await locked(host, b'{"reason": "a hand in the wheel"}')
         assert await device.velocity_other_than(CURVE) == ZERO
-        with pytest.raises(RobotHeld, match="robot_0: locked: a hand in the wheel; POST /api/robots/robot_0/unlock"):
+        with pytest.raises(RobotHeld, match="a hand in the wheel; to drive it again: hostlink unlock robot_0"):
             drive(host, "teleop", priority=100)
         body = b'{"linear": 0.1, "angular": 0, "priority": 100}'
         status, error = await host.rest("PUT", "/api/robots/robot_0/velocity", body)

@@ -10,7 +10,6 @@ import pytest
 
 from hostlink.config import SerialConfig, TcpConfig
 from hostlink.transport.base import CLOSE_TIMEOUT_S, Transport
-from hostlink.transport.keyed import KeyedTransport
 from hostlink.transport.serial import open_serial
 from hostlink.transport.tcp import serve_tcp
 from tests.support.memory_transport import memory_pair
@@ -108,14 +107,12 @@ async def test_a_serial_port_can_be_opened_again() -> None:
 
 async def test_a_transport_has_a_descriptor_until_it_is_closed() -> None:
     async with tcp() as (transport, peer):
-        keyed = KeyedTransport(transport, b"0123456789abcdef", on_refused=lambda _: None)
         descriptor = transport.descriptor()
         assert descriptor is not None
-        assert keyed.descriptor() == descriptor
         with socket.socket(fileno=os.dup(descriptor)) as same:
             assert same.getpeername() == peer.getsockname()
         await transport.aclose()
-        assert (transport.descriptor(), keyed.descriptor()) == (None, None)
+        assert transport.descriptor() is None
 
 
 async def test_so_has_a_serial_port_and_one_in_memory_has_none() -> None:

@@ -3,12 +3,14 @@
 import asyncio
 import contextlib
 import json
+import socket
 from collections.abc import AsyncIterator
 from typing import Any
 
 import aiohttp
 import pytest
 
+from hostlink.api.state_feed import TICK_S
 from hostlink.config import Config, LinkConfig
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
@@ -16,6 +18,8 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.waiting import expect
+
+ROBOTS, POSES, NARROW_BYTES = 6, 12, 2048
 
 
 class Reader:
@@ -76,7 +80,31 @@ async def test_clients_and_the_lines_of_devices() -> None:
 async def test_a_stream_without_news_has_a_heartbeat_three_times_a_second() -> None:
     async with daemon() as host, stream(host, "/api/events") as reader:
         await reader.next("clients")
+        assert (await reader.comment()).startswith(": sent ")
         assert await asyncio.wait_for(reader.comment(), 0.45) == ": alive"
+
+
+async def test_a_slow_reader_is_sent_the_newest_and_not_what_was_true_in_between() -> None:
+    """Nothing queues up in the kernel: what lies there would arrive long after it was true."""
+    names = [f"robot_{number}" for number in range(ROBOTS)]
+    async with daemon() as host, contextlib.AsyncExitStack() as stack:
+        devices = [await stack.enter_async_context(fake_device(host.tcp, robot_topics(name))) for name in names]
+        with socket.socket() as narrow:
+            narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, NARROW_BYTES)
+            address, port = host.url.removeprefix("http://").split(":")
+            narrow.connect((address, int(port)))
+            reader, writer = await asyncio.open_connection(sock=narrow, limit=NARROW_BYTES)
+            writer.write(b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            for number in range(1, POSES + 1):
+                for device in devices:
+                    await device.send(pose(float(number)))
+                await asyncio.sleep(TICK_S)
+            received = b""
+            async with asyncio.timeout(5):
+                while b'"x_m":%.1f' % POSES not in received:
+                    received += await reader.read(NARROW_BYTES)
+            assert received.count(b"event: robots") < POSES / 2
+            writer.close()
 
 
 async def test_each_new_pose_is_an_event() -> None:

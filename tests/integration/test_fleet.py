@@ -16,7 +16,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
 from tests.support.participants import publish, subscribe
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
@@ -36,30 +36,13 @@ MORE = [
 
 
 @contextlib.asynccontextmanager
-async def talking(device: FakeDevice, x_m: float) -> AsyncIterator[None]:
-    """As every robot: ten poses a second, each with the x that is the device's own."""
-
-    async def talk() -> None:
-        while True:
-            await device.send(pose(x_m))
-            await asyncio.sleep(0.05)
-
-    async with asyncio.TaskGroup() as tasks:
-        talk_task = tasks.create_task(talk())
-        try:
-            yield
-        finally:
-            talk_task.cancel()
-
-
-@contextlib.asynccontextmanager
 async def two_alike(host: Daemon, first: str = ONE, second: str = ONE) -> AsyncIterator[tuple[FakeDevice, FakeDevice]]:
     """Two devices that tell the same, and talk; the first came first."""
     async with (
         fake_device(host.tcp, robot_topics() + MORE, local_host=first) as one,
-        talking(one, 1.0),
+        repeating(one, pose(1.0)),
         fake_device(host.tcp, robot_topics() + MORE, local_host=second) as other,
-        talking(other, 2.0),
+        repeating(other, pose(2.0)),
     ):
         await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link is not None]) == 2)
         yield one, other
@@ -192,7 +175,7 @@ async def test_one_that_comes_back_while_its_old_link_seems_alive_has_its_name_a
         daemon() as host,
         fake_device(host.tcp, robot_topics(), local_host=ONE) as old,
         fake_device(host.tcp, robot_topics(), local_host=OTHER) as other,
-        talking(other, 2.0),
+        repeating(other, pose(2.0)),
     ):
         await expect(lambda: host.hub.robots.find("robot_0_2").link)
         host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
@@ -237,7 +220,7 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
             host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
         async with (
             fake_device(host.tcp, robot_topics(), local_host=OTHER) as driver,
-            talking(driver, 1.0),
+            repeating(driver, pose(1.0)),
             fake_device(host.tcp, robot_topics(), local_host="127.0.0.4"),
         ):
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
@@ -250,7 +233,7 @@ async def test_one_that_is_surely_another_is_not_locked() -> None:
     async with (
         daemon() as host,
         fake_device(host.tcp, robot_topics(), local_host=ONE) as one,
-        talking(one, 1.0),
+        repeating(one, pose(1.0)),
     ):
         await expect(lambda: host.hub.robots.find("robot_0").link)
         host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")

@@ -18,7 +18,7 @@ from structlog.testing import capture_logs
 from hostlink.guardian.frames import STOP_REQUEST, stop_sequence, zero_frame
 from hostlink.guardian.guardian import CODE, Guardian, _spawn
 from hostlink.guardian.records import encode_goodbye, encode_ping, encode_watch
-from tests.support.fork_server import is_running
+from tests.support.process import is_running
 from tests.support.pty_pair import pty_pair
 from tests.support.waiting import expect
 

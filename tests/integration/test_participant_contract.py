@@ -15,6 +15,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from hostlink.robot.velocity import Velocity
+from tests.support.foreign_drivers import FOREIGN
 from tests.support.participants import (
     ALL,
     NEIGHBOUR,
@@ -87,7 +88,7 @@ def test_it_serves_and_calls(make: Make) -> None:
     play(test)
 
 
-@pytest.mark.parametrize("make", ALL)
+@pytest.mark.parametrize("make", [*ALL, *FOREIGN])
 def test_it_drives_and_a_more_important_one_may_not_be_driven_over(make: Make) -> None:
     async def test(made: Scene) -> None:
         one = make(made, Role.DRIVE)
@@ -97,6 +98,39 @@ def test_it_drives_and_a_more_important_one_may_not_be_driven_over(make: Make) -
         made.hub.join("person", priority=60).drive(made.hub.robots.find(ROBOT), Velocity(0.3))
         with pytest.raises(RobotHeld):
             one.drive(ROBOT, 0.2, made.hub)
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", [*ALL, *FOREIGN])
+def test_it_drives_for_one_lease_after_its_last_command(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one, robot = make(made, Role.DRIVE), made.hub.robots.find(ROBOT)
+        one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(robot.gate.lease_s - 0.1)
+        assert made.speeds()[-1] == 0.2
+        await asyncio.sleep(0.2)
+        assert made.speeds()[-1] == 0.0
+        one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.1)
+        assert made.speeds()[-1] == 0.2
+
+    play(test)
+
+
+@pytest.mark.parametrize("make", [*ALL, *FOREIGN])
+def test_it_drives_no_robot_that_is_locked(make: Make) -> None:
+    async def test(made: Scene) -> None:
+        one = make(made, Role.DRIVE)
+        one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.1)
+        await made.hub.join("person").call(f"/{ROBOT}/lock", {})
+        await asyncio.sleep(0.1)
+        assert made.speeds()[-1] == 0.0
+        with pytest.raises(HostlinkError):
+            one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.3)
+        assert made.speeds()[-1] == 0.0
 
     play(test)
 
@@ -161,6 +195,35 @@ def test_leaving_releases_all_that_it_has_and_stops_what_it_drove(make: Make) ->
         with pytest.raises(BadRequest, match="has left"):
             one.participant.publish(TEXT, text("late"))
         assert one.participant.flush(1e9) is None
+        assert made.hub.isolation.crashes.total() == 0
+
+    play(test)
+
+
+@pytest.mark.parametrize("is_reported", [True, False], ids=["its graph reports it", "the daemon ends it"])
+@pytest.mark.parametrize("make", FOREIGN)
+def test_a_driver_of_a_foreign_graph_that_vanishes_leaves_a_standing_robot(make: Make, is_reported: bool) -> None:
+    async def test(made: Scene) -> None:
+        one, robot = make(made, Role.DRIVE), made.hub.robots.find(ROBOT)
+        one.drive(ROBOT, 0.2, made.hub)
+        await asyncio.sleep(0.1)
+        assert made.speeds()[-1] == 0.2
+        gone = one.participant
+        assert ROBOT in made.uses_of(gone)
+        if is_reported:
+            one.vanish()
+        else:
+            gone.leave()
+        assert gone.has_left
+        assert made.uses_of(gone) == []
+        await asyncio.sleep(0.01)
+        assert made.speeds()[-1] == 0.0
+        assert not robot.gate.is_claimed(asyncio.get_running_loop().time())
+        one.vanish()  # twice does no harm
+        again = make(made, Role.DRIVE)
+        again.drive(ROBOT, 0.1, made.hub)
+        await asyncio.sleep(0.1)
+        assert made.speeds()[-1] == 0.1
         assert made.hub.isolation.crashes.total() == 0
 
     play(test)

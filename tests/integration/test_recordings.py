@@ -6,6 +6,7 @@ import io
 import json
 import resource
 import shutil
+import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
@@ -18,10 +19,10 @@ from structlog.testing import capture_logs
 
 from hostlink import logs
 from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
-from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, PARAMETERS_TOPIC
+from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.robot.velocity import Velocity
-from tests.support.daemon import Daemon, daemon
+from tests.support.daemon import Daemon, daemon, driven
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import expect
 
@@ -101,7 +102,9 @@ async def test_topics_commands_log_and_parameters_are_in_the_file(tmp_path: Path
         host.hub.parameters["~speed"] = 0.5
         view = await start(host, name="run")
         await send_poses(host, device)
-        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        pilot = host.hub.join("pilot")
+        pilot.address = "10.0.0.5"
+        pilot.drive(host.hub.robots.find("robot_0"), Velocity(0.2))
         await asyncio.sleep(0.7)
         stopped = await stop(host, "run")
     found = messages(tmp_path / "run.mcap")
@@ -113,6 +116,7 @@ async def test_topics_commands_log_and_parameters_are_in_the_file(tmp_path: Path
     assert ("stopped", "robot_0") in kinds
     commanded = next(event for event in events(found) if event["kind"] == "commanded")
     assert (commanded["facts"]["owner"], commanded["facts"]["velocity"]["linear_x_m_s"]) == ("pilot", 0.2)
+    assert "address" not in commanded["facts"]  # a file goes to others
     assert "robot.stopped" in [json.loads(line)["event"] for line in payloads(found, LOG_TOPIC)]
     assert json.loads(payloads(found, PARAMETERS_TOPIC)[0]) == {"~speed": 0.5}
     assert payloads(found, "/robot_0/velocity_commands")  # what the gate sent
@@ -283,9 +287,47 @@ async def test_a_folder_that_cannot_be_written_to_is_an_error_that_names_it(tmp_
         await send_poses(host, device)
 
 
+@contextlib.asynccontextmanager
+async def undisturbed(host: Daemon, device: FakeDevice) -> AsyncIterator[None]:
+    """The robot is driven all the while, and its device receives no other velocity."""
+    received: list[tuple[float, float]] = []
+
+    async def receive() -> None:
+        while True:
+            received.append(await device.velocity())
+
+    async with driven(host, "robot_0", 0.2), asyncio.TaskGroup() as tasks:
+        await device.velocity_of((0.2, 0.0))
+        receiving = tasks.create_task(receive())
+        yield
+        await expect(lambda: len(received) > 2)
+        receiving.cancel()
+    assert set(received) == {(0.2, 0.0)}
+
+
+async def test_a_clock_that_is_set_back_an_hour_costs_no_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right_ns = time.time_ns
+    async with recorded(config(tmp_path)) as (host, device):
+        await start(host, name="run")
+        async with undisturbed(host, device):
+            await send_poses(host, device)
+            monkeypatch.setattr(time, "time_ns", lambda: right_ns() - 3600 * NS_PER_S)
+            await send_poses(host, device)
+            await asyncio.sleep(1.2)  # until the chunk is written
+            monkeypatch.undo()
+            await send_poses(host, device)
+        await stop(host, "run")
+    found = messages(tmp_path / "run.mcap")
+    assert Counter(map(bytes, payloads(found, "/robot_0/odometry"))) == {each[7:-1]: 3 for each in POSES}
+    stamps_s = [message.stamp_ns / NS_PER_S for message in found]
+    assert max(stamps_s) - min(stamps_s) == pytest.approx(3600, abs=10)
+
+
 async def test_a_folder_that_is_removed_is_made_again_and_costs_a_second(tmp_path: Path) -> None:
     inside = tmp_path / "recordings"
-    async with recorded(config(inside)) as (host, device):
+    async with recorded(config(inside)) as (host, device), undisturbed(host, device):
         await start(host, name="run")
         await send_poses(host, device)
         shutil.rmtree(inside)
@@ -348,3 +390,28 @@ async def test_a_channel_says_whose_it_is_and_who_publishes_it(tmp_path: Path) -
         "/robot_0/velocity_commands": ("robot_0", "velocity"),
         "/robot_0/cmd_vel": ("robot_0", "velocity"),
     }
+
+
+async def test_a_recording_whose_next_name_is_taken_goes_on_with_another(tmp_path: Path) -> None:
+    """run.mcap was removed for the budget, and run_2.mcap was not."""
+    (tmp_path / "run_2.mcap").write_bytes(b"of yesterday")
+    async with recorded(config(tmp_path, max_file_s=0.5)) as (host, device):
+        await start(host, name="run")
+        for _ in range(4):
+            await send_poses(host, device)
+            await asyncio.sleep(0.5)
+        view = await stop(host, "run")
+    assert "failure" not in view
+    assert view["files"][:2] == ["run.mcap", "run_3.mcap"]
+    assert (tmp_path / "run_2.mcap").read_bytes() == b"of yesterday"
+    found = messages(*(tmp_path / name for name in view["files"]))
+    assert len(payloads(found, "/robot_0/odometry")) == 4 * len(POSES)
+
+
+async def test_recordings_without_a_name_are_begun_again_and_again_within_a_second(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, _):
+        names_ = []
+        for _ in range(12):
+            names_.append((await start(host))["name"])
+            await stop(host, names_[-1])
+    assert len(set(names_)) == 12

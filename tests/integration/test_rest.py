@@ -31,12 +31,14 @@ async def test_velocity_stop_and_reset() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         status, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
         assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "angular_rad_s": 0.5})
-        assert body["is_limited"] is False
+        assert (body["is_limited"], body["limited_by"]) == (False, None)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
         assert (await host.rest("POST", "/api/robots/robot_0/stop"))[0] == 200
         assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
         assert (await host.rest("POST", "/api/robots/robot_0/odometry/reset"))[0] == 200
         assert await device.frame(101) == b""
+        _, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 3.0, "angular": 0.0}')
+        assert (body["is_limited"], body["limited_by"]) == (True, "max_linear_m_s")
 
 
 @pytest.mark.parametrize(

@@ -256,3 +256,16 @@ async def test_a_program_of_ros_that_calls_and_leaves_ends_its_call(made: Scene)
     async with connection(await made.tcpros(), **header) as caller:
         await caller.send(encode_message(b"") * 20)
         assert await caller.is_closed()
+
+
+# -- time -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [True, 1])
+async def test_sim_time_is_wanted_as_nodes_of_ros_read_it(made: Scene, value: object) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    await made.master.call("paramUpdate", "/master", "/use_sim_time", value)
+    assert made.daemon.hub.wall_ns() == 0  # before the first message of /clock
+    for other in (False, 0, "", {}):
+        await made.master.call("paramUpdate", "/master", "/use_sim_time", other)
+        assert made.daemon.hub.wall_ns() > 0

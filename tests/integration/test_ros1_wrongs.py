@@ -3,22 +3,26 @@
 import asyncio
 import contextlib
 import dataclasses
+import gzip
 import socket
 import struct
+import urllib.parse
 from collections.abc import AsyncIterator
 
+import aiohttp
 import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, Ros1Config
-from hostlink.graphs.ros1 import member, publication, subscription
+from hostlink.graphs.ros1 import member, publication, service_offer, subscription
 from hostlink.graphs.ros1.outgoing import MAX_MESSAGES
-from hostlink.graphs.ros1.xml_rpc import Refused, decode_answer
+from hostlink.graphs.ros1.rpc import Rpc, Unreachable
+from hostlink.graphs.ros1.xml_rpc import Refused, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, topic
-from tests.support.ros1.fake import connection, fake_master, fake_publisher
+from tests.support.ros1.fake import connection, fake_master, fake_publisher, xml_rpc_server
 from tests.support.ros1.scene import ODOMETRY, POSE, STRING, SUBSCRIBER, VELOCITY, Scene, plain_scene, scene
 from tests.support.waiting import expect, expect_never
 
@@ -76,16 +80,57 @@ async def test_connections_over_the_bound_are_closed_and_counted() -> None:
     async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
         address = await made.tcpros()
         for _ in range(4):
-            await stack.enter_async_context(connection(address))
+            subscriber = await stack.enter_async_context(connection(address, **SUBSCRIBER))
+            assert "error" not in await subscriber.read_header()
         extra = await stack.enter_async_context(connection(address))
         assert await extra.is_closed()
         await expect(lambda: made.counts["refused_connections"] == 1)
 
 
+async def test_whoever_sends_no_header_keeps_no_subscriber_out() -> None:
+    """The oldest of them goes at once for a node that comes, not after the deadline for its header."""
+    async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
+        address = await made.tcpros()
+        silent = [await stack.enter_async_context(connection(address)) for _ in range(4)]
+        await expect(lambda: len(made.daemon.hub.links()) == 1)
+        for _ in range(3):
+            subscriber = await stack.enter_async_context(connection(address, **SUBSCRIBER))
+            assert "error" not in await subscriber.read_header()
+        assert all([await each.is_closed() for each in silent[:3]])
+        assert made.counts["refused_connections"] == 3
+
+
+async def test_connections_without_a_call_keep_no_master_out() -> None:
+    async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
+        await made.tcpros()
+        assert master.node_uri is not None
+        where = urllib.parse.urlsplit(master.node_uri)
+        assert where.hostname is not None
+        assert where.port is not None
+        for _ in range(8):
+            await stack.enter_async_context(connection((where.hostname, where.port)))
+        for _ in range(3):
+            assert decode_answer(await master.call("getPid", "/x")) > 0
+
+
+async def test_idle_callers_of_a_service_keep_nobody_out(made: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_offer, "MAX_CALLERS", 2)
+    await made.master.knows("Service", "/robot_0/lock")
+    header = {"callerid": "/caller", "service": "/robot_0/lock", "md5sum": "*"}
+    address = await made.tcpros()
+    async with contextlib.AsyncExitStack() as stack:
+        callers = [await stack.enter_async_context(connection(address, **header)) for _ in range(4)]
+        assert not [each for each in callers if "error" in await each.read_header()]
+        assert await callers[0].is_closed()
+        await callers[3].send_message(b"")
+        assert (await callers[3].read_answer())[0] is True
+        assert made.counts["crowded_out"] == 2
+
+
 async def test_who_comes_from_elsewhere_than_it_is_allowed_is_closed() -> None:
     async with fake_master() as master, scene(master, allow=("127.0.0.9/32",)) as made:
         await master.knows("Publisher", ODOMETRY)
-        with pytest.raises(OSError):  # noqa: PT011 - aiohttp's own of a connection that was closed
+        with pytest.raises((aiohttp.ServerDisconnectedError, aiohttp.ClientOSError)):
             await master.call("getPid", "/x")
         assert made.counts["refused_connections"] >= 1
 
@@ -187,7 +232,41 @@ async def test_a_call_that_does_not_fit_is_answered_with_a_fault(made: Scene, ca
 
 async def test_a_body_over_the_bound_is_refused(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
-    assert b"methodResponse" not in await made.master.call("", body=bytes(1_048_500) + b"more than fits" * 10)
+    assert b"methodResponse" not in await made.master.call("", body=bytes(262_100) + b"more than fits" * 10)
+
+
+async def test_a_body_that_would_become_larger_is_no_call(made: Scene) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    body = gzip.compress(encode_call("getPid", ("/x",)))
+    with pytest.raises(Refused):
+        decode_answer(await made.master.call("", body=body, headers={"Content-Encoding": "gzip"}))
+    assert made.counts["refused_calls"] == 1
+
+
+async def test_an_answer_that_would_become_larger_is_none() -> None:
+    rpc = Rpc()
+    try:
+        async with xml_rpc_server(lambda *_: gzip.compress(encode_answer(1, "", 5)), encoding="gzip") as uri:
+            with pytest.raises(Unreachable):
+                await rpc.call(uri, "getPid", "/x")
+    finally:
+        await rpc.aclose()
+
+
+async def test_a_list_of_a_thousand_publishers_fits(made: Scene) -> None:
+    await made.update("/text", *(f"http://a-robot-of-some-length.local:{port}/" for port in range(50_000, 51_000)))
+    assert made.counts["crowded_out"] == 1000 - subscription.MAX_PUBLISHERS
+
+
+async def test_updates_of_parameters_cost_a_bounded_memory(made: Scene) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    source = made.daemon.hub.parameter_source
+    assert source is not None
+    for number in range(20):
+        assert decode_answer(await made.master.call("paramUpdate", "/x", f"/hostlink/k{number}/", "A" * 10_000)) == 0
+    assert await source.get("~k19") is None
+    assert decode_answer(await made.master.call("paramUpdate", "/x", "/hostlink" + "/a" * 5000, 1)) == 0
+    assert made.daemon.hub.isolation.crashes == {}
 
 
 @pytest.mark.parametrize("protocols", [[], [["UDPROS"]], [[]], ["TCPROS"]])
@@ -216,6 +295,16 @@ async def test_a_master_that_answers_garbage_is_lost_and_found_again(made: Scene
         await made.master.knows("Publisher", ODOMETRY)
     assert made.daemon.hub.isolation.crashes == {}
     assert made.counts["re_registrations"] == 1
+
+
+async def test_a_master_whose_address_of_a_node_is_none_ends_nothing(made: Scene) -> None:
+    await made.master.knows("Publisher", ODOMETRY)
+    uri, count = made.master.node_uri, len(made.master.calls)
+    made.master.node_uri = [1, 2]  # type: ignore[assignment]
+    await expect(lambda: len(made.master.calls) > count + 1)
+    made.master.node_uri = uri
+    made.master.registered.clear()
+    await made.master.knows("Publisher", ODOMETRY)
 
 
 async def test_a_registration_that_was_lost_alone_is_made_again(made: Scene) -> None:
@@ -269,6 +358,17 @@ async def test_publishers_of_all_topics_have_a_bound() -> None:
         assert made.counts["crowded_out"] == 3
 
 
+# -- its own address --------------------------------------------------------------------------------------------------
+
+
+async def test_a_node_with_an_address_of_ipv6_answers_there() -> None:
+    async with fake_master() as master, scene(master, host="::1") as made:
+        address = await made.tcpros()
+        assert address[0] == "::1"
+        async with connection(address, **SUBSCRIBER) as listener:
+            assert "error" not in await listener.read_header()
+
+
 # -- its own settings -------------------------------------------------------------------------------------------------
 
 
@@ -290,6 +390,9 @@ async def test_a_port_that_is_in_use_ends_the_node_with_its_reason_and_not_the_d
     [
         {"master": "localhost:11311"},
         {"master": "https://localhost"},
+        {"master": "http://localhost:99999"},
+        {"master": "http://localhost:abc"},
+        {"master": "http://localhost:0"},
         {"name": "a b"},
         {"name": "/a"},
         {"name": ""},

@@ -13,12 +13,13 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, LinkConfig
+from hostlink.errors import BadRequest
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot import Robot
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
@@ -160,6 +161,44 @@ def test_a_daemon_that_stands_still_leaves_a_standing_robot_and_goes_on_with_zer
                 later = [frame for frame in made.taps[-1].written[sent:] if frame[5:7] == b"\x64\x00"]
                 assert {frame[7:-1] for frame in later} == {STOP}
                 assert robot.speed_m_s == pytest.approx(0.0, abs=0.01)
+
+    run_virtual(run())
+
+
+def test_commands_that_waited_while_the_daemon_stood_still_are_not_obeyed_and_zeros_are() -> None:
+    async def check(made: World, robot: NumberedRobot) -> None:
+        since_s = loop().time()
+        loop().burn(3.0)
+        for _ in range(60):
+            with pytest.raises(BadRequest, match=r"did not run for 3\.\d s"):
+                drive(made)
+        drive(made, ZERO)
+        await asyncio.sleep(0.2)
+        with pytest.raises(BadRequest, match="did not run"):
+            drive(made)  # of a flood some is read later
+        await asyncio.sleep(0.3)
+        assert {payload for at_s, payload in robot.commands if at_s > since_s} == {STOP}
+        drive(made)
+        await expect(lambda: robot.commands[-1][1] != STOP)
+
+    numbered(check)
+
+
+def test_a_robot_that_nobody_has_driven_for_minutes_is_driven_at_once_unless_the_daemon_stood_still() -> None:
+    async def run() -> None:
+        robot = SimulatedRobot("robot_0", CATALOG)
+        with capture_logs() as logs:
+            async with world(Script(), robot) as made:
+                await ready(made)
+                await asyncio.sleep(300.0)
+                drive(made)
+                await asyncio.sleep(300.0)
+                loop().burn(0.7)
+                with pytest.raises(BadRequest, match="did not run"):
+                    drive(made)
+                await asyncio.sleep(0.3)
+                drive(made)
+        assert [log["seconds"] for log in logs if log["event"] == "daemon.stalled"] == [pytest.approx(0.7, abs=0.11)]
 
     run_virtual(run())
 

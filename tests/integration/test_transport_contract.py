@@ -16,7 +16,8 @@ from hostlink.config import SerialConfig, TcpConfig, UdpConfig
 from hostlink.errors import ConfigError
 from hostlink.transport.base import CLOSE_TIMEOUT_S, READ_BYTES, Transport
 from hostlink.transport.serial import open_serial
-from hostlink.transport.tcp import KEEPALIVE, SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
+from hostlink.transport.socket_options import KEEPALIVE
+from hostlink.transport.tcp import SEND_BUFFER_BYTES, USER_TIMEOUT_MS, serve_tcp
 from hostlink.transport.udp import UdpTransport
 from hostlink.transport.udp_port import Datagram, UdpPort, serve_udp
 from tests.support.memory_transport import MemoryTransport, memory_pair

@@ -1,9 +1,8 @@
 """The simulated robot over UDP: its UART's bytes cut into datagrams anywhere, as a passthrough would send them."""
 
 import asyncio
-import contextlib
 import socket
-from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager
 
 import pytest
 
@@ -11,6 +10,7 @@ from hostlink.config import Config, UdpConfig
 from hostlink.hub.hub import Hub
 from hostlink.robot.velocity import Velocity
 from hostlink.sim.run import run_fleet
+from tests.support.background import meanwhile
 from tests.support.daemon import daemon
 from tests.support.waiting import expect
 
@@ -19,14 +19,8 @@ HOST = "127.0.0.1"
 FORWARD = Velocity(linear_x_m_s=0.2)
 
 
-@contextlib.asynccontextmanager
-async def fleet(port: int, robots: int = 1) -> AsyncIterator[None]:
-    async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(run_fleet(HOST, port, robots=robots, is_udp=True))
-        try:
-            yield
-        finally:
-            running.cancel()
+def fleet(port: int, robots: int = 1) -> AbstractAsyncContextManager[None]:
+    return meanwhile(run_fleet(HOST, port, robots=robots, is_udp=True))
 
 
 def x_m(hub: Hub) -> float:

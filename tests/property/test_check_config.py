@@ -7,12 +7,24 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.cli.check import check
+from hostlink.cli.descriptors import FEWEST, NODE_SHARES, fitted
 from hostlink.cli.serve import running
-from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig, UdpConfig
+from hostlink.config import (
+    ApiConfig,
+    Config,
+    LinkConfig,
+    RobotConfig,
+    Ros1Config,
+    SerialConfig,
+    TcpConfig,
+    TokenConfig,
+    UdpConfig,
+)
 from hostlink.errors import ConfigError
 
 NUMBERS = st.sampled_from([1.0, 0.5, 3.0, 0.0, -1.0, math.inf, -math.inf, math.nan, 1e-300])
@@ -109,3 +121,29 @@ def test_what_the_check_accepts_is_served_and_what_serve_refuses_the_check_refus
     except ConfigError:
         return  # and `serve`, which asks the check first, with it
     asyncio.run(begin(config))
+
+
+WANTED = st.integers(2, 40) | st.integers(2, 2**40)
+
+
+@given(WANTED, st.none() | WANTED, st.integers(17, 2**40), st.none() | WANTED, st.integers(FEWEST, 8192))
+@example(256, None, 2**40, None, 1024)
+@example(2, 2**40, 17, 2**40, FEWEST)
+def test_everybody_has_a_share_of_the_descriptors_whatever_another_wanted(
+    devices: int, sessions: int | None, programs: int, nodes: int | None, descriptors: int
+) -> None:
+    config = Config(
+        tcp=TcpConfig(max_connections=devices),
+        udp=None if sessions is None else UdpConfig(max_connections=sessions),
+        api=ApiConfig(max_connections=programs),
+        ros1=Ros1Config() if nodes is None else Ros1Config(master="http://localhost:1", max_connections=nodes),
+    )
+    fits = fitted(config, descriptors)
+    given_sessions = 0 if fits.udp is None else fits.udp.max_connections
+    given_nodes = 0 if nodes is None else fits.ros1.max_connections
+    shares = (fits.tcp.max_connections, given_sessions, fits.api.max_connections, given_nodes)
+    assert all(
+        share <= (wanted or 0) for share, wanted in zip(shares, (devices, sessions, programs, nodes), strict=True)
+    )
+    assert fits.api.max_connections >= min(programs, KEPT_FOR_REQUESTS + 1)
+    assert shares[0] + shares[1] + shares[2] + NODE_SHARES * shares[3] <= descriptors

@@ -20,6 +20,7 @@ from hostlink.hub.device import check_type
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import TICK_S, Gates
 from hostlink.hub.graph_changes import GraphChanges
+from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.participant import Participant, Parts
 from hostlink.hub.robots import Robots
@@ -83,7 +84,9 @@ class Drivers(RuleBasedStateMachine):
         isolation = Isolation(reraises=True)
         self.gates = Gates(isolation)
         self.robots = Robots({NAME: config}, self.gates)
-        parts = Parts(CATALOG, TopicGraph(CATALOG), Services(CATALOG), self.gates, isolation, GraphChanges())
+        topics, services, changes = TopicGraph(CATALOG), Services(CATALOG), GraphChanges()
+        views = GraphViews(topics, services, changes)
+        parts = Parts(CATALOG, topics, services, self.gates, isolation, changes, views)
         self.emergency_stop = EmergencyStop(self.robots, self.gates, Participant(parts, "hostlink", is_daemon=True))
         self.tasks = [asyncio.get_running_loop().create_task(self.gates.run())]
         await self.connect()
@@ -265,3 +268,14 @@ class TestDrivers(Drivers.TestCase):  # type: ignore[misc,name-defined]
     def runTest(self) -> None:  # noqa: N802 - unittest's
         with capture_logs():
             super().runTest()
+
+
+def test_a_zero_beside_a_stop_takes_none_of_its_zeros() -> None:
+    """On a slow line two zeros of one moment leave as one."""
+    drivers = Drivers()
+    drivers.begin(deceleration=None, uart_bytes_s=3840)
+    drivers.drive(owner="page", priority=0, linear_m_s=0.1, angular_rad_s=0.0)
+    drivers.stop()
+    drivers.drive(owner="page", priority=0, linear_m_s=0.0, angular_rad_s=0.0)
+    drivers.teardown()
+    assert [heard.linear_m_s for heard in drivers.heard[-ZEROS - 1 :]] == [0.1, *[0.0] * ZEROS]

@@ -1,7 +1,8 @@
 """The daemon in the test's own process, on ports of its own."""
 
+import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +12,8 @@ import msgspec
 from hostlink.cli.serve import running
 from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
+from hostlink.robot.velocity import Velocity
+from tests.support.background import meanwhile
 
 
 @dataclass
@@ -36,11 +39,40 @@ class Daemon:
 
 
 @contextlib.asynccontextmanager
-async def daemon(config: Config | None = None, *, has_black_box: bool = False) -> AsyncIterator[Daemon]:
-    """Run a daemon for the length of the block; without a black box nobody but the test subscribes to anything."""
-    config = Config() if config is None else config
-    if not has_black_box:
-        config = replace(config, black_box=BlackBoxConfig(enabled=False))
-    config = replace(config, tcp=replace(config.tcp, host="127.0.0.1", port=0), api=replace(config.api, port=0))
-    async with running(config) as (hub, addresses), aiohttp.ClientSession() as session:
+async def daemon(
+    config: Config | None = None, *, has_black_box: bool = False, read: Callable[[], Config] | None = None
+) -> AsyncIterator[Daemon]:
+    """Run a daemon for the length of the block; without a black box nobody but the test subscribes to anything.
+
+    `read`: its configuration file, which a reload reads.
+    """
+
+    def on_free_ports(config: Config) -> Config:
+        black_box = config.black_box if has_black_box else BlackBoxConfig(enabled=False)
+        recording = replace(config.recording, drives=config.recording.drives and has_black_box)
+        tcp, api = replace(config.tcp, host="127.0.0.1", port=0), replace(config.api, port=0)
+        return replace(config, black_box=black_box, recording=recording, tcp=tcp, api=api)
+
+    read_again = None if read is None else (lambda: on_free_ports(read()))
+    async with (
+        running(on_free_ports(Config() if config is None else config), read=read_again) as (hub, addresses),
+        aiohttp.ClientSession() as session,
+    ):
         yield Daemon(hub, addresses.tcp, addresses.api, session, addresses.udp)
+
+
+@contextlib.asynccontextmanager
+async def driven(host: Daemon, name: str, linear: float) -> AsyncIterator[None]:
+    """Commands ten times a second by one participant, for the length of the block."""
+    participant = host.hub.join("driver")
+
+    async def repeat() -> None:
+        while True:
+            participant.drive(host.hub.robots.find(name), Velocity(linear_x_m_s=linear))
+            await asyncio.sleep(0.1)
+
+    try:
+        async with meanwhile(repeat()):
+            yield
+    finally:
+        participant.leave()

@@ -10,6 +10,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
+from tests.support.background import meanwhile
 
 CATALOG = Catalog()
 TIMEOUT_S = 5.0
@@ -92,6 +93,12 @@ class FakeDevice:
             if velocity != unwanted:
                 return velocity
 
+    async def velocity_of(self, wanted: tuple[float, float]) -> None:
+        """Wait until this velocity is commanded; what was commanded before it is passed over."""
+        async with asyncio.timeout(TIMEOUT_S):
+            while await self.velocity() != wanted:
+                continue
+
     def end_sending(self) -> None:
         """Close this end's own direction; what the host sends is still read."""
         self._writer.write_eof()
@@ -111,6 +118,20 @@ class FakeDevice:
         with contextlib.suppress(EOFError, ConnectionError):
             while True:
                 await self.next()
+
+
+@contextlib.asynccontextmanager
+async def repeating(device: FakeDevice, data: bytes, *, interval_s: float = 0.1) -> AsyncIterator[None]:
+    """The device sends this again and again, until the block or the connection ends."""
+
+    async def repeat() -> None:
+        with contextlib.suppress(OSError):  # a test has hung up
+            while True:
+                await device.send(data)
+                await asyncio.sleep(interval_s)
+
+    async with meanwhile(repeat()):
+        yield
 
 
 @contextlib.asynccontextmanager

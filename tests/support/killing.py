@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import aiohttp
 
-from tests.support.fork_server import Daemons, Forked
+from tests.support.process import Process, serve
 from tests.support.unwatched_robot import BLOB_BUFFER_BYTES, Reading, UnwatchedRobot, robot_on_pty, robot_on_tcp
 
 LIMIT_S = 0.2
@@ -25,7 +25,7 @@ BLOB = base64.b64encode(bytes(BLOB_BUFFER_BYTES - 100)).decode()
 class Drive:
     """A daemon and its two robots, both moving."""
 
-    daemon: Forked
+    daemon: Process
     robots: list[UnwatchedRobot] = field(default_factory=list)
 
     def stood_after_s(self, since_s: float) -> float:
@@ -34,11 +34,11 @@ class Drive:
 
 
 @contextlib.asynccontextmanager
-async def driving(server: Daemons, reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
+async def driving(reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
     """Both robots move when the block begins, and commands come 200 times a second until the daemon is gone."""
     async with (
         robot_on_pty("on_wire") as (on_wire, port),
-        server.serve("--serial", f"{port}@{BAUD}", *arguments) as daemon,
+        serve("--serial", f"{port}@{BAUD}", *arguments) as daemon,
         robot_on_tcp(daemon.tcp, "on_air", reading) as on_air,
         aiohttp.ClientSession() as session,
     ):

@@ -90,9 +90,6 @@ class MemoryTransport:
         self.peer = self.address = address
         self._from_peer, self._to_peer = from_peer, to_peer
 
-    async def open(self) -> None:
-        """It is open."""
-
     def start(self, on_readable: Callable[[], None]) -> None:
         """Called in a turn of the loop of its own, as a system's."""
         loop = asyncio.get_running_loop()

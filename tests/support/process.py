@@ -7,7 +7,9 @@ import os
 import random
 import signal
 import socket
+import subprocess
 import sys
+import tempfile
 from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +20,7 @@ from tests.support.fork_server import Child, start
 from tests.support.waiting import expect
 
 HOSTLINK = str(Path(sys.executable).parent / "hostlink")
-TIMEOUT_S = 20.0
+TIMEOUT_S, POLL_S = 20.0, 0.005
 FIRST_PORT, PORTS = 20_000, 1200  # for each of ten workers
 _given: set[int] = set()
 
@@ -41,74 +43,133 @@ def free_port() -> int:
 
 @dataclass
 class Process:
-    """A running `hostlink serve`; its log is read as it comes."""
+    """A running `hostlink serve`; `log` has the lines of its log so far."""
 
-    child: Child | asyncio.subprocess.Process
+    child: Child | asyncio.subprocess.Process | subprocess.Popen[bytes]
+    log_file: Path = Path(os.devnull)
     tcp: tuple[str, int] = ("", 0)
     url: str = ""
-    log: list[dict[str, Any]] = field(default_factory=list)
+    _lines: list[dict[str, Any]] = field(default_factory=list)
+    _tracebacks: int = 0
+    _read_bytes: int = 0
+    _next: int = 0
+
+    @property
+    def pid(self) -> int:
+        return self.child.pid
+
+    @property
+    def log(self) -> list[dict[str, Any]]:
+        """Every line that is JSON."""
+        if self.log_file.exists():  # else the block has ended, and all is read
+            self._update()
+        return self._lines
+
+    def _update(self) -> None:
+        with self.log_file.open("rb") as file:
+            file.seek(self._read_bytes)
+            data = file.read()
+        whole = data[: data.rfind(b"\n") + 1]
+        self._read_bytes += len(whole)
+        lines = whole.splitlines()
+        self._lines += [json.loads(line) for line in lines if line.startswith(b"{")]
+        self._tracebacks += sum(line.startswith(b"Traceback") for line in lines)
+
+    def lines(self, event: str) -> list[dict[str, Any]]:
+        """Those of this event."""
+        return [line for line in self.log if line["event"] == event]
 
     async def read_log(self, until: str) -> dict[str, Any]:
         """The first line of this event from here on."""
-        assert self.child.stderr is not None
         async with asyncio.timeout(TIMEOUT_S):
-            while line := await self.child.stderr.readline():
-                self.log.append(json.loads(line))
-                if self.log[-1]["event"] == until:
-                    return self.log[-1]
-        raise EOFError(f"the daemon ended without {until}: {self.log}")
+            while True:
+                has_ended = self.child.returncode is not None
+                lines = self.log
+                while self._next < len(lines):
+                    self._next += 1
+                    if lines[self._next - 1]["event"] == until:
+                        return lines[self._next - 1]
+                assert not self._tracebacks, self.log_file.read_text()
+                if has_ended:
+                    raise EOFError(f"the daemon ended without {until}: {self.log_file.read_text()}")
+                await asyncio.sleep(POLL_S)
+
+    async def logged(self, event: str, count: int = 1) -> dict[str, Any]:
+        """Wait for so many lines of this event; returns the last of them."""
+        await expect(lambda: len(self.lines(event)) >= count, timeout_s=TIMEOUT_S)
+        return self.lines(event)[count - 1]
+
+    async def has_started(self) -> None:
+        """Wait until it listens; from then on its addresses are known."""
+        started = await self.read_log("daemon.started")
+        host, _, port = (started["tcp"] or ":0").rpartition(":")
+        self.tcp, self.url = (host, int(port)), started["api"]
+
+    def is_running(self) -> bool:
+        """Whether the process is there."""
+        return is_running(self.pid)
+
+    async def ended(self) -> None:
+        """Wait for its end."""
+        await expect(lambda: not self.is_running(), timeout_s=TIMEOUT_S)
 
     async def end(self, number: signal.Signals) -> int:
         """Send a signal; returns the exit status."""
+        assert not isinstance(self.child, subprocess.Popen)
         self.child.send_signal(number)
         async with asyncio.timeout(TIMEOUT_S):
             return await self.child.wait()
 
 
+def is_running(pid: int) -> bool:
+    """Whether there is such a process, and not only its last remains."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state not in "ZX"
+
+
 @contextlib.asynccontextmanager
 async def serve(
-    *arguments: str, environment: Mapping[str, str] | None = None, program: tuple[str, ...] = ()
+    *arguments: str,
+    environment: Mapping[str, str] | None = None,
+    program: tuple[str, ...] = (),
+    log: Path | None = None,
 ) -> AsyncIterator[Process]:
     """`hostlink serve` on free ports, killed at the end of the block if it still runs; forked without a `program`."""
     words = ("serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments)
-    environment = {**os.environ, **(environment or {})}
-    child: Child | asyncio.subprocess.Process
-    if program:
-        child = await asyncio.create_subprocess_exec(*program, *words, stderr=PIPE, env=environment)
-    else:
-        child = await start(*words, stderr=PIPE, environment=environment)
-    process = Process(child)
-    try:
-        started = await process.read_log("daemon.started")
-        host, _, port = started["tcp"].rpartition(":")
-        process.tcp, process.url = (host, int(port)), started["api"]
+    async with started(*words, environment=environment, program=program, log=log) as process:
+        await process.has_started()
         yield process
-    finally:
-        if child.returncode is None:
-            child.kill()
-        await child.communicate()
 
 
 @contextlib.asynccontextmanager
-async def serve_into(log: Path, *arguments: str, program: tuple[str, ...] = (HOSTLINK,)) -> AsyncIterator[Process]:
-    """`hostlink serve` whose log goes into a file."""
-    with log.open("wb") as stderr:
-        child = await asyncio.create_subprocess_exec(
-            *program, "serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", *arguments, stderr=stderr
-        )
-    try:
-        await expect(lambda: b"daemon.started" in log.read_bytes(), timeout_s=TIMEOUT_S)
-        started = _started(log)
-        host, _, port = started["tcp"].rpartition(":")
-        yield Process(child, (host, int(port)), started["api"])
-    finally:
-        if child.returncode is None:
-            child.kill()
-        await child.wait()
-
-
-def _started(log: Path) -> Any:
-    return next(json.loads(line) for line in log.read_bytes().splitlines() if b"daemon.started" in line)
+async def started(
+    *words: str,
+    environment: Mapping[str, str] | None = None,
+    program: tuple[str, ...] = (),
+    log: Path | None = None,
+) -> AsyncIterator[Process]:
+    """`hostlink` with these words, which writes its log into a file; killed at the end of the block."""
+    environment = {**os.environ, **(environment or {})}
+    with contextlib.ExitStack() as stack:
+        if log is None:
+            log = Path(stack.enter_context(tempfile.NamedTemporaryFile(prefix="hostlink-", suffix=".log")).name)
+        stderr = stack.enter_context(log.open("ab"))  # noqa: ASYNC230 - a local file
+        child: Child | asyncio.subprocess.Process
+        if program:
+            child = await asyncio.create_subprocess_exec(*program, *words, stderr=stderr, env=environment)
+        else:
+            child = await start(*words, stderr=stderr.fileno(), environment=environment)
+        process = Process(child, log)
+        try:
+            yield process
+        finally:
+            if child.returncode is None:
+                child.kill()
+            await child.communicate()
+            process._update()  # while there is the file
 
 
 async def run(
@@ -120,6 +181,7 @@ async def run(
     async with asyncio.timeout(TIMEOUT_S):
         out, err = await child.communicate()
     assert child.returncode is not None
+    assert child.returncode >= 0, f"hostlink {' '.join(arguments)} was killed by signal {-child.returncode}: {err!r}"
     return child.returncode, out.decode(), err.decode()
 
 

@@ -6,22 +6,23 @@ import fcntl
 import json
 import os
 import random
-import signal
 import subprocess
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import pytest
 
+from tests.support.fork_server import Child, Program, start
 from tests.support.once import BUILD
 from tests.support.waiting import expect
 
 ROOT = BUILD.parent
 VENV = BUILD / "ros2-venv"
 PYTHON, HOSTLINK = str(VENV / "bin" / "python"), str(VENV / "bin" / "hostlink")
-PEER = str(Path(__file__).with_name("ros2_peer.py"))
+BRIDGE = Program("hostlink", "forked_bridge.py", PYTHON)
+PEER = Program("ros2_peer", "ros2_peer.py", PYTHON)
 INSTALL_TIMEOUT_S = 900.0
 DISCOVERY_S = 20.0  # how long a busy machine may need until two nodes know each other
 MAX_DOMAIN = 100
@@ -64,23 +65,26 @@ def domain() -> Iterator[dict[str, str]]:
     raise AssertionError("every domain is in use")
 
 
-class Lines:
-    """What a process writes, line by line."""
+Line = TypeVar("Line")
 
-    def __init__(self) -> None:
-        self.texts: list[str] = []
+
+class Lines(Generic[Line]):
+    """What a process writes, line by line; each is decoded once."""
+
+    def __init__(self, decode: Callable[[str], Line]) -> None:
+        self.all: list[Line] = []
+        self._decode = decode
 
     async def read(self, stream: asyncio.StreamReader) -> None:
         while line := await stream.readline():
-            self.texts.append(line.decode().rstrip())
+            self.all.append(self._decode(line.decode().rstrip()))
 
 
 class Peer:
     """A node in a process of its own; see ros2_peer.py."""
 
-    def __init__(self, child: asyncio.subprocess.Process, lines: Lines) -> None:
+    def __init__(self, child: Child, lines: Lines[dict[str, Any]]) -> None:
         self.child, self._lines = child, lines
-        self._read = 0
 
     async def do(self, op: str, **fields: Any) -> None:
         """Send a command."""
@@ -90,8 +94,7 @@ class Peer:
 
     def events(self, name: str, **wanted: Any) -> list[dict[str, Any]]:
         """Every event of this kind so far."""
-        found = [json.loads(text) for text in self._lines.texts]
-        return [each for each in found if each["event"] == name and wanted.items() <= each.items()]
+        return [each for each in self._lines.all if each["event"] == name and wanted.items() <= each.items()]
 
     def messages(self, topic: str) -> list[Any]:
         """What came on a topic."""
@@ -104,23 +107,33 @@ class Peer:
         await expect(lambda: len(self.events(event)) > before, timeout_s=DISCOVERY_S)
         return self.events(event)[before]
 
-    async def until_graph(self, has: Any) -> dict[str, Any]:
+    async def until_graph(self, has: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The first graph of which this is true."""
-        async with asyncio.timeout(DISCOVERY_S):
-            while True:
-                found = await self.answer("graph", "graph")
-                if has(found):
-                    return found
-                await asyncio.sleep(0.05)
+        return await self._until("graph", has)
+
+    async def until_end(self, topic: str, kind: str, wanted: list[str]) -> None:
+        """Wait until the topic has this publisher or subscriber: a node learns of others' one after another."""
+        await self._until("ends", lambda ends: wanted in ends[kind], topic=topic)
+
+    async def _until(self, op: str, has: Callable[[dict[str, Any]], object], **fields: Any) -> dict[str, Any]:
+        """The first answer, an event of the command's name, of which this is true."""
+        found: dict[str, Any] = {}
+        try:
+            async with asyncio.timeout(DISCOVERY_S):
+                while True:
+                    found = await self.answer(op, op, **fields)
+                    if has(found):
+                        return found
+                    await asyncio.sleep(0.05)
+        except TimeoutError:
+            raise AssertionError(f"not within {DISCOVERY_S:g} s; the last {op}: {found}") from None
 
 
 @contextlib.asynccontextmanager
 async def peer(environment: dict[str, str], name: str = "peer", *arguments: str) -> AsyncIterator[Peer]:
     """A node for the length of the block."""
-    child = await asyncio.create_subprocess_exec(
-        PYTHON, PEER, name, *arguments, stdin=PIPE, stdout=PIPE, env=environment, limit=1 << 22
-    )
-    lines = Lines()
+    child = await start(name, *arguments, program=PEER, given=None, stdout=PIPE, environment=environment)
+    lines: Lines[dict[str, Any]] = Lines(json.loads)
     assert child.stdout is not None
     async with asyncio.TaskGroup() as tasks:
         reading = tasks.create_task(lines.read(child.stdout))
@@ -129,20 +142,21 @@ async def peer(environment: dict[str, str], name: str = "peer", *arguments: str)
             await expect(lambda: made.events("ready"), timeout_s=DISCOVERY_S)
             yield made
         finally:
-            await _end(child)
+            child.kill()
+            await child.aclose()
             reading.cancel()
 
 
 class Bridge:
     """`hostlink ros2` as a process."""
 
-    def __init__(self, child: asyncio.subprocess.Process, lines: Lines) -> None:
+    def __init__(self, child: Child, lines: Lines[str]) -> None:
         self.child, self._lines = child, lines
 
     @property
     def reports(self) -> list[str]:
         """Its lines on standard error."""
-        return self._lines.texts
+        return self._lines.all
 
     def has_reported(self, text: str) -> bool:
         """Whether a line has this text."""
@@ -154,10 +168,9 @@ async def bridge(
     environment: dict[str, str], url: str, *arguments: str, until: str = "connected to hostlink"
 ) -> AsyncIterator[Bridge]:
     """The bridge for the length of the block; it has found the daemon when the block begins."""
-    child = await asyncio.create_subprocess_exec(
-        HOSTLINK, "ros2", "--url", url, *arguments, stderr=PIPE, env={**environment, "NO_COLOR": "1"}
-    )
-    lines = Lines()
+    words = ("ros2", "--url", url, *arguments)
+    child = await start(*words, program=BRIDGE, stderr=PIPE, environment={**environment, "NO_COLOR": "1"})
+    lines = Lines(str)
     assert child.stderr is not None
     async with asyncio.TaskGroup() as tasks:
         reading = tasks.create_task(lines.read(child.stderr))
@@ -166,12 +179,6 @@ async def bridge(
             await expect(lambda: made.has_reported(until), timeout_s=DISCOVERY_S)
             yield made
         finally:
-            await _end(child)
+            child.kill()
+            await child.aclose()
             reading.cancel()
-
-
-async def _end(child: asyncio.subprocess.Process) -> None:
-    if child.returncode is None:
-        child.send_signal(signal.SIGCONT)
-        child.kill()
-    await child.wait()

@@ -52,10 +52,12 @@ class Screen:
 
 
 @contextlib.asynccontextmanager
-async def screen() -> AsyncIterator[Screen]:
+async def screen(*, columns: int = 100, rows: int = 24, name: str = "") -> AsyncIterator[Screen]:
+    """`name`: of the second one of a test."""
     assert shutil.which("tmux"), "tmux is not installed: `make test` does it, or sudo apt-get install tmux"
-    made = Screen(f"hostlink-{os.getpid()}")
-    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", "-x", "100", "-y", "24", "bash", "--norc")
+    made = Screen(f"hostlink-{os.getpid()}{name}")
+    size = ("-x", str(columns), "-y", str(rows))
+    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "bash", "--norc")
     try:
         yield made
     finally:

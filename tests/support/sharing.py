@@ -2,7 +2,13 @@
 
 from xdist.scheduler import LoadScopeScheduling
 
-SHARING = ("test_diagnoses.py", "test_page.py", "test_page_states.py")  # their tests share a daemon or a browser
+SHARING = (  # their tests share what is slow to make: a daemon, a browser, a compiled program, a library out of its ZIP
+    "test_board_headers.py",
+    "test_board_library.py",
+    "test_diagnoses.py",
+    "test_page.py",
+    "test_page_firefox.py",
+)
 
 
 class FilesThatShare(LoadScopeScheduling):

@@ -8,7 +8,6 @@ from typing import Any
 
 from hostlink.config import Config, ZenohConfig
 from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import free_port
 from tests.support.waiting import expect
@@ -73,22 +72,3 @@ async def joined(port: int, name: str, config: Config | None = None, **settings:
     own = replace(Config() if config is None else config, zenoh=zenoh(name, free_port(), port, **settings))
     async with daemon(own) as host:
         yield host
-
-
-@contextlib.asynccontextmanager
-async def driven(host: Daemon, name: str, linear: float) -> AsyncIterator[None]:
-    """Commands ten times a second by one participant, for the length of the block."""
-    participant = host.hub.join("driver")
-
-    async def repeat() -> None:
-        while True:
-            participant.drive(host.hub.robots.find(name), Velocity(linear_x_m_s=linear))
-            await asyncio.sleep(0.1)
-
-    async with asyncio.TaskGroup() as tasks:
-        repeating = tasks.create_task(repeat())
-        try:
-            yield
-        finally:
-            repeating.cancel()
-            participant.leave()

@@ -23,10 +23,14 @@ TRIGGER = [
 async def test_topics_echo_pub_and_call() -> None:
     async with serve() as daemon, fake_device(daemon.tcp, LED + TRIGGER) as device, asyncio.TaskGroup() as tasks:
         status, out, _ = await run("topics", "--json", "--url", daemon.url)
-        assert (status, [each["name"] for each in json.loads(out)]) == (0, ["/diagnostics", "/led", "/rosout"])
+        before = json.loads(out)  # the device subscribes, and the black box
+        assert (status, [each["name"] for each in before]) == (0, ["/diagnostics", "/led", "/rosout"])
 
         listening = tasks.create_task(run("echo", "/led", "--count", "1", "--json", "--url", daemon.url))
-        while json.loads((await run("topics", "--json", "--url", daemon.url))[1])[1]["subscribers"] < 2:
+        while (
+            json.loads((await run("topics", "--json", "--url", daemon.url))[1])[1]["subscribers"]
+            == before[1]["subscribers"]
+        ):
             continue
         assert await run("pub", "/led", '{"data": true}', "--url", daemon.url) == (0, "", "1 sent\n")
         assert await device.frame(100) == b"\x01"
@@ -110,12 +114,16 @@ async def test_demo_drives_its_robot_and_ends_cleanly() -> None:
 
 
 async def test_a_fleet_is_listed_by_name() -> None:
-    async with serve() as daemon, simulated(daemon.tcp, "--robots", "3", "--first", "4"):
-        for _ in range(3):
+    """As a person counts: robot_9 before robot_10."""
+    names = ["robot_8", "robot_9", "robot_10"]
+    async with serve() as daemon, simulated(daemon.tcp, "--robots", "3", "--first", "8"):
+        for _ in names:
             await daemon.read_log("robot.appeared")
-        _, out, _ = await run("topics", "--url", daemon.url)
-    for number in (4, 5, 6):
-        assert f"/robot_{number}/odometry" in out
+        listed = {command: (await run(command, "--url", daemon.url))[1] for command in ("robots", "stop", "topics")}
+    assert [line.split()[0] for line in listed["robots"].splitlines()[1:]] == names
+    assert listed["stop"].splitlines() == [f"{name} is stopped" for name in names]
+    topics = [line.split()[0] for line in listed["topics"].splitlines()]
+    assert [topic for topic in topics if topic.endswith("/odometry")] == [f"/{name}/odometry" for name in names]
 
 
 async def test_a_guarded_daemon_requires_a_token_of_the_commands(tmp_path: Path) -> None:
@@ -126,6 +134,9 @@ async def test_a_guarded_daemon_requires_a_token_of_the_commands(tmp_path: Path)
         status, _, complaint = await run("topics", "--url", daemon.url)
         assert (status, complaint.count("\n")) == (1, 1)
         assert "token" in complaint
+        status, _, complaint = await run("doctor", "--url", daemon.url, "--token", "of-yesterday")
+        assert (status, complaint.count("\n")) == (1, 1)
+        assert "it does not know this token, or not any more" in complaint
         assert (await run("topics", "--url", daemon.url, "--token", secret))[0] == 0
         assert (await run("topics", "--url", f"{daemon.url}/?token={secret}"))[0] == 0
         daemon.child.send_signal(signal.SIGTERM)

@@ -16,6 +16,7 @@ import pytest
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
+from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.process import HOSTLINK, Process, serve
 from tests.support.pty_pair import pty_pair
@@ -38,13 +39,9 @@ async def driven(daemon: Process, rate_hz: float) -> AsyncIterator[None]:
     async with (
         aiohttp.ClientSession() as session,
         session.ws_connect(daemon.url) as program,
-        asyncio.TaskGroup() as tasks,
+        meanwhile(publish(program)),
     ):
-        publishing = tasks.create_task(publish(program))
-        try:
-            yield
-        finally:
-            publishing.cancel()
+        yield
 
 
 async def velocities_to_the_end(device: FakeDevice) -> list[tuple[float, float]]:
@@ -170,7 +167,7 @@ async def serve_with_stderr(stderr: int | None, folder: Path, *, shell: str = ""
     words = [HOSTLINK, "serve", "--config", str(config)]
     command = ["sh", "-c", f'exec "$@" {shell}', "sh", *words] if shell else words
     child = await asyncio.create_subprocess_exec(*command, stderr=stderr)
-    process = Process(child, ("127.0.0.1", ports[0]), f"http://127.0.0.1:{ports[1]}")
+    process = Process(child, tcp=("127.0.0.1", ports[0]), url=f"http://127.0.0.1:{ports[1]}")
     try:
         async with asyncio.timeout(20):
             await answers(process)

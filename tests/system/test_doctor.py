@@ -96,7 +96,7 @@ async def test_doctor_names_a_serial_port_that_the_daemon_cannot_open(tmp_path: 
 
 async def test_a_daemon_that_is_not_there_is_named() -> None:
     status, out, err = await run("doctor", "--url", NOWHERE)
-    assert (status, out) == (1, "")
+    assert (status, out, err.count("\n")) == (1, "", 1)
     assert "no hostlink at" in err
 
 

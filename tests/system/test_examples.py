@@ -12,6 +12,7 @@ from pathlib import Path
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.process import serve
 from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 TIMEOUT_S = 40.0
@@ -63,3 +64,13 @@ async def test_any_topic_is_listed_subscribed_published_and_called() -> None:
         printed = await run_example("any_topic.py", url)
     assert "/robot_0/velocity_commands: geometry_msgs/Twist" in printed
     assert printed.splitlines()[-3:] == ["robot_0 is at 0.00, 0.00", "hello", "geometry_msgs/Pose2D"]
+
+
+async def test_a_part_of_a_circle_is_driven_without_asyncio() -> None:
+    async with world() as (url, robot):
+        printed = await run_example("circle.py", "20", url)
+        await expect(lambda: abs(robot.speed_m_s) < 0.01)
+    lines = printed.splitlines()
+    assert len(lines) == 20
+    assert lines[0] != lines[-1]
+    assert all(line.endswith("degrees") for line in lines)

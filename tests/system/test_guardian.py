@@ -14,9 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.fork_server import Daemons, Forked, is_running
 from tests.support.killing import LIMIT_S, Drive, driving, end_at, killer
-from tests.support.process import HOSTLINK
+from tests.support.process import HOSTLINK, Process, is_running, serve
 from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
 from tests.support.waiting import expect
 
@@ -26,14 +25,9 @@ WITHOUT = "guardian = false\n"
 IDLE = "[link]\nidle_timeout_s = 0.6\nsilence_timeout_s = 0.6\n"
 
 
-@pytest.fixture
-async def server(tmp_path: Path) -> Daemons:
-    return Daemons(tmp_path)
-
-
-def guardian_of(daemon: Forked) -> int:
+def guardian_of(daemon: Process) -> int:
     """The pid of the guardian that was started last."""
-    return int(daemon.log("guardian.started")[-1]["pid"])
+    return int(daemon.lines("guardian.started")[-1]["pid"])
 
 
 def guarded_by(guardian: int) -> int:
@@ -50,29 +44,27 @@ async def wait_for_guardian(drive: Drive) -> None:
     await expect(lambda: guarded_by(guardian_of(drive.daemon)) == 2)
 
 
-async def test_without_a_guardian_a_killed_daemons_robot_moves_on(server: Daemons, tmp_path: Path) -> None:
+async def test_without_a_guardian_a_killed_daemons_robot_moves_on(tmp_path: Path) -> None:
     """So the robots of these tests do not stop by themselves."""
     file = tmp_path / "hostlink.toml"
     file.write_text(WITHOUT)
-    async with driving(server, Reading(), "--config", str(file)) as drive:
-        assert drive.daemon.log("guardian.started") == []
+    async with driving(Reading(), "--config", str(file)) as drive:
+        assert drive.daemon.lines("guardian.started") == []
         assert children_of(drive.daemon.pid) == ""
         assert await end_at(drive, 0.0, killer(signal.SIGKILL)) == float("inf")
 
 
 @pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE])
-async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(
-    server: Daemons, number: signal.Signals
-) -> None:
-    async with driving(server, Reading()) as drive:
+async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(number: signal.Signals) -> None:
+    async with driving(Reading()) as drive:
         assert resource.prlimit(drive.daemon.pid, resource.RLIMIT_CORE)[0] == 1
         assert await end_at(drive, 0.1, killer(number)) <= LIMIT_S
         assert not is_running(drive.daemon.pid)
 
 
-async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving(server: Daemons) -> None:
+async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving() -> None:
     """`ulimit -v`: whether the MemoryErrors end it, or the kernel does, as when memory runs out: the robots stand."""
-    async with driving(server, Reading(with_blobs=True)) as drive:
+    async with driving(Reading(with_blobs=True)) as drive:
         resource.prlimit(drive.daemon.pid, resource.RLIMIT_AS, (2**20, 2**20))
         with contextlib.suppress(AssertionError):
             await expect(lambda: not drive.daemon.is_running(), timeout_s=0.5)
@@ -85,10 +77,8 @@ async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving(se
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing(
-    server: Daemons, number: signal.Signals
-) -> None:
-    async with driving(server, Reading()) as drive:
+async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing(number: signal.Signals) -> None:
+    async with driving(Reading()) as drive:
         guardian = guardian_of(drive.daemon)
         os.kill(drive.daemon.pid, number)
         await drive.daemon.ended()
@@ -100,8 +90,8 @@ async def test_an_orderly_end_is_the_daemons_own_and_the_guardian_writes_nothing
         assert robot.velocities[-1][0] <= robot.stops[0] < ended_s
 
 
-async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(server: Daemons) -> None:
-    async with driving(server, Reading()) as drive:
+async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots() -> None:
+    async with driving(Reading()) as drive:
         os.kill(guardian_of(drive.daemon), signal.SIGKILL)
         ended = await drive.daemon.logged("guardian.ended")
         assert (ended["level"], ended["status"]) == ("warning", -signal.SIGKILL)
@@ -112,8 +102,8 @@ async def test_a_killed_guardian_is_replaced_and_the_next_one_stops_the_robots(s
         assert await end_at(drive, 0.0, killer(signal.SIGKILL)) <= LIMIT_S
 
 
-async def test_a_stopped_guardian_harms_nobody(server: Daemons) -> None:
-    async with driving(server, Reading()) as drive:
+async def test_a_stopped_guardian_harms_nobody() -> None:
+    async with driving(Reading()) as drive:
         os.kill(guardian_of(drive.daemon), signal.SIGSTOP)
         observed = [len(robot.velocities) for robot in drive.robots]
         await expect(
@@ -127,13 +117,11 @@ async def test_a_stopped_guardian_harms_nobody(server: Daemons) -> None:
         assert not is_running(guardian_of(drive.daemon))
 
 
-async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped_guardian(
-    server: Daemons, tmp_path: Path
-) -> None:
+async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped_guardian(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     file.write_text(IDLE)
     async with (
-        server.serve("--config", str(file)) as daemon,
+        serve("--config", str(file)) as daemon,
         robot_on_tcp(daemon.tcp, "robot_0") as robot,
     ):
         await daemon.logged("robot.appeared")
@@ -169,7 +157,7 @@ def serving_in_terminal(log: Path) -> Iterator[tuple[int, subprocess.Popen[bytes
 async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None:
     """The daemon stops the robot, and the guardian, which is of another session, has nothing to write."""
     with serving_in_terminal(tmp_path / "log") as (terminal, started):
-        daemon = Forked(started.pid, tmp_path / "log")
+        daemon = Process(started, tmp_path / "log")
         host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")
         async with robot_on_tcp((host, int(port)), "robot_0") as robot:
             await expect(lambda: robot.velocities)
@@ -186,7 +174,7 @@ async def test_ctrl_c_in_a_terminal_is_the_daemons_alone(tmp_path: Path) -> None
 async def test_a_lost_terminal_does_not_end_the_guardian(tmp_path: Path) -> None:
     """SIGHUP goes to all of the session; the daemon is killed before it can act on it."""
     with serving_in_terminal(tmp_path / "log") as (_, started):
-        daemon = Forked(started.pid, tmp_path / "log")
+        daemon = Process(started, tmp_path / "log")
         host, _, port = (await daemon.logged("daemon.started"))["tcp"].rpartition(":")
         async with robot_on_tcp((host, int(port)), "robot_0") as robot:
             await expect(lambda: robot.velocities)
@@ -199,7 +187,7 @@ async def test_a_daemon_without_stdin_has_a_guardian_too(tmp_path: Path) -> None
     log = tmp_path / "log"
     script = f"exec {HOSTLINK} serve --listen 127.0.0.1:0 --api 127.0.0.1:0 <&- 2>{log}"
     child = await asyncio.create_subprocess_exec("sh", "-c", script)
-    daemon = Forked(child.pid, log)
+    daemon = Process(child, log)
     try:
         started = await daemon.logged("daemon.started")
         host, _, port = started["tcp"].rpartition(":")

@@ -4,11 +4,9 @@ import asyncio
 import os
 import random
 import signal
-from pathlib import Path
 
 import pytest
 
-from tests.support.fork_server import Daemons
 from tests.support.killing import LIMIT_S, driving, end_at, killer
 from tests.support.unwatched_robot import Reading
 
@@ -24,24 +22,23 @@ READINGS = (
 )
 
 
-async def kill_one(server: Daemons, chance: random.Random) -> float:
+async def kill_one(chance: random.Random) -> float:
     reading, after_s = chance.choice(READINGS), chance.uniform(SHORTEST_S, LONGEST_S)
-    async with driving(server, reading) as drive:
+    async with driving(reading) as drive:
         return await end_at(drive, after_s, killer(signal.SIGKILL))
 
 
 @pytest.mark.alone
 @pytest.mark.timeout(60 + 3 * KILLS)
-async def test_a_daemon_killed_at_a_random_moment_leaves_no_robot_moving(tmp_path: Path) -> None:
+async def test_a_daemon_killed_at_a_random_moment_leaves_no_robot_moving() -> None:
     seed = int(os.environ.get("HOSTLINK_SEED", random.randrange(2**32)))
     print(f"seed {seed}")  # noqa: T201
     chances = [random.Random(seed + number) for number in range(KILLS)]
     lasted_s: list[float] = []
-    server = Daemons(tmp_path)
 
     async def kill_in_turn() -> None:
         while chances:
-            lasted_s.append(await kill_one(server, chances.pop()))
+            lasted_s.append(await kill_one(chances.pop()))
 
     async with asyncio.TaskGroup() as tasks:
         for _ in range(AT_ONCE):

@@ -12,8 +12,8 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from tests.support.fork_server import Daemons, Forked
 from tests.support.killing import COMMAND_INTERVAL_S, LIMIT_S
+from tests.support.process import Process, serve
 from tests.support.udp_device import GREETING
 from tests.support.unwatched_robot import ZERO, UnwatchedRobot, robot_on_udp
 
@@ -23,12 +23,12 @@ SETTINGS = '[udp]\nhost = "127.0.0.1"\nport = 0\ntrusted = ["127.0.0.0/8"]\n'
 
 
 @contextlib.asynccontextmanager
-async def driving(folder: Path, settings: str = SETTINGS) -> AsyncIterator[tuple[Forked, UnwatchedRobot]]:
+async def driving(folder: Path, settings: str = SETTINGS) -> AsyncIterator[tuple[Process, UnwatchedRobot]]:
     """The robot moves when the block begins, and commands come until the daemon is gone."""
     file = folder / "hostlink.toml"
     file.write_text(settings)
-    async with Daemons(folder).serve("--config", str(file)) as daemon, aiohttp.ClientSession() as session:
-        host, _, port = daemon.log("daemon.started")[0]["udp"].rpartition(":")
+    async with serve("--config", str(file)) as daemon, aiohttp.ClientSession() as session:
+        host, _, port = daemon.lines("daemon.started")[0]["udp"].rpartition(":")
         async with (
             robot_on_udp((host, int(port)), "on_udp") as robot,
             session.ws_connect(daemon.url) as client,
@@ -87,7 +87,7 @@ async def test_a_guardian_that_is_stuck_keeps_no_device_from_the_daemon(tmp_path
     """It has a duplicate of the session's socket, to which the kernel would go on giving the device's datagrams."""
     settings = SETTINGS + "[link]\nidle_timeout_s = 0.5\nsilence_timeout_s = 0.5\n"
     async with driving(tmp_path, settings) as (daemon, robot):
-        guardian = int(daemon.log("guardian.started")[-1]["pid"])
+        guardian = int(daemon.lines("guardian.started")[-1]["pid"])
         os.kill(guardian, signal.SIGSTOP)
         try:
             await daemon.logged("link.closed")  # the robot sends nothing by itself

@@ -8,7 +8,7 @@ from pathlib import Path
 import aiohttp
 
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.process import HOSTLINK, Process, run, serve_into
+from tests.support.process import HOSTLINK, Process, run, serve
 
 PATHS = ["/", "/metrics", "/readyz", "/nothing"]
 API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics", "clients", "openapi.json"]
@@ -16,7 +16,7 @@ API = ["robots", "robots/robot_0", "robots/robot_0/odometry", "links", "topics",
 
 async def test_nothing_is_imported_once_the_daemon_runs(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    async with serve_into(log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
+    async with serve(log=log, program=(sys.executable, "-X", "importtime", HOSTLINK)) as daemon:
         await use(daemon)
         assert await daemon.end(signal.SIGTERM) == 0
     late = log.read_text().split("daemon.started")[1].splitlines()

@@ -13,7 +13,7 @@ import pytest
 from hostlink.log_budget import BURST_LINES, RATE_HZ
 from hostlink.protocol.frame import Id, encode
 from tests.support.fake_device import fake_device, robot_topics
-from tests.support.process import serve_into
+from tests.support.process import serve
 from tools.crowd import parameters, topic_infos
 
 Flood = Callable[[tuple[str, int], bytes], Awaitable[None]]
@@ -52,7 +52,7 @@ async def reconnect(address: tuple[str, int], _: bytes) -> None:
 )
 async def test_a_flood_of_lines_is_cut_and_counted(work: Flood, block: bytes, tmp_path: Path) -> None:
     log = tmp_path / "log"
-    async with serve_into(log) as daemon, fake_device(daemon.tcp, robot_topics()) as honest:
+    async with serve(log=log) as daemon, fake_device(daemon.tcp, robot_topics()) as honest:
         await work(daemon.tcp, block)
         assert await honest.velocity() == (0.0, 0.0)
         assert await daemon.end(signal.SIGTERM) == 0

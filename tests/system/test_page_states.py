@@ -1,26 +1,29 @@
 """The page where something is missing: a robot, a token, a right. And its appearance, also for screen readers."""
 
 import asyncio
+import itertools
 import os
-from collections.abc import AsyncIterator
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-import pytest_asyncio
 from axe_playwright_python.async_playwright import Axe
 from playwright.async_api import Browser
 
 from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
-from tests.support.browser import DESK, PHONE, chromium, visit
+from hostlink.protocol.frame import Id, encode
+from tests.support.browser import DESK, PHONE, visit
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.simulated import simulated_robot
-from tests.support.waiting import expect
+from tests.support.waiting import expect, is_soon
 
-pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.quiet]
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
 DRIVE, READ = "a-token-of-a-driver", "a-token-of-a-watcher"
+AMBER_S = 0.5
+USUAL_POSES = 15  # then the page knows how often it sends
 PICTURES = Path("build/screenshots")
 PAPER = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)})
 TURN_RAD = float(
@@ -30,12 +33,6 @@ SIZES: dict[str, dict[str, Any]] = {
     "phone": {"viewport": PHONE, "device_scale_factor": 2, "has_touch": True, "is_mobile": True},
     "desk": {"viewport": DESK},
 }
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def browser() -> AsyncIterator[Browser]:
-    async with chromium() as browser:
-        yield browser
 
 
 async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(browser: Browser) -> None:
@@ -52,6 +49,26 @@ async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(brow
         assert tab.complaints == []
 
 
+@pytest.mark.alone
+async def test_a_robot_that_falls_silent_is_amber_within_half_a_second(browser: Browser) -> None:
+    async with daemon() as host, visit(browser, host.url) as tab, fake_device(host.tcp, robot_topics()) as device:
+
+        async def amber_s() -> float:
+            for sent in itertools.count():
+                await device.send(pose(1.0, -2.0) + encode(Id.TIME, bytes(8)))
+                begun_s = time.monotonic()
+                await asyncio.sleep(0.1)
+                is_shown = await tab.page.locator(".robot[data-state=connected]").count() == 1
+                if sent >= USUAL_POSES and is_shown:
+                    break
+            await tab.page.locator(".robot[data-state=silent]").wait_for()
+            lasted_s = time.monotonic() - begun_s
+            await tab.shows("#drive-state", "silent for")
+            return lasted_s
+
+        assert await is_soon(amber_s, AMBER_S)
+
+
 async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
     async with daemon() as host, visit(browser, host.url) as tab:
         _, writer = await asyncio.open_connection(*host.tcp)
@@ -62,7 +79,7 @@ async def test_a_device_that_is_no_robot_is_explained(browser: Browser) -> None:
 
 async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser) -> None:
     tokens = (TokenConfig(name="phone", role="drive", token=DRIVE), TokenConfig(name="wall", role="read", token=READ))
-    async with daemon(Config(api=ApiConfig(tokens=tokens))) as host, fake_device(host.tcp, robot_topics()):
+    async with daemon(Config(api=ApiConfig(tokens=tokens))) as host, simulated_robot(host.tcp):
         async with visit(browser, host.url) as tab:
             await tab.shows("#access", "A token is needed")
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
@@ -73,10 +90,24 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
             await tab.is_connected()
             assert tab.page.url == f"{host.url}/"
             await tab.shows("#robots", "robot_0")
+            await tab.shows("#notice", "may only read")
+            await tab.page.locator("#notice").wait_for(state="hidden", timeout=10_000)  # once
             await tab.page.keyboard.down("KeyW")
-            await tab.shows("#access", "the token may only read")
+            await tab.shows("#drive-state", "may only read")
+            await tab.shows("#command-linear", "0.00")
+            for useless in ("#max-linear", "#max-angular", "#unlock", "#odometry-reset"):
+                assert await tab.page.locator(useless).is_disabled()
+            await tab.page.keyboard.up("KeyW")
+            await tab.page.keyboard.press("Escape")
+            await tab.shows("#robots", "locked")  # whoever may read may stop
             await tab.page.reload()
             await tab.is_connected()  # kept for the session
+            host.hub.emergency_stop.release(host.hub.robots.find("robot_0"))
+            await tab.page.get_by_role("button", name="Another token").click()
+            await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
+            await tab.page.get_by_role("button", name="Use it").click()
+            await tab.shows("#drive-state", "nobody drives")
+            assert not await tab.page.locator("#max-linear").is_disabled()
             assert tab.other_hosts == []
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
 

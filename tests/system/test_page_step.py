@@ -2,30 +2,27 @@
 
 import asyncio
 import contextlib
+import csv
 from collections.abc import AsyncIterator
+from pathlib import Path
 
 import pytest
-import pytest_asyncio
 from playwright.async_api import Browser
+from playwright.async_api import expect as expect_page
 
 from hostlink.config import Config, RobotConfig
 from hostlink.sim.robot import SimulatedRobot
-from tests.support.browser import Visit, chromium, visit
+from tests.support.browser import Visit, visit
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
-pytestmark = [pytest.mark.asyncio(loop_scope="module"), pytest.mark.quiet]
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
 
 PAPER = Config(robots={"robot_0": RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)})
+HOSTILE = "<img src=x onerror='window.hit = 1'>"
 SLOW = "localStorage.setItem('hostlink.max.linear', '0.06')"
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def browser() -> AsyncIterator[Browser]:
-    async with chromium() as browser:
-        yield browser
 
 
 @contextlib.asynccontextmanager
@@ -36,6 +33,7 @@ async def bench(browser: Browser) -> AsyncIterator[tuple[Daemon, SimulatedRobot,
         visit(browser, host.url, script=SLOW) as tab,
     ):
         await tab.is_connected()
+        await tab.layout("Tune")
         await tab.page.locator("#step:enabled").wait_for()
         await asyncio.sleep(0.3)  # a message of plot_data: it must stand
         yield host, robot, tab
@@ -62,7 +60,7 @@ async def test_a_step_is_driven_while_the_button_is_held_and_its_figures_are_sho
         await expect(lambda: robot.speed_m_s == 0)
         for row in ("#step-left", "#step-right"):
             await tab.shows(row, "%")
-            rise, overshoot, _ = [await cell.inner_text() for cell in await tab.page.locator(f"{row} td").all()]
+            rise, overshoot, *_ = [await cell.inner_text() for cell in await tab.page.locator(f"{row} td").all()]
             assert 0.3 < float(rise.removesuffix(" s")) < 2.5
             assert float(overshoot.removesuffix(" %")) < 10
 
@@ -134,8 +132,13 @@ async def test_a_robot_whose_plot_data_falls_silent_is_stopped(browser: Browser)
 
 async def test_a_robot_that_rolls_begins_no_step(browser: Browser) -> None:
     async with bench(browser) as (host, robot, tab):
-        robot.controllers[0].aim(100.0)
-        await expect(lambda: robot.controllers[0].speed_ticks_s > 10)
+        left = robot.controllers[0]
+
+        def rolls() -> bool:
+            left.aim(100.0)  # again: its watchdog ends the first one, half a second after the daemon's last zero
+            return bool(left.speed_ticks_s > 10)
+
+        await expect(rolls)
         await asyncio.sleep(0.3)
         await press(tab)
         await tab.shows("#step-state", "begins with a robot that stands")
@@ -148,3 +151,40 @@ async def test_a_robot_without_plot_data_has_no_step(browser: Browser) -> None:
         await device.send(pose(1.0))
         await tab.shows("#pose", "1.00 m")
         assert await tab.page.locator("#step").is_disabled()
+
+
+async def test_the_run_before_stays_as_a_ghost_and_a_run_is_saved_as_a_table(browser: Browser, tmp_path: Path) -> None:
+    async with bench(browser) as (host, robot, tab):
+        page = tab.page
+        ghost = page.locator("#steps .legend b").first
+        for _ in range(2):
+            await press(tab)
+            await expect(lambda: robot.speed_m_s > 0.03, timeout_s=10.0)
+            await page.mouse.up()
+            await expect(lambda: speed_m_s(host) == 0 and robot.speed_m_s == 0)
+            await asyncio.sleep(0.3)  # a message of plot_data: it must stand
+        await expect_page(ghost).not_to_have_text("–")
+        async with page.expect_download() as started:
+            await page.locator("#step-csv").click()
+        await (await started.value).save_as(tmp_path / "step.csv")
+        with (tmp_path / "step.csv").open(newline="") as file:
+            names, *rows = csv.reader(file)
+        assert names == ["time_s", "left_set_point", "left_measured", "right_set_point", "right_measured"]
+        assert max(float(row[2]) for row in rows) > 1
+
+
+async def test_gains_are_kept_under_a_name(browser: Browser) -> None:
+    async with bench(browser) as (_, robot, tab):
+        page = tab.page
+        await page.get_by_label("Left Kp").fill("17.5")
+        await page.get_by_label("Keep these as").fill(HOSTILE)
+        await page.get_by_role("button", name="Keep", exact=True).click()
+        await page.get_by_label("Left Kp").fill("3")
+        await page.reload()
+        await page.locator("#step:enabled").wait_for()
+        await page.get_by_label("Kept gains").select_option(HOSTILE)
+        assert await page.get_by_label("Left Kp").input_value() == "17.5"
+        assert robot.controllers[0].pid.gains.kp != 17.5  # choosing sends nothing
+        await page.get_by_role("button", name="Remove the chosen gains").click()
+        await expect_page(page.get_by_label("Kept gains").locator("option")).to_have_count(1)
+        assert await page.locator("img").count() == 0

@@ -5,6 +5,7 @@ import json
 import os
 import random
 import signal
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tests.support.process import TIMEOUT_S, Process, run, serve, simulated
 
 KILLS = int(os.environ.get("HOSTLINK_RECORDING_KILLS", "3"))
 SPEED_M_S = 0.1
+SOAK = str(Path(__file__).parents[2] / "tools" / "soak_recording.py")
 
 
 def settings(folder: Path) -> tuple[str, ...]:
@@ -61,7 +63,7 @@ async def test_what_is_played_is_recorded_again_byte_for_byte_at_its_times(tmp_p
         await until_connected(daemon.url)
         async with connect(daemon.url) as host:
             await host.robot("robot_0").drive(SPEED_M_S, 0.3)
-            await record(daemon, first, "/robot_0/odometry", seconds=3.0)
+            await record(daemon, first, "/robot_0/*", seconds=3.0)
     (tmp_path / "again").mkdir()
     async with serve(*settings(tmp_path / "again")) as daemon:
         async with connect(daemon.url) as host:
@@ -76,7 +78,9 @@ async def test_what_is_played_is_recorded_again_byte_for_byte_at_its_times(tmp_p
     after = after[begin : begin + len(before)]
     assert shown(after) == shown(before)
     shift_s = np.array([(new.stamp_ns - old.stamp_ns) / 1e9 for old, new in zip(before, after, strict=True)])
-    assert np.median(np.abs(shift_s - np.median(shift_s))) < 0.010
+    late_s = np.abs(shift_s - np.median(shift_s))
+    assert np.percentile(late_s, 75) < 0.010, late_s  # for the rest the machine may have been busy
+    assert len({message.channel.topic for message in before}) >= 4
     moved = hostlink.recording.read(second)["/robot_0/odometry"]
     assert moved["x"].max() > SPEED_M_S
 
@@ -132,6 +136,7 @@ async def test_a_robot_is_driven_by_a_recording_only_when_it_is_named(tmp_path: 
             assert after["holder"] is None
 
 
+@pytest.mark.quiet
 @pytest.mark.timeout(60 + 20 * KILLS)
 async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path) -> None:
     random_ = random.Random(KILLS)
@@ -150,7 +155,7 @@ async def test_a_daemon_that_is_killed_leaves_all_but_the_last_second(tmp_path: 
             daemon.child.kill()
         path = folder / "recordings" / "run.mcap"
         last_ns = max(message.stamp_ns for message in Reader(path).messages())
-        assert now_ns - last_ns < 1_200_000_000, number
+        assert now_ns - last_ns < 1_000_000_000, number
         status, out, _ = await run("record", "--repair", str(path))
         assert (status, "it is whole now" in out) == (0, True)
 
@@ -207,3 +212,15 @@ async def test_a_play_without_a_host_says_so(tmp_path: Path) -> None:
         await record(daemon, first, seconds=1.0)
     status, _, err = await run("play", str(first), "--connect", "127.0.0.1:9")
     assert (status, "is `hostlink serve` running?" in err) == (1, True)
+
+
+async def test_thirty_robots_are_recorded_with_flat_memory(tmp_path: Path) -> None:
+    """Two minutes of them as fast as the disk takes it; `make soak` does an hour."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, SOAK, "--minutes", "2", stdout=asyncio.subprocess.PIPE, cwd=tmp_path
+    )
+    async with asyncio.timeout(6 * TIMEOUT_S):
+        out, _ = await process.communicate()
+    found = json.loads(out)
+    assert (process.returncode, found["dropped"]) == (0, 0), found
+    assert found["messages"] >= found["sent"] == 30 * 2 * 10 * 120

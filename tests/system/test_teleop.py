@@ -10,6 +10,7 @@ from typing import Any
 import aiohttp
 import pytest
 
+from hostlink.cli.driving import HOLD_S
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.process import HOSTLINK, Process, serve, simulated
 from tests.support.screen import PATIENCE_S, POLL_S, Screen, screen
@@ -50,18 +51,25 @@ def stands(observed: dict[str, Any]) -> bool:
 
 
 async def press_until_it_moves(terminal: Screen, daemon: Process, key: str) -> None:
-    """Press a key again and again, as a keyboard repeats it, until the robot moves."""
+    """Press a key again and again, as a keyboard repeats it, until the robot moves.
+
+    It is released now and then: after a command that a busy machine delivered too late, that is what drives again.
+    """
     async with asyncio.timeout(PATIENCE_S):
-        while not is_driven(await robot(daemon)):
-            await terminal.keys(key)
-            await asyncio.sleep(0.05)
+        while True:
+            for _ in range(30):
+                if is_driven(await robot(daemon)):
+                    return
+                await terminal.keys(key)
+                await asyncio.sleep(0.05)
+            await asyncio.sleep(2 * HOLD_S)
 
 
 @pytest.mark.parametrize(("layout", "key"), [("original", "w"), ("original", "Up"), ("twist", "i")])
 async def test_a_pressed_key_drives_and_a_released_one_stops(layout: str, key: str) -> None:
     async with driving(layout) as (daemon, terminal):
         await press_until_it_moves(terminal, daemon, key)
-        assert "driven by client" in await terminal.shows("asked     +0.20 m/s")
+        assert "driven by you" in await terminal.shows("asked     +0.20 m/s")
         await expect(daemon, stands, within_s=STOP_S)
         await terminal.shows("driven by nobody")
 

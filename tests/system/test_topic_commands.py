@@ -11,9 +11,10 @@ import pytest
 
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
 from tests.support.process import HOSTLINK, run
 from tests.support.screen import screen
+from tests.support.tcp_server import say_nothing, tcp_server
 
 POINT = topic(Id.PUBLISHER, 126, "/robot_0/point", "geometry_msgs/PointStamped")
 TRIGGER = [
@@ -25,20 +26,12 @@ TRIGGER = [
 @asynccontextmanager
 async def publishing(data: bytes = b"", *, interval_s: float = 0.02) -> AsyncIterator[tuple[Daemon, FakeDevice]]:
     """A robot that publishes its pose, and more, fifty times a second."""
-
-    async def publish(device: FakeDevice) -> None:
-        while True:
-            await device.send(pose(1 / 3, 2.0, 0.5) + data)
-            await asyncio.sleep(interval_s)
-
     async with (
         daemon() as host,
         fake_device(host.tcp, [*robot_topics(), POINT, *TRIGGER]) as device,
-        asyncio.TaskGroup() as tasks,
+        repeating(device, pose(1 / 3, 2.0, 0.5) + data, interval_s=interval_s),
     ):
-        publisher = tasks.create_task(publish(device))
         yield host, device
-        publisher.cancel()
 
 
 async def test_echo_prints_fields_rows_and_single_messages() -> None:
@@ -99,6 +92,8 @@ async def test_info_type_and_find() -> None:
         assert (await run("type", "/trigger", "--url", host.url))[1] == "std_srvs/Trigger\n"
         _, out, _ = await run("type", "/robot_0/velocity_commands", "--fields", "--url", host.url)
         assert out.splitlines()[:3] == ["geometry_msgs/Twist", "  geometry_msgs/Vector3 linear", "  float64 linear.x"]
+        _, out, _ = await run("type", "std_msgs/msg/ColorRGBA", "--url", host.url)  # nobody uses it
+        assert out.splitlines() == ["std_msgs/ColorRGBA", *(f"  float32 {name}" for name in "rgba")]
         assert (await run("find", "geometry_msgs/msg/Pose2D", "--url", host.url))[1] == "/robot_0/odometry\n"
         assert (await run("find", "geometry_msgs/Pose3D", *at))[2].startswith(
             "hostlink: no topic or service of type named geometry_msgs/Pose3D; near it: geometry_msgs/Pose2D"
@@ -170,7 +165,9 @@ async def test_parameters_are_set_saved_and_loaded(tmp_path: Path) -> None:
         assert (await run("params", "delete", "/pid", *at))[0] == 0
         assert "near it: /pid/kp" not in (await run("params", "get", "/pid/kp", *at))[2]
         assert (await run("params", "load", str(file), *at))[2] == "3 parameters set\n"
-        assert json.loads((await run("params", "list", "--json", *at))[1])["/pid/kp"] == [1, 2]
+        status, out, err = await run("params", "list", "--json", *at)
+        assert (status, err) == (0, "")
+        assert json.loads(out)["/pid/kp"] == [1, 2]
         (tmp_path / "hostlink.toml").write_text("[parameters]\ngain = 2.5\n")
         await run("params", "load", str(tmp_path / "hostlink.toml"), *at)
         assert (await run("params", "get", "gain", *at))[1] == "2.5\n"
@@ -258,11 +255,8 @@ async def test_a_name_that_a_shell_would_run_is_not_completed() -> None:
 
 
 async def test_a_daemon_that_does_not_answer_is_waited_for_visibly() -> None:
-    async with asyncio.timeout(30), screen() as terminal:
-        silent = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
-        port = silent.sockets[0].getsockname()[1]
+    async with asyncio.timeout(30), screen() as terminal, tcp_server(say_nothing) as (_, port):
         await terminal.keys(f"{HOSTLINK} topics --url http://127.0.0.1:{port}", "Enter")
         await terminal.shows(f"connecting to http://127.0.0.1:{port} ... ")
         shown = await terminal.shows(f"hostlink: no hostlink at http://127.0.0.1:{port}: no answer within 5 s")
         assert "connecting" not in shown
-        silent.close()

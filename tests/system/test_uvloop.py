@@ -10,7 +10,6 @@ import aiohttp
 import pytest
 
 from tests.support.fake_device import fake_device, pose, robot_topics
-from tests.support.fork_server import Daemons
 from tests.support.killing import LIMIT_S, driving, end_at, killer
 from tests.support.process import HOSTLINK, run, serve
 from tests.support.pty_pair import pty_pair
@@ -25,11 +24,6 @@ pytestmark = pytest.mark.filterwarnings("default::DeprecationWarning")
 
 def is_loaded(library: str, pid: int) -> bool:
     return library in Path(f"/proc/{pid}/maps").read_text()
-
-
-@pytest.fixture
-async def server(tmp_path: Path) -> Daemons:
-    return Daemons(tmp_path)
 
 
 async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
@@ -57,10 +51,10 @@ async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
         assert not [line for line in daemon.log if str(line["event"]).endswith(".crashed")]
 
 
-async def test_a_killed_daemon_leaves_no_robot_moving(server: Daemons) -> None:
+async def test_a_killed_daemon_leaves_no_robot_moving() -> None:
     """The guardian has duplicates of the descriptors of uvloop's transports."""
-    async with driving(server, Reading(), *ON_UVLOOP) as drive:
-        guardian = int(drive.daemon.log("guardian.started")[-1]["pid"])
+    async with driving(Reading(), *ON_UVLOOP) as drive:
+        guardian = int(drive.daemon.lines("guardian.started")[-1]["pid"])
         await expect(lambda: len(list(Path(f"/proc/{guardian}/fd").iterdir())) == 6)  # two robots, stdio, its channel
         assert await end_at(drive, 0.1, killer(signal.SIGKILL)) < LIMIT_S
 

@@ -5,6 +5,7 @@ import contextlib
 
 import pytest
 
+from hostlink.client import connect
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
 from tests.support.fake_device import fake_device, pose, robot_topics
@@ -65,6 +66,29 @@ async def test_a_driver_that_leaves_stops_its_robot_elsewhere_at_once() -> None:
         left_s = loop.time()
         assert await device.velocity_other_than((0.3, 0.0)) == STILL
         assert loop.time() - left_s < 0.3  # the lease alone would last 0.5 s
+
+
+@pytest.mark.parametrize("how", ["stop", "lock"])
+async def test_a_stop_where_the_robot_is_ends_what_yields_to_it_elsewhere(how: str) -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
+        await shown(a, "robot_7")
+        async with connect(a.url) as program:
+            driven = program.robot("robot_7")
+            await driven.drive(0.3, 0.0, is_yielding=True)
+            assert await device.velocity_other_than(STILL) == (0.3, 0.0)
+            gate = b.hub.robots.find("robot_7").gate
+            before = gate.counts.commands
+            await expect(lambda: gate.counts.commands > before + 2)  # it is repeated
+            await b.rest("POST", f"/api/robots/robot_7/{how}")
+            if how == "lock":
+                await b.rest("POST", "/api/robots/robot_7/unlock")
+            accepted = gate.counts.commands
+            await expect(lambda: not driven.is_driven)
+            assert (gate.counts.commands, gate.current.is_zero) == (accepted, True)
+            with pytest.raises(HostlinkError, match="somebody has stopped it since"):
+                await driven.drive(0.3, 0.0, is_yielding=True)
+            await driven.drive(0.2, 0.0, is_yielding=True)
+            assert gate.current.linear_x_m_s == 0.2
 
 
 async def test_the_more_important_driver_drives_wherever_he_is() -> None:

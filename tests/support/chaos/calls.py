@@ -9,7 +9,7 @@ import time
 
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import OVERHEAD_BYTES, Frame, encode
-from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream
 from tests.support.chaos import frames, requests
 from tests.support.chaos.connection import Connection, reading
 from tests.support.chaos.devices import quietly
@@ -49,7 +49,7 @@ async def call(stage: Stage, action: Action) -> None:
 async def request(stage: Stage, dice: random.Random, infos: list[TopicInfo], what: str) -> None:
     """Reports how long it waited, and for what."""
     requests_to, answers_by = infos
-    async with stage.device(dice) as connection:
+    async with stage.device(dice, is_verified=True) as connection:
         await introduce(connection, frames.introduction(infos))
         await asyncio.sleep(SETTLE_S)
         began_s = time.monotonic()
@@ -74,7 +74,7 @@ async def wait_for_answer(connection: Connection, topic_id: int, buffer_bytes: i
 
 
 async def first_answer(connection: Connection, topic_id: int, buffer_bytes: int) -> str:
-    stream = FrameStream()
+    stream = FrameStream(limit_bytes=max(buffer_bytes, DEFAULT_LIMIT_BYTES))
     try:
         while data := await connection.receive():
             for item in stream.feed(data):

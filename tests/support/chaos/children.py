@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.support.chaos.names import HONEST, HONEST_ADDRESS
+from tests.support.chaos.names import HONEST, HONEST_ADDRESS, VERIFIED_ADDRESSES
 from tests.support.process import HOSTLINK
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -23,8 +23,17 @@ CONFIG = f"""
 [robots.{HONEST}]
 address = "{HONEST_ADDRESS}"
 
+[black_box]
+max_memory_mb = 2  # its bound is reached, too
+
 [parameters]
 gain = [1.0, 2.0]
+"""
+UDP_CONFIG = f"""
+[udp]
+host = "127.0.0.1"
+port = 0
+trusted = {json.dumps([f"{address}/32" for address in (HONEST_ADDRESS, *VERIFIED_ADDRESSES)])}
 """
 
 
@@ -36,6 +45,7 @@ class Daemon:
     log: Path
     tcp: tuple[str, int] = ("", 0)
     api: tuple[str, int] = ("", 0)
+    udp: tuple[str, int] | None = None
 
     async def started(self) -> None:
         """Wait until it has printed where it listens."""
@@ -45,6 +55,7 @@ class Daemon:
                     raise RuntimeError(f"the daemon did not start: {self.log.read_text()[-2000:]}")
                 await asyncio.sleep(POLL_S)
         self.tcp, self.api = (_address(found[key].removeprefix("http://")) for key in ("tcp", "api"))
+        self.udp = _address(found["udp"]) if "udp" in found else None
 
 
 def _started(log: Path) -> dict[str, Any] | None:
@@ -61,10 +72,10 @@ def _address(text: str) -> tuple[str, int]:
 
 
 @contextlib.asynccontextmanager
-async def daemon(folder: Path) -> AsyncIterator[Daemon]:
+async def daemon(folder: Path, *, has_udp: bool) -> AsyncIterator[Daemon]:
     """`hostlink serve` on free ports, with as many descriptors as a process usually has."""
     config, log = folder / "hostlink.toml", folder / "daemon.log"
-    config.write_text(CONFIG)
+    config.write_text(CONFIG + (UDP_CONFIG if has_udp else ""))
     with log.open("wb") as stderr:
         child = await asyncio.create_subprocess_exec(
             HOSTLINK, "serve", "--config", str(config), "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0",

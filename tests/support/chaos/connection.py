@@ -7,10 +7,14 @@ import socket
 import struct
 from collections.abc import AsyncIterator, Iterator
 
+from hostlink.cancellation import expire
+from tests.support.background import meanwhile
+
 DIAL_S = 3.0
 WAYS = ("fin", "reset", "half_close", "silent")
 RESET_AT_CLOSE = struct.pack("ii", 1, 0)
 READ_BYTES = 256 * 1024
+DATAGRAM_BYTES = 1452  # at most
 
 
 class Room:
@@ -90,6 +94,10 @@ class Connection:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
 
+    def cut(self) -> None:
+        """The other end is informed, and closes; then `receive` returns."""
+        self.half_close()
+
     def close(self, way: str = "fin") -> None:
         """FIN, or RST."""
         with contextlib.suppress(OSError):
@@ -98,15 +106,59 @@ class Connection:
         self._socket.close()
 
 
+class DatagramConnection(Connection):
+    """A connected socket of datagrams. Whoever leaves it informs nobody; an ICMP error is an OSError."""
+
+    def __init__(self, made: socket.socket, kind: str) -> None:
+        super().__init__(made, kind)
+        self._is_cut = False
+        self._patience: asyncio.Timeout | None = None  # of who receives
+
+    @classmethod
+    async def dial(cls, to: tuple[str, int], source: str, kind: str, *, receive_bytes: int = 0) -> "Connection":  # noqa: ARG003 - of a connection
+        """Nothing is sent yet: the daemon knows nothing of it."""
+        made = socket.socket(type=socket.SOCK_DGRAM)
+        made.setblocking(False)
+        try:
+            made.bind((source, 0))
+            made.connect(to)
+        except BaseException:
+            made.close()
+            raise
+        return cls(made, kind)
+
+    async def send(self, data: bytes) -> None:
+        """In datagrams that pass a WiFi whole; the daemon's system drops what is too much."""
+        for begin in range(0, len(data), DATAGRAM_BYTES):
+            await super().send(data[begin : begin + DATAGRAM_BYTES])
+
+    async def receive(self) -> bytes:
+        """The next datagram; b"" once it is cut."""
+        if self._is_cut:
+            return b""
+        try:
+            async with asyncio.timeout(None) as self._patience:
+                return await super().receive()
+        except TimeoutError:
+            return b""
+        finally:
+            self._patience = None
+
+    def half_close(self) -> None:
+        """There is no such thing; a socket that is shut down would be readable without end."""
+
+    def cut(self) -> None:
+        """Nobody is informed; `receive` returns."""
+        self._is_cut = True
+        if self._patience is not None:
+            expire(self._patience)
+
+
 @contextlib.asynccontextmanager
 async def reading(connection: Connection, pause_s: float = 0.0) -> AsyncIterator[None]:
     """Read it away for the length of the block."""
-    async with asyncio.TaskGroup() as tasks:
-        reader = tasks.create_task(connection.read_away(pause_s))
-        try:
-            yield
-        finally:
-            reader.cancel()
+    async with meanwhile(connection.read_away(pause_s)):
+        yield
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """The honest robot and the honest program that drives it, as a process of their own: they share a clock and no load.
 
-    python -m tests.support.chaos.honest SEED TCP_PORT API_PORT
+    python -m tests.support.chaos.honest SEED TCP_PORT API_PORT UDP_PORT
 
 Writes events for DriveRecord, a JSON list a line. Drives by a rosbridge topic, by the operation `drive` or by REST;
 its drives end at random moments in every way. On a line of standard input ("last") it drives until the daemon ends it.
@@ -18,7 +18,7 @@ from hostlink.protocol.control import encode_parameter_request
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from tests.support.chaos import frames
-from tests.support.chaos.connection import Connection
+from tests.support.chaos.connection import Connection, DatagramConnection
 from tests.support.chaos.devices import quietly
 from tests.support.chaos.drive_record import HONEST_RAD_S, NUMBERS, STEP_M_S
 from tests.support.chaos.names import HONEST, HONEST_ADDRESS, HONEST_PROGRAM_ADDRESS, HONEST_VELOCITY
@@ -36,6 +36,7 @@ WAYS = ("topic", "topic", "drive", "rest")
 ENDS = ("lease", "lease", "drop", "drop", "reset", "stop", "link")
 TWIST = struct.Struct("<6d")
 RECONNECT_S = 0.5
+UDP_SHARE = 0.4  # of the honest robot's connections
 
 
 def event(kind: str, *facts: object) -> None:
@@ -45,10 +46,13 @@ def event(kind: str, *facts: object) -> None:
 
 
 class Robot:
-    """The honest device: it answers, keeps time, sends poses, and dials again when its connection ends."""
+    """The honest device: it answers, keeps time, sends poses, and dials again when its connection ends.
 
-    def __init__(self, to: tuple[str, int]) -> None:
-        self._to = to
+    Over TCP or UDP, drawn each time. Over UDP it has no connection but its own socket: what it sends begins a session.
+    """
+
+    def __init__(self, tcp: tuple[str, int], udp: tuple[str, int] | None, dice: random.Random) -> None:
+        self._tcp, self._udp, self._dice = tcp, udp, dice
         self._connection: Connection | None = None
         self._is_cut = False
         self.is_served = asyncio.Event()
@@ -56,7 +60,7 @@ class Robot:
     async def run(self) -> None:
         while True:
             with contextlib.suppress(OSError):
-                self._connection = await Connection.dial(self._to, HONEST_ADDRESS, "honest")
+                self._connection = await self._dial()
                 event("opened")
                 try:
                     await self._live(self._connection)
@@ -67,11 +71,16 @@ class Robot:
                     self._connection.close("reset")
             await asyncio.sleep(RECONNECT_S)
 
+    async def _dial(self) -> Connection:
+        if self._udp is not None and self._dice.random() < UDP_SHARE:
+            return await DatagramConnection.dial(self._udp, HONEST_ADDRESS, "honest")
+        return await Connection.dial(self._tcp, HONEST_ADDRESS, "honest")
+
     def cut(self) -> None:
         """The robot's radio is gone for a moment."""
         if self._connection is not None:
             self._is_cut = True
-            self._connection.half_close()
+            self._connection.cut()
 
     async def _live(self, connection: Connection) -> None:
         async with asyncio.TaskGroup() as tasks:
@@ -217,11 +226,11 @@ async def tick() -> None:
             event("lag", late_s)
 
 
-async def run(seed: int, tcp: tuple[str, int], api: tuple[str, int]) -> None:
+async def run(seed: int, tcp: tuple[str, int], api: tuple[str, int], udp: tuple[str, int] | None) -> None:
     """Until the standard input ends."""
     reader = asyncio.StreamReader()
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    robot = Robot(tcp)
+    robot = Robot(tcp, udp, random.Random(f"{seed} honest robot"))
     driver = Driver(api, robot, random.Random(f"{seed} honest"))
     async with asyncio.TaskGroup() as tasks:
         running = [tasks.create_task(each) for each in (robot.run(), driver.run(), tick())]
@@ -232,4 +241,6 @@ async def run(seed: int, tcp: tuple[str, int], api: tuple[str, int]) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(run(int(sys.argv[1]), ("127.0.0.1", int(sys.argv[2])), ("127.0.0.1", int(sys.argv[3]))))
+    numbers = [int(word) for word in sys.argv[1:]]
+    own_udp = ("127.0.0.1", numbers[3]) if numbers[3] else None
+    asyncio.run(run(numbers[0], ("127.0.0.1", numbers[1]), ("127.0.0.1", numbers[2]), own_udp))

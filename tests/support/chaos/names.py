@@ -16,6 +16,7 @@ HONEST_ODOMETRY = f"/{HONEST}/odometry"
 HONEST_RESET = f"/{HONEST}/reset_odometry"
 HONEST_LOCK, HONEST_UNLOCK = f"/{HONEST}/lock", f"/{HONEST}/unlock"
 ADDRESSES = 8  # from which hostile connections come; each has a bound of its own at the host
+VERIFIED_ADDRESSES = [f"127.0.9.{number}" for number in range(1, ADDRESSES // 2 + 1)]  # half of them, over UDP
 HOSTILE_RAD_S = -0.75  # how fast the commands of hostile clients turn
 ROGUES = 4  # names of robots that hostile devices share
 ROGUE_TOPICS = [f"/rogue_{number}/data" for number in range(ROGUES)]

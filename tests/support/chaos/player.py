@@ -1,6 +1,8 @@
 """The generator as a process of its own: plays the step that it is asked for, and reports what it does.
 
-    python -m tests.support.chaos.player SEED TCP_PORT API_PORT [KIND...]
+    python -m tests.support.chaos.player SEED TCP_PORT API_PORT UDP_PORT [KIND...]
+
+UDP_PORT 0: no datagrams.
 
 Reads a JSON object a line ({"step": 3}, {"leave": true}) and writes one a line; ends with its standard input.
 """
@@ -102,11 +104,12 @@ class Player:
 
 
 def main() -> None:
-    seed, tcp_port, api_port, *only = sys.argv[1:]
+    seed, tcp_port, api_port, udp_port, *only = sys.argv[1:]
     os.nice(NICE)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    stage = Stage(("127.0.0.1", int(tcp_port)), ("127.0.0.1", int(api_port)), report)
+    udp = ("127.0.0.1", int(udp_port)) if int(udp_port) else None
+    stage = Stage(("127.0.0.1", int(tcp_port)), ("127.0.0.1", int(api_port)), report, udp)
     asyncio.run(Player(int(seed), stage, tuple(only)).serve())
 
 

@@ -5,27 +5,32 @@ import asyncio
 import contextlib
 import random
 
-from tests.support.chaos import requests
+from tests.support.chaos import foxglove, requests
 from tests.support.chaos.connection import reading
 from tests.support.chaos.devices import quietly, together
 from tests.support.chaos.plan import Action
 from tests.support.chaos.stage import IDLE, SOCKET, STUCK, Stage
 
 SMALL_BUFFER_BYTES = 4096
+FOXGLOVE_SHARE = 0.4  # of those that speak a protocol
 
 
 async def bridge(stage: Stage, action: Action) -> None:
-    """rosbridge's operations, valid and invalid."""
+    """rosbridge's operations, or Foxglove's, valid and invalid."""
     dice = action.dice()
     interval_s = dice.choice((0.0, 0.002, 0.05))
     way = dice.choice(("fin", "reset", "half_close", "silent"))
-    stage.report({"action": action.number, "what": f"rosbridge operations each {interval_s} s, then {way}"})
+    is_foxglove = random.Random(f"{action.seed} protocol").random() < FOXGLOVE_SHARE
+    draw = foxglove.draw_request if is_foxglove else requests.draw_operation
+    handshake = foxglove.handshake if is_foxglove else requests.draw_handshake
+    spoken = "Foxglove's" if is_foxglove else "rosbridge's"
+    stage.report({"action": action.number, "what": f"{spoken} operations each {interval_s} s, then {way}"})
 
     async def one(number: int) -> None:
         own = random.Random(f"{action.seed} {number}")
-        async with stage.websocket(own, way) as connection, reading(connection):
+        async with stage.websocket(own, way, handshake=handshake) as connection, reading(connection):
             while True:
-                await connection.send(requests.draw_operation(own))
+                await connection.send(draw(own))
                 await asyncio.sleep(interval_s)
 
     await together(one, dice.randint(1, 6))

@@ -44,6 +44,7 @@ class Wanted:
     steps: int | None = None
     first_step: int = 0
     keeps_going: bool = False
+    has_udp: bool = True
 
     def command(self) -> str:
         """What repeats it."""
@@ -52,6 +53,7 @@ class Wanted:
         words += [f"--first-step {self.first_step}"] if self.first_step else []
         words += [f"--steps {self.steps}"] if self.steps is not None else []
         words += ["--keep-going"] if self.keeps_going else []
+        words += [] if self.has_udp else ["--no-udp"]
         for each in dataclasses.fields(Limits):
             if (value := getattr(self.limits, each.name)) != each.default:
                 words.append(f"--limit-{each.name.replace('_', '-')} {value:g}")
@@ -345,8 +347,8 @@ async def _wait(event: asyncio.Event, seconds: float) -> bool:
 async def run(wanted: Wanted, log: Callable[[str], None]) -> Outcome:
     """Play it on a daemon of its own; nothing of it is left afterwards."""
     with tempfile.TemporaryDirectory(prefix="chaos") as folder:
-        async with daemon(Path(folder)) as running:
-            ports = [str(running.tcp[1]), str(running.api[1])]
+        async with daemon(Path(folder), has_udp=wanted.has_udp) as running:
+            ports = [str(running.tcp[1]), str(running.api[1]), str(running.udp[1] if running.udp else 0)]
             async with (
                 talker("honest", str(wanted.seed), *ports) as honest,
                 talker("player", str(wanted.seed), *ports, *wanted.kinds) as player,

@@ -2,20 +2,22 @@
 
 import contextlib
 import random
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 from hostlink.protocol.frame import TOPICS_REQUEST
-from tests.support.chaos.connection import Connection, Room, leaving
-from tests.support.chaos.names import hostile_address
+from tests.support.chaos.connection import Connection, DatagramConnection, Room, leaving
+from tests.support.chaos.names import VERIFIED_ADDRESSES, hostile_address
 from tests.support.chaos.requests import draw_handshake
 
 DEVICE, SOCKET, IDLE, STUCK = "device", "socket", "idle", "stuck"
 ROOM = {DEVICE: 150, SOCKET: 60, IDLE: 1300, STUCK: 4}  # the daemon has 256 connections of devices, 1024 descriptors
+UDP_SHARE = 0.3  # of the devices, where the daemon receives datagrams
 REQUEST_TIMEOUT_S = 0.7
 HANDSHAKE_WAIT_S = 2.0
 Report = Callable[[dict[str, Any]], None]
+Dial = Callable[..., Awaitable[Connection]]
 
 
 @dataclass
@@ -25,12 +27,21 @@ class Stage:
     tcp: tuple[str, int]
     api: tuple[str, int]
     report: Report
+    udp: tuple[str, int] | None = None
     room: Room = field(default_factory=lambda: Room(**ROOM))
 
     @contextlib.asynccontextmanager
-    async def device(self, dice: random.Random, way: str = "fin") -> AsyncIterator[Connection]:
-        """A device's connection; ConnectionError when there is no room."""
-        async with self._connected(self.tcp, dice, DEVICE, way) as connection:
+    async def device(
+        self, dice: random.Random, way: str = "fin", *, is_verified: bool = False
+    ) -> AsyncIterator[Connection]:
+        """A device's connection, over TCP or UDP; ConnectionError when there is no room.
+
+        `is_verified`: its address is one that the daemon trusts. To others it sends no more datagrams than they sent.
+        """
+        is_udp = self.udp is not None and dice.random() < UDP_SHARE
+        to, dial = (self.udp or self.tcp, DatagramConnection.dial) if is_udp else (self.tcp, Connection.dial)
+        source = dice.choice(VERIFIED_ADDRESSES) if is_udp and is_verified else hostile_address(dice)
+        async with self._connected(to, source, DEVICE, way, dial=dial) as connection:
             yield connection
 
     @contextlib.asynccontextmanager
@@ -38,27 +49,39 @@ class Stage:
         self, dice: random.Random, way: str = "fin", *, kind: str = SOCKET, receive_bytes: int = 0
     ) -> AsyncIterator[Connection]:
         """A program's connection."""
-        async with self._connected(self.api, dice, kind, way, receive_bytes) as connection:
+        async with self._connected(self.api, hostile_address(dice), kind, way, receive_bytes) as connection:
             yield connection
 
     @contextlib.asynccontextmanager
     async def websocket(
-        self, dice: random.Random, way: str = "fin", *, kind: str = SOCKET, receive_bytes: int = 0
+        self,
+        dice: random.Random,
+        way: str = "fin",
+        *,
+        kind: str = SOCKET,
+        receive_bytes: int = 0,
+        handshake: Callable[[random.Random], bytes] = draw_handshake,
     ) -> AsyncIterator[Connection]:
         """A program's connection that has become a WebSocket, if the daemon agrees."""
         async with self.program(dice, way, kind=kind, receive_bytes=receive_bytes) as connection:
-            await connection.send(draw_handshake(dice))
+            await connection.send(handshake(dice))
             await connection.receive_until(b"\r\n\r\n", HANDSHAKE_WAIT_S)
             yield connection
 
     @contextlib.asynccontextmanager
     async def _connected(
-        self, to: tuple[str, int], dice: random.Random, kind: str, way: str, receive_bytes: int = 0
+        self,
+        to: tuple[str, int],
+        source: str,
+        kind: str,
+        way: str,
+        receive_bytes: int = 0,
+        dial: Dial = Connection.dial,
     ) -> AsyncIterator[Connection]:
         if not self.room.reserve(kind, 1):
             raise ConnectionError(f"no room for another {kind}")
         try:
-            connection = await Connection.dial(to, hostile_address(dice), kind, receive_bytes=receive_bytes)
+            connection = await dial(to, source, kind, receive_bytes=receive_bytes)
         except BaseException:
             self.room.give_back(kind, 1)
             raise

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.errors import UnknownTopic
 from tests.support.virtual_loop import run_virtual
-from tests.support.waiting import described, expect, expect_never
+from tests.support.waiting import described, expect, expect_never, is_soon
 
 
 class Counter:
@@ -92,3 +92,17 @@ def test_what_must_never_be_is_watched_for_the_whole_time() -> None:
     counter.count = 1
     with pytest.raises(AssertionError, match=r"within 0.5 s: counter.count"):
         run_virtual(wait())
+
+
+@pytest.mark.parametrize(
+    ("measured", "is_below", "tries"),
+    [([0.4], True, 1), ([0.6, 0.4], True, 2), ([0.6, 0.5, 0.4], True, 3), ([0.6, 0.5, 0.7, 0.1], False, 3)],
+)
+async def test_one_measurement_below_the_limit_is_enough(measured: list[float], is_below: bool, tries: int) -> None:
+    left = iter(measured)
+
+    async def measure() -> float:
+        return next(left)
+
+    assert await is_soon(measure, 0.5) == is_below
+    assert len(measured) - len(list(left)) == tries

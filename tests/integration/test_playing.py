@@ -1,0 +1,230 @@
+"""What a recording may do to robots that are really there: nothing that nobody meant."""
+
+import asyncio
+import contextlib
+import io
+import re
+from collections.abc import AsyncIterator, Coroutine, Iterable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from hostlink.cli import play
+from hostlink.client import connect
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.messages.catalog import Catalog
+from hostlink.protocol.frame import Id, encode
+from hostlink.recording.channel import DEVICE, VELOCITY, Channel, ros_channel
+from hostlink.recording.mcap_writer import McapWriter
+from hostlink.robot.velocity import ZERO, Velocity
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.virtual_loop import run_virtual
+from tests.support.waiting import expect
+
+CATALOG = Catalog()
+FORWARD = Velocity(linear_x_m_s=0.2)
+PACE = play.Pace(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
+POSE = bytes(24)
+
+
+def channel(name: str, type_name: str, origin: str, robot: str = "robot_0") -> Channel:
+    type_ = CATALOG.message(type_name)
+    return ros_channel(name, type_name, type_, is_latched=False, robot=robot, origin=origin)
+
+
+COMMANDS = channel("/robot_0/velocity_commands", "geometry_msgs/Twist", VELOCITY)
+ODOMETRY = channel("/robot_0/odometry", "geometry_msgs/Pose2D", DEVICE)
+
+
+def recording(folder: Path, messages: Iterable[tuple[float, Channel, bytes]], channels: Iterable[Channel] = ()) -> Path:
+    path = folder / "run.mcap"
+    writer = McapWriter(path, metadata={})
+    for each in channels:
+        writer.announce(each)
+    for at_s, of, payload in messages:
+        writer.write(of, 10**18 + int(at_s * 1e9), payload)
+    writer.close()
+    return path
+
+
+@asynccontextmanager
+async def robot(name: str = "robot_0") -> AsyncIterator[tuple[Daemon, FakeDevice]]:
+    async with daemon() as host, fake_device(host.tcp, robot_topics(name)) as device:
+        await expect(lambda: host.hub.robots.has(name))
+        yield host, device
+
+
+async def drive(host: Daemon, file: Path) -> None:
+    await play.drive_robot(host.url, None, file, PACE, "robot_0", [])
+
+
+@asynccontextmanager
+async def beside(work: Coroutine[None, None, None]) -> AsyncIterator[asyncio.Task[None]]:
+    """It runs for the length of the block at most."""
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(work)
+        yield task
+        task.cancel()
+
+
+async def refusal(host: Daemon, file: Path) -> str:
+    """Why the play ended."""
+    with pytest.raises(HostlinkError) as caught:
+        await drive(host, file)
+    return str(caught.value)
+
+
+def is_driven(host: Daemon) -> bool:
+    return not host.hub.robots.find("robot_0").gate.current.is_zero
+
+
+async def test_a_velocity_that_nothing_follows_holds_for_a_lease(tmp_path: Path) -> None:
+    """The recorded link was lost while its robot moved: there is no zero, and a minute of others' messages."""
+    others = [(0.1 * number, ODOMETRY, POSE) for number in range(600)]
+    file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), *others])
+    async with robot() as (host, _), beside(drive(host, file)):
+        await expect(lambda: is_driven(host))
+        await asyncio.sleep(0.8)
+        assert not is_driven(host)
+
+
+@pytest.mark.parametrize("way", ["stop", "lock"])
+async def test_whoever_stops_a_driven_robot_ends_the_play(tmp_path: Path, way: str) -> None:
+    file = recording(tmp_path, [(0.1 * number, COMMANDS, FORWARD.encode()) for number in range(600)])
+    async with robot() as (host, _), asyncio.TaskGroup() as tasks:
+        playing = tasks.create_task(refusal(host, file))
+        await expect(lambda: is_driven(host))
+        assert (await host.rest("POST", f"/api/robots/robot_0/{way}"))[0] == 200
+        await host.rest("POST", "/api/robots/robot_0/unlock")
+        for _ in range(40):
+            assert not is_driven(host)
+            await asyncio.sleep(0.01)
+        assert re.search("stopped it since|locked", await playing)
+
+
+async def test_a_program_that_a_person_drives_goes_on_after_a_stop() -> None:
+    async with robot() as (host, _), connect(host.url) as program:
+        await program.robot("robot_0").drive(0.2, 0.0)
+        await host.rest("POST", "/api/robots/robot_0/stop")
+        await expect(lambda: is_driven(host))
+
+
+async def test_a_velocity_that_is_none_ends_the_play_in_a_line(tmp_path: Path) -> None:
+    file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), (0.1, COMMANDS, b"no twist")])
+    async with robot() as (host, _):
+        assert "instead of 48" in await refusal(host, file)
+        await expect(lambda: not is_driven(host))
+
+
+async def test_a_text_that_is_said_to_be_a_velocity_drives_nothing(tmp_path: Path) -> None:
+    text = channel("/robot_0/velocity_commands", "std_msgs/String", VELOCITY)
+    async with robot() as (host, _):
+        assert "velocities of no robot" in await refusal(host, recording(tmp_path, [(0.0, text, bytes(48))]))
+
+
+@pytest.mark.parametrize("is_looped", [False, True])
+async def test_a_play_of_nothing_is_refused_and_a_loop_of_it_ends(tmp_path: Path, is_looped: bool) -> None:
+    file = recording(tmp_path, [(0.0, COMMANDS, FORWARD.encode()), (2.0, ODOMETRY, POSE)])
+    pace = play.Pace(rate=1.0, start_s=100.0, is_looped=is_looped, is_stepped=False)
+    async with robot() as (host, _):
+        with pytest.raises(HostlinkError, match="the recording has no velocities after 100 s"):
+            await play.drive_robot(host.url, None, file, pace, "robot_0", [])
+        with pytest.raises(HostlinkError, match="the recording has no messages after 100 s"):
+            await play.publish_topics(host.url, None, file, pace, ["/x"])
+
+
+class Terminal(io.StringIO):
+    """Standard error of somebody who watches."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_play_shows_how_far_it_is_also_where_nothing_is_due() -> None:
+    async def wait() -> None:
+        clock = play.Clock(play.Pace(rate=2.0, start_s=10.0, is_looped=False, is_stepped=False), "velocities")
+        clock.count = 7
+        await clock.reach(3.1)
+
+    with contextlib.redirect_stderr(Terminal()) as shown:
+        run_virtual(wait())
+    lines = shown.getvalue().replace("\r\x1b[2K", "\n").split("\n")
+    assert lines[1:] == [f"{at_s}.0 s  7 velocities" for at_s in range(10, 17)]
+
+
+def test_a_robot_is_not_driven_by_the_enter_key(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--step"):
+        play.command(tmp_path / "run.mcap", drive="robot_0", step=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name", "payload"),
+    [
+        ("/robot_0/velocity_commands", "geometry_msgs/Twist", FORWARD.encode()),
+        ("/robot_0/cmd_vel", "geometry_msgs/Twist", FORWARD.encode()),
+        ("/robot_0/cmd_vel_stamped", "geometry_msgs/TwistStamped", bytes(16) + FORWARD.encode()),
+    ],
+)
+@pytest.mark.parametrize("origin", ["", DEVICE])
+async def test_a_velocity_that_no_gate_had_seen_is_published_to_nobody(
+    tmp_path: Path, name: str, type_name: str, payload: bytes, origin: str
+) -> None:
+    """It was recorded while the robot was not there, or by a device that drives another."""
+    file = recording(tmp_path, [(0.1 * number, channel(name, type_name, origin), payload) for number in range(5)])
+    async with robot() as (host, _):
+        await play.publish_topics(host.url, None, file, PACE, ["*"])
+        assert host.hub.robots.find("robot_0").gate.counts.commands == 0
+
+
+async def test_a_played_device_drives_no_robot(tmp_path: Path) -> None:
+    """A device may drive another robot; one that is played may not."""
+    twist = channel("/robot_0/velocity_commands", "geometry_msgs/Twist", DEVICE, robot="joystick")
+    odometry = channel("/joystick/odometry", "geometry_msgs/Pose2D", DEVICE, robot="joystick")
+    own = channel("/joystick/velocity_commands", "geometry_msgs/Twist", VELOCITY, robot="joystick")
+    moving = [
+        (0.1 * number, each, payload)
+        for number in range(10)
+        for each, payload in ((odometry, POSE), (twist, FORWARD.encode()))
+    ]
+    async with robot() as (host, _):
+        await play.play_devices(recording(tmp_path, moving, [own]), PACE, host.tcp, [])
+        gate = host.hub.robots.find("robot_0").gate
+        assert (gate.counts.commands, gate.current) == (0, ZERO)
+
+
+async def test_a_message_that_no_device_can_send_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = channel("/robot_0/text", "std_msgs/String", DEVICE)
+    long = (100_000).to_bytes(4, "little") + bytes(100_000)
+    file = recording(tmp_path, [(0.0, text, long), (0.1, ODOMETRY, POSE), (0.2, ODOMETRY, POSE)], [COMMANDS])
+    async with daemon() as host:
+        await play.play_devices(file, PACE, host.tcp, [])
+        assert host.hub.topics.find("/robot_0/odometry").messages == 2
+    assert capsys.readouterr().err.endswith("3 messages played, 1 left out\n")
+
+
+MARK = topic(Id.PUBLISHER, 130, "/joystick/played", "std_msgs/String")
+TO_ANOTHER = topic(Id.PUBLISHER, 131, "/robot_0/velocity_commands", "geometry_msgs/Twist")
+
+
+@pytest.mark.parametrize("is_played", [False, True])
+async def test_a_device_may_drive_another_unless_it_is_played(*, is_played: bool) -> None:
+    topics = [*robot_topics("joystick"), TO_ANOTHER, *([MARK] if is_played else [])]
+    async with robot() as (host, _), fake_device(host.tcp, topics) as joystick:
+        await expect(lambda: host.hub.robots.has("joystick"))
+        await joystick.send(encode(TO_ANOTHER.topic_id, FORWARD.encode()) + pose(1.0))
+        await expect(lambda: host.hub.topics.find("/joystick/odometry").messages == 1)
+        assert is_driven(host) is not is_played
+
+
+async def test_a_robot_that_comes_gets_its_name_from_the_one_that_is_played(tmp_path: Path) -> None:
+    file = recording(tmp_path, [(0.05 * number, ODOMETRY, POSE) for number in range(200)], [COMMANDS])
+    async with daemon() as host, beside(play.play_devices(file, PACE, host.tcp, [])):
+        await expect(lambda: host.hub.topics.find_or_none("/robot_0/odometry") is not None)
+        async with fake_device(host.tcp, robot_topics()) as device, connect(host.url) as program:
+            await expect(lambda: {robot.name for robot in host.hub.robots.all()} == {"robot_0", "robot_0_2"})
+            await program.robot("robot_0").drive(0.2, 0.0)
+            assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)

@@ -1,0 +1,322 @@
+"""Names, limits, tokens and origins change while robots are driven; what is wrong changes nothing."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+
+import aiohttp
+import pytest
+from structlog.testing import capture_logs
+
+from hostlink.client import connect
+from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.errors import ConfigError, HostlinkError
+from hostlink.robot.velocity import ZERO
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.rosbridge import Client
+from tests.support.waiting import expect
+
+ALICE, BOB = "the-token-of-alice-1", "the-token-of-bob-123"
+BOTH = (TokenConfig(name="alice", role="drive", token=ALICE), TokenConfig(name="bob", role="drive", token=BOB))
+GUARDED = Config(api=ApiConfig(tokens=BOTH))
+VELOCITY = "/robot_0/velocity_commands"
+
+
+class File:
+    """The configuration file; a test writes another one."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+
+
+@contextlib.asynccontextmanager
+async def served(config: Config) -> AsyncIterator[tuple[Daemon, File]]:
+    """A daemon that was started with a file."""
+    file = File(config)
+    async with daemon(config, read=lambda: file.config) as host:
+        yield host, file
+
+
+async def reload(host: Daemon, token: str = "") -> tuple[int, dict[str, object]]:
+    """(status, JSON)."""
+    return await host.rest("POST", f"/api/reload?token={token}")
+
+
+def robots(**configs: RobotConfig) -> Config:
+    return Config(robots=configs)
+
+
+# -- limits -----------------------------------------------------------------------------------------------------------
+
+
+async def test_a_lower_limit_slows_a_robot_that_is_driven() -> None:
+    async with (
+        served(Config()) as (host, file),
+        fake_device(host.tcp, robot_topics()) as device,
+        connect(host.url) as program,
+    ):
+        await program.robot("robot_0").drive(0.5, 0.0)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.5, 0.0)
+        file.config = robots(robot_0=RobotConfig(max_linear_m_s=0.1))
+        assert (await reload(host))[1]["changed"] == ["robots.robot_0.max_linear_m_s"]
+        assert await device.velocity_other_than((0.5, 0.0)) == (0.1, 0.0)
+        assert host.hub.robots.find_here("robot_0").gate.owner_name is not None  # it drives on
+
+
+async def test_a_higher_limit_is_no_command_by_itself() -> None:
+    async with (
+        served(robots(robot_0=RobotConfig(max_linear_m_s=0.1))) as (host, file),
+        fake_device(host.tcp, robot_topics()) as device,
+    ):
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.5, "angular": 0}')
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+        file.config = Config()
+        await reload(host)
+        assert await device.velocity_other_than((0.1, 0.0)) == (0.0, 0.0)  # the lease has ended
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.5, "angular": 0}')
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.5, 0.0)
+
+
+async def test_poses_of_a_robot_that_may_be_faster_now_are_believed() -> None:
+    slow = robots(robot_0=RobotConfig(max_linear_m_s=0.01))
+    async with served(slow) as (host, file), fake_device(host.tcp, robot_topics()) as device:
+        file.config = Config()
+        await reload(host)
+        estimator = host.hub.robots.find_here("robot_0").odometry
+        for number in range(4):
+            await device.send(pose(0.2 * number))
+            await asyncio.sleep(0.1)
+        await expect(lambda: estimator.count == 4)
+        assert estimator.ignored == 0
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+async def test_two_robots_swap_their_names() -> None:
+    left, right = RobotConfig(address="127.0.0.2"), RobotConfig(address="127.0.0.3")
+    async with (
+        served(robots(left=left, right=right)) as (host, file),
+        fake_device(host.tcp, robot_topics(), local_host="127.0.0.2"),
+        fake_device(host.tcp, robot_topics(), local_host="127.0.0.3") as device,
+    ):
+        await expect(lambda: [each.name for each in host.hub.robots.here()] == ["left", "right"])
+        file.config = robots(left=right, right=left)
+        assert (await reload(host))[1]["renamed"] == {"left": "right", "right": "left"}
+        status, _ = await host.rest("PUT", "/api/robots/left/velocity", b'{"linear": 0.2, "angular": 0}')
+        assert status == 200
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+async def test_a_robot_gets_a_name_and_keeps_it_when_it_comes_back() -> None:
+    named = robots(rover=RobotConfig(address="127.0.0.1"))
+    async with served(Config()) as (host, file):
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.has("robot_0"))
+            file.config = named
+            assert (await reload(host))[1]["renamed"] == {"robot_0": "rover"}
+            assert [each.name for each in host.hub.robots.all()] == ["rover"]  # and nothing is left of the other name
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.find_here("rover").link is not None)
+        file.config = Config()
+        assert (await reload(host))[1]["changed"] == ["robots.rover.address"]
+
+
+@pytest.mark.parametrize("is_locked", [False, True], ids=["driven", "locked"])
+async def test_a_robot_that_is_driven_or_locked_keeps_its_name(is_locked: bool) -> None:
+    """Who drives it, and who has locked it, knows it by that."""
+    async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+        if is_locked:
+            await host.rest("POST", "/api/robots/robot_0/lock")
+        else:
+            await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
+        file.config = robots(rover=RobotConfig(address="127.0.0.1"), robot_0=RobotConfig(max_linear_m_s=0.1))
+        status, answer = await reload(host)
+        assert status == 409
+        assert ("unlock it" if is_locked else "stop it") in str(answer)
+        assert host.hub.config.robots == {}
+        assert host.hub.robots.find_here("robot_0").config == RobotConfig()
+
+
+async def test_a_locked_robot_that_is_away_keeps_its_name() -> None:
+    async with served(Config()) as (host, file):
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.has("robot_0"))
+            await host.rest("POST", "/api/robots/robot_0/lock")
+        await expect(lambda: host.hub.robots.find_here("robot_0").link is None)
+        file.config = robots(rover=RobotConfig(address="127.0.0.1"))
+        assert (await reload(host))[0] == 409
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.find_here("robot_0").link is not None)
+            assert host.hub.robots.find_here("robot_0").gate.lock_reason is not None
+
+
+async def test_a_robot_that_is_configured_no_more_can_be_forgotten() -> None:
+    config = replace(robots(robot_0=RobotConfig(max_linear_m_s=0.1)), link=LinkConfig(forget_robot_after_s=0.0))
+    async with served(config) as (host, file):
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.has("robot_0"))
+        await expect(lambda: host.hub.robots.find_here("robot_0").link is None)
+        file.config = replace(config, robots={})
+        await reload(host)
+        await expect(lambda: not host.hub.robots.has("robot_0"))
+
+
+# -- tokens -----------------------------------------------------------------------------------------------------------
+
+Drive = Callable[[Daemon, str], Awaitable[None]]
+
+
+async def by_websocket(host: Daemon, token: str) -> None:
+    """A program of rosbridge."""
+    async with host.session.ws_connect(f"{host.url}/?token={token}") as socket:
+        while not socket.closed:
+            await Client(socket).send(op="publish", topic=VELOCITY, msg={"linear": {"x": 0.2}})
+            await asyncio.sleep(0.05)
+
+
+async def by_rest(host: Daemon, token: str) -> None:
+    """A program of REST; it gives up when it is refused."""
+    path = f"/api/robots/robot_0/velocity?token={token}"
+    status = 200
+    while status == 200:
+        status, _ = await host.rest("PUT", path, b'{"linear": 0.2, "angular": 0}')
+        await asyncio.sleep(0.05)
+
+
+async def by_client(host: Daemon, token: str) -> None:
+    """A program of hostlink.client, which repeats its command by itself and connects again."""
+    async with connect(host.url, token=token) as program:
+        await program.robot("robot_0").drive(0.2, 0.0)
+        await asyncio.Event().wait()
+
+
+async def drive_on(drive: Drive, host: Daemon) -> None:
+    with contextlib.suppress(aiohttp.ClientError, OSError, HostlinkError):  # it is cut off
+        await drive(host, ALICE)
+
+
+@pytest.mark.parametrize("drive", [by_websocket, by_rest, by_client])
+async def test_whoever_drives_by_a_token_that_is_withdrawn_is_cut_off_and_the_robot_stands(drive: Drive) -> None:
+    async with (
+        served(GUARDED) as (host, file),
+        fake_device(host.tcp, robot_topics()) as device,
+        host.session.ws_connect(f"{host.url}/?token={BOB}") as neighbour,
+        asyncio.TaskGroup() as tasks,
+    ):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+        driving = tasks.create_task(drive_on(drive, host))
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        file.config = Config(api=ApiConfig(tokens=BOTH[1:]))
+        changed = {"changed": ["api.tokens"], "needs_restart": [], "renamed": {}}
+        assert await reload(host, BOB) == (200, changed)
+        assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+        gate = host.hub.robots.find_here("robot_0").gate
+        await asyncio.sleep(2 * gate.lease_s)  # it may try again
+        assert (gate.owner, gate.current) == (None, ZERO)
+        await Client(neighbour).send(op="publish", topic=VELOCITY, msg={"linear": {"x": 0.1}})
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
+        driving.cancel()
+
+
+async def test_a_driver_may_only_read_from_now_on() -> None:
+    async with served(GUARDED) as (host, file), fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+        path = f"/api/robots/robot_0/velocity?token={ALICE}"
+        assert (await host.rest("PUT", path, b'{"linear": 0.2, "angular": 0}'))[0] == 200
+        reader = TokenConfig(name="alice", role="read", token=ALICE)
+        file.config = Config(api=ApiConfig(tokens=(reader, BOTH[1])))
+        assert (await reload(host, ALICE))[0] == 200  # it is answered, and was the last that it could do
+        assert (await host.rest("PUT", path, b'{"linear": 0.2, "angular": 0}'))[0] == 403
+        assert host.hub.robots.find_here("robot_0").gate.owner is None
+
+
+async def test_the_first_token_ends_whoever_came_without_one() -> None:
+    async with served(Config()) as (host, file), host.session.get(host.url + "/api/events") as events:
+        file.config = GUARDED
+        assert (await reload(host))[0] == 200
+        with contextlib.suppress(aiohttp.ClientError):
+            await events.content.read()
+        assert (await host.rest("GET", "/api/robots"))[0] == 401
+        assert (await reload(host, BOB))[0] == 200
+
+
+async def test_another_secret_in_the_token_s_file_withdraws_the_first(tmp_path: Path) -> None:
+    (tmp_path / "token").write_text(ALICE)
+    tokens = (TokenConfig(name="alice", role="drive", token_file=tmp_path / "token"),)
+    async with served(Config(api=ApiConfig(tokens=tokens))) as (host, _):
+        async with host.session.ws_connect(f"{host.url}/?token={ALICE}") as socket:
+            (tmp_path / "token").write_text(BOB)
+            assert (await reload(host, ALICE))[0] == 200
+            assert (await socket.receive()).type in (aiohttp.WSMsgType.CLOSED, aiohttp.WSMsgType.CLOSE)
+        assert (await reload(host, ALICE))[0] == 401
+        assert (await reload(host, BOB))[0] == 200
+
+
+async def test_an_origin_is_allowed_from_now_on() -> None:
+    async with served(Config()) as (host, file):
+        origin = {"Origin": "https://app.example"}
+        async with host.session.get(host.url + "/api/robots", headers=origin) as response:
+            assert response.status == 403
+        file.config = Config(api=ApiConfig(origins=("https://app.example",)))
+        assert (await reload(host))[1]["changed"] == ["api.origins"]
+        async with host.session.get(host.url + "/api/robots", headers=origin) as response:
+            assert response.status == 200
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+
+
+async def test_other_settings_need_a_restart_and_are_named() -> None:
+    async with served(Config()) as (host, file):
+        file.config = Config(
+            tcp=TcpConfig(max_connections=3),
+            serial=(SerialConfig(path="/dev/ttyACM7"),),
+            robots={"robot_0": RobotConfig(max_linear_m_s=0.1, publish_tf=False)},
+        )
+        with capture_logs() as lines:
+            _, answer = await reload(host)
+        assert answer["changed"] == ["robots.robot_0.max_linear_m_s"]
+        assert answer["needs_restart"] == ["tcp.max_connections", "serial", "robots.robot_0.publish_tf"]
+        assert [line["event"] for line in lines] == ["config.reloaded"]
+        assert (await reload(host))[1]["changed"] == []
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Config(robots={"robot_0": RobotConfig(max_linear_m_s=-1.0)}, api=ApiConfig(tokens=BOTH)),
+        Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.1)}, api=ApiConfig(tokens=(BOTH[0], BOTH[0]))),
+        Config(robots={"robot_0": RobotConfig(max_linear_m_s=0.1)}, api=ApiConfig(origins=("*",))),
+    ],
+    ids=["limit", "tokens", "origins"],
+)
+async def test_what_is_wrong_changes_nothing(wrong: Config) -> None:
+    async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+        file.config = wrong
+        status, _ = await reload(host)
+        assert status >= 400
+        assert host.hub.config.robots == {}
+        assert host.hub.robots.find_here("robot_0").config == RobotConfig()
+        assert (await host.rest("GET", "/api/robots"))[0] == 200  # without a token, as before
+
+
+async def test_a_file_that_cannot_be_read_changes_nothing() -> None:
+    def read() -> Config:
+        raise ConfigError("hostlink.toml", "is not TOML")
+
+    async with daemon(read=read) as host:
+        status, answer = await reload(host)
+        assert (status, answer["error"]) == (500, {"kind": "ConfigError", "reason": "hostlink.toml: is not TOML"})
+
+
+async def test_a_daemon_without_a_file_says_so() -> None:
+    async with daemon() as host:
+        with pytest.raises(HostlinkError, match="without --config FILE"):
+            async with connect(host.url) as program:
+                await program.post("/api/reload")

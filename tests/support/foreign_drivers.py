@@ -1,0 +1,156 @@
+"""Drivers of foreign graphs, as their protocols deliver them: bytes of a connection, samples of a session.
+
+There is no network, so that they run in virtual time. `vanish` is what the graph reports when such a driver ends.
+"""
+
+import asyncio
+import itertools
+import socket
+from collections import Counter
+from collections.abc import Coroutine
+from typing import Any, cast
+
+from hostlink.errors import HostlinkError, RobotHeld
+from hostlink.graphs.ros1.counts import Counts
+from hostlink.graphs.ros1.parts import Parts, Spawned
+from hostlink.graphs.ros1.publisher import _Connection
+from hostlink.graphs.ros1.rpc import Master, Rpc
+from hostlink.graphs.ros1.tcpros import encode_header, encode_message
+from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
+from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, Keys, Sender, State, decode, encode
+from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.graphs.zenoh.roster import Roster
+from hostlink.graphs.zenoh.session import Sample, Session
+from hostlink.hub.hub import Hub
+from hostlink.hub.node import Role
+from hostlink.hub.participant import Participant
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from tests.support.fake_device import CATALOG
+from tests.support.participants import ROBOT, Scene
+
+PRIORITY = 50
+
+
+class _Wireless(asyncio.Transport):
+    """The transport of a connection whose peer is the test."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        """`connection`: for the options that are set on it."""
+        super().__init__({"peername": ("10.0.0.9", 1), "socket": connection})
+
+    def write(self, data: Any) -> None:
+        """Nobody reads it."""
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def abort(self) -> None:
+        """There is nothing to close."""
+
+
+class Ros1Driver:
+    """A node of ROS 1 that publishes the velocity of a robot."""
+
+    def __init__(self, scene: Scene) -> None:
+        twist = CATALOG.message(TWIST_TYPE)
+        assert twist is not None
+        self._parts = _parts(scene.hub)
+        name = scene.hub.robots.find(ROBOT).shown.velocity
+        topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
+        self._connection = _Connection(self._parts, topic, is_latched_meant=True)
+        with socket.socket() as connection:
+            self._connection.wire.connection_made(_Wireless(connection))
+        fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
+        self._connection.wire.data_received(encode_header(fields))
+
+    @property
+    def participant(self) -> Participant:
+        assert self._connection._source is not None
+        return self._connection._source.participant
+
+    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
+        assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
+        before = self._parts.counts.refused_messages
+        self._connection.wire.data_received(encode_message(Velocity(speed_m_s).encode()))
+        if self._parts.counts.refused_messages > before:
+            raise RobotHeld(robot, "whoever was first")
+
+    def vanish(self) -> None:
+        """Its connection is lost."""
+        self._connection.wire.connection_lost(ConnectionResetError())
+
+
+def _parts(hub: Hub) -> Parts:
+    def spawn(work: Coroutine[Any, Any, object], *, name: str) -> Spawned:
+        raise AssertionError(f"{name} needs no task")
+
+    rpc = cast("Rpc", None)
+    return Parts(hub, rpc, cast("Master", None), "/hostlink", "http://here/", Counts(), spawn, 1 << 16, 8)
+
+
+class _Answers:
+    """The session: what this daemon sends to the others is kept for the test."""
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def put(self, _: str, payload: bytes, *, is_urgent: bool) -> None:
+        assert is_urgent
+        self.sent.append(payload)
+
+
+class FleetDriver:
+    """A program at another daemon of the fleet that drives a robot here."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._keys, self._here, self._there = Keys("hostlink"), Sender("lab", "1a"), Sender("desk", "2b")
+        self._answers, self._numbers = _Answers(), itertools.count(1)
+        roster = Roster(Counter())
+        post = Post(cast("Session", self._answers), self._keys, self._here, Counter())
+        self._drivers = FleetDrivers(scene.hub, post, roster)
+        roster.appear(self._there, _now_s())
+        roster.receive(self._there, State(sent_s=_now_s(), topics=0, robots=()), _now_s())
+
+    @property
+    def participant(self) -> Participant:
+        return self._drivers._drivers[self._there.zid].of[1].participant
+
+    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:  # noqa: ARG002 - as the other kinds have it
+        request = Drive(
+            number=next(self._numbers),
+            sent_s=_now_s(),
+            robot=robot,
+            owner=1,
+            owner_name="client 3",
+            velocity=(speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0),
+            priority=PRIORITY,
+        )
+        self._drivers.receive(Sample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
+        answer = decode(self._answers.sent.pop(), Answer)
+        if answer.error:
+            held = answer.error == RobotHeld.__name__
+            raise RobotHeld(robot, answer.owner) if held else HostlinkError(answer.reason)
+
+    def vanish(self) -> None:
+        """The token of its daemon is gone."""
+        self._drivers.leave(self._there.zid)
+
+
+def ros1(scene: Scene, role: Role) -> Ros1Driver:
+    assert role is Role.DRIVE
+    return Ros1Driver(scene)
+
+
+def fleet(scene: Scene, role: Role) -> FleetDriver:
+    assert role is Role.DRIVE
+    return FleetDriver(scene)
+
+
+FOREIGN = [ros1, fleet]
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,11 @@
+"""`hostlink ros2` for fork_parent.py: rclpy and the bridge are imported."""
+
+import rclpy
+import rclpy.executors
+
+from hostlink.cli import ros2
+from hostlink.cli.main import main
+from hostlink.graphs.ros2 import bridge
+
+IMPORTED = (rclpy, ros2, bridge)
+__all__ = ["main"]

@@ -1,0 +1,39 @@
+"""A TCP server of a test, which leaves no connection behind: one that is collected later fails an innocent test."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
+
+
+@contextlib.asynccontextmanager
+async def tcp_server(serve: Serve) -> AsyncIterator[tuple[str, int]]:
+    """Its address. At the end of the block its connections are closed, whatever `serve` waits for."""
+    serving: set[asyncio.Task[None]] = set()
+
+    async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        serving.add(task)
+        try:
+            await serve(reader, writer)
+        finally:
+            writer.close()
+            serving.discard(task)
+
+    server = await asyncio.start_server(handle, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[:2]
+    finally:
+        server.close()
+        await asyncio.sleep(0)  # whoever was accepted just now is served
+        for task in list(serving):
+            task.cancel()
+            await asyncio.wait([task])
+
+
+async def say_nothing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Read until the other end closes, and answer nothing."""
+    while await reader.read(4096):
+        continue

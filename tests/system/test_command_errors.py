@@ -1,0 +1,83 @@
+"""Whatever is wrong around a command, it ends with one line that says what to do next, and with the right status."""
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.process import HOSTLINK, free_port, run
+
+FULL = "/dev/full"
+INTERRUPTED_IMPORT = """
+import os, runpy, signal, sys
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupts())
+sys.argv = ["hostlink", "robots"]
+runpy.run_module("hostlink", run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("topics nonsense", "topics: got unexpected extra argument(s) (nonsense); `hostlink topics --help` shows what"),
+        ("hz /x --seconds -1", "hz: invalid value for '--seconds': Input should be greater than or equal to 0; `host"),
+        ("sim --robot fast", "sim: invalid value for '--robot': 'fast' is not one of 'nimble', 'paper'; `hostlink sim"),
+        ("echo", "echo: missing argument 'topic'; `hostlink echo --help` shows what there is"),
+        ("export x.mcap", "export: missing option '--to'. Choose from: csv, ros2, rosbag2, ros1; `hostlink export -"),
+        ("params get", "params get: missing argument 'name'; `hostlink params get --help` shows what there is"),
+        ("pub /x -r 10", "pub: no such option: -r; here it is --rate HZ --count 0"),
+        ("pub /x data: 1", "MESSAGE: is one argument, in quotes: '{linear: {x: 0.1}}'"),
+        ("record --name ../x", "--name: ../x is none: letters and digits, and . _ + - between them, 100 at most"),
+        ("topc list", "arguments: no such command 'topc'. Did you mean 'top"),
+        ("topic echo /x", "topic: is no command; `hostlink echo /x` is what comes near"),
+        ("--url http://x robots", "arguments: no such option: --url; `hostlink --help` shows what there is"),
+    ],
+)
+async def test_wrong_arguments_are_one_line_and_status_2(line: str, complaint: str) -> None:
+    status, out, errors = await run(*line.split())
+    assert (status, out, errors.count("\n")) == (2, "", 1)
+    assert errors.startswith(f"hostlink: {complaint}")
+
+
+async def test_a_group_of_commands_alone_shows_what_it_has() -> None:
+    status, out, errors = await run("params")
+    assert (status, errors) == (2, "")
+    assert "dump" in out
+
+
+@pytest.mark.parametrize("words", ["--version", "--help"])
+async def test_an_output_that_is_full_is_one_line_and_status_1(words: str) -> None:
+    with open(FULL, "w") as full:  # noqa: ASYNC230, PTH123 - a device
+        child = await asyncio.create_subprocess_exec(HOSTLINK, words, stdout=full, stderr=subprocess.PIPE)
+        async with asyncio.timeout(20):
+            _, errors = await child.communicate()
+    assert (child.returncode, errors.decode().splitlines()[1:]) == (1, [])
+    assert b"No space left on device" in errors
+
+
+async def test_a_demo_whose_reader_is_gone_ends_in_order() -> None:
+    words = f"demo --listen 127.0.0.1:{free_port()} --api 127.0.0.1:{free_port()}".split()
+    child = await asyncio.create_subprocess_exec(HOSTLINK, *words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert child.stdout is not None
+    assert child.stderr is not None
+    async with asyncio.timeout(20):
+        assert (await child.stdout.readline()).startswith(b"hostlink runs")
+        child.stdout._transport.close()  # type: ignore[attr-defined]
+        assert await child.stderr.read() == b""
+        assert await child.wait() == 1
+
+
+async def test_ctrl_c_while_the_program_is_loaded_shows_no_traceback() -> None:
+    child = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", INTERRUPTED_IMPORT, stderr=subprocess.PIPE, env=dict(os.environ)
+    )
+    async with asyncio.timeout(20):
+        _, errors = await child.communicate()
+    assert (child.returncode, errors) == (-signal.SIGINT, b"")

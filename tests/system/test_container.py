@@ -1,0 +1,134 @@
+"""The container: its file and its first process, as far as they can be tried without an image."""
+
+import asyncio
+import contextlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from hostlink.client import connect
+from hostlink.config import Config
+from tests.support.fake_device import fake_device, robot_topics
+from tests.support.process import HOSTLINK, Process, run, serve
+from tests.support.waiting import expect
+
+FOLDER = Path("tools/container")
+ENTRY = ("unshare", "--user", "--map-root-user", "--pid", "--fork", "--kill-child", "sh", str(FOLDER / "entry.sh"))
+
+
+def instructions() -> list[tuple[str, str]]:
+    """(instruction, arguments) of the Containerfile."""
+    text = re.sub(r"\\\n\s*", " ", (FOLDER / "Containerfile").read_text(encoding="utf-8"))
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    return [(line.partition(" ")[0], line.partition(" ")[2]) for line in lines]
+
+
+def last(instruction: str) -> str:
+    return [arguments for name, arguments in instructions() if name == instruction][-1]
+
+
+def test_it_runs_as_nobody_in_particular_and_on_the_usual_ports() -> None:
+    assert last("USER") not in ("root", "0")
+    assert last("EXPOSE").split() == [str(Config().tcp.port), str(Config().api.port)]
+
+
+def test_what_it_copies_and_starts_exists() -> None:
+    copied = [arguments.split() for name, arguments in instructions() if name == "COPY" and "--from" not in arguments]
+    assert all(Path(source).exists() for source, _ in copied)
+    source, target = copied[-1]
+    assert Path(source) == FOLDER / "entry.sh"
+    assert json.loads(last("ENTRYPOINT")) == ["/bin/sh", target]
+
+
+def test_what_is_no_source_stays_out_of_its_build() -> None:
+    """A virtual environment, secrets of a firmware; and nothing that is a source."""
+    ignored = {line.strip("/") for line in Path(".gitignore").read_text().splitlines()}
+    left_out = {line.removeprefix("**/") for line in Path(".dockerignore").read_text().splitlines() if line[0] != "#"}
+    assert left_out == ignored | {".git"}
+
+
+async def test_its_command_is_one_of_hostlinks(tmp_path: Path) -> None:
+    words = json.loads(last("CMD"))
+    file = tmp_path / "hostlink.toml"
+    file.write_text("tcp.port = 0\napi.port = 0\n")  # of the usual ones it would warn while another program has them
+    assert words[-1] == "/etc/hostlink/hostlink.toml"
+    status, _, complaint = await run(*words[:-2], "--check-config", str(file))
+    assert (status, complaint) == (0, "")
+
+
+def health(url: str) -> int:
+    """The exit status of its health check, with the port of a daemon."""
+    words = json.loads(last("HEALTHCHECK").partition("CMD ")[2])
+    assert words[0] == "python"
+    command = words[2].replace("http://127.0.0.1:9090", url)
+    return subprocess.run([sys.executable, "-c", command], check=False, capture_output=True, timeout=10).returncode
+
+
+async def test_its_health_check_knows_a_daemon_that_lives() -> None:
+    async with serve() as daemon:
+        assert await asyncio.to_thread(health, daemon.url) == 0
+        await daemon.end(signal.SIGTERM)
+    assert await asyncio.to_thread(health, daemon.url) != 0
+
+
+# -- its first process ------------------------------------------------------------------------------------------------
+
+
+def child_of(pid: int) -> int:
+    """The first process that it started."""
+    return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+
+
+@contextlib.asynccontextmanager
+async def contained(log: Path, *arguments: str) -> AsyncIterator[tuple[Process, int]]:
+    """A daemon below the container's first process, in a PID namespace; and the daemon's pid outside of it."""
+    path = f"PATH={Path(HOSTLINK).parent}:/usr/bin:/bin"
+    async with serve(*arguments, log=log, program=("env", path, *ENTRY)) as process:
+        first = child_of(process.child.pid)
+        yield process, child_of(first)
+
+
+async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tmp_path: Path) -> None:
+    """Process 1 lives on until the guardian has stopped it."""
+    async with (
+        contained(tmp_path / "log") as (process, daemon),
+        fake_device(process.tcp, robot_topics()) as device,
+        connect(process.url) as program,
+    ):
+        await expect(lambda: b"guardian.started" in (tmp_path / "log").read_bytes())
+        await program.robot("robot_0").drive(0.2, 0.0)
+        assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+        os.kill(daemon, signal.SIGKILL)
+        assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
+        assert await asyncio.wait_for(process.child.wait(), 10) == 128 + signal.SIGKILL
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+async def test_a_signal_to_the_first_process_ends_the_daemon_in_order(tmp_path: Path, number: signal.Signals) -> None:
+    async with contained(tmp_path / "log") as (process, daemon):
+        os.kill(parent_of(daemon), number)
+        assert await asyncio.wait_for(process.child.wait(), 10) == 0
+    assert b"daemon.stopped" in (tmp_path / "log").read_bytes()
+
+
+async def test_its_settings_are_read_again_by_a_signal(tmp_path: Path) -> None:
+    file = tmp_path / "hostlink.toml"
+    file.write_text("")
+    async with contained(tmp_path / "log", "--config", str(file)) as (_, daemon):
+        file.write_text("[robots.rover]\nmax_linear_m_s = 0.2\n")
+        os.kill(parent_of(daemon), signal.SIGUSR1)
+        await expect(lambda: b"config.reloaded" in (tmp_path / "log").read_bytes())
+        os.kill(parent_of(daemon), signal.SIGUSR1)  # and it serves on
+        await asyncio.sleep(0.1)
+        os.kill(daemon, 0)
+
+
+def parent_of(pid: int) -> int:
+    return int(re.findall(r"^PPid:\s+(\d+)$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)[0])

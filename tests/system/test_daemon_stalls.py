@@ -1,0 +1,51 @@
+"""A daemon that is stopped and goes on, as in a debugger, a paused virtual machine, a computer that slept."""
+
+import asyncio
+import signal
+
+import aiohttp
+import pytest
+
+from tests.support.fake_device import FakeDevice, fake_device, robot_topics
+from tests.support.process import serve
+from tests.support.rosbridge import Client
+
+pytestmark = pytest.mark.quiet
+
+STILL, MOVING = (0.0, 0.0), (0.2, 0.0)
+TWIST = {"linear": {"x": 0.2}}
+
+
+async def test_velocities_that_waited_meanwhile_move_no_robot() -> None:
+    async with (
+        serve() as daemon,
+        fake_device(daemon.tcp, robot_topics()) as device,
+        aiohttp.ClientSession() as session,
+        session.ws_connect(daemon.url) as socket,
+    ):
+        program = Client(socket)
+        await daemon.read_log("robot.appeared")
+        topic = "/robot_0/velocity_commands"
+        await program.send(op="advertise", topic=topic, type="geometry_msgs/Twist")
+        await program.send(op="publish", topic=topic, msg=TWIST)
+        await device.velocity_of(MOVING)
+        daemon.child.send_signal(signal.SIGSTOP)
+        for _ in range(20):
+            await program.send(op="publish", topic=topic, msg=TWIST)
+            await asyncio.sleep(0.05)
+        await velocities(device, for_s=0.1)  # what was sent before
+        daemon.child.send_signal(signal.SIGCONT)
+        assert await velocities(device, for_s=1.0) <= {STILL}
+        await program.send(op="publish", topic=topic, msg=TWIST)
+        await device.velocity_of(MOVING)
+
+
+async def velocities(device: FakeDevice, *, for_s: float) -> set[tuple[float, float]]:
+    """What a device is commanded."""
+    found = set[tuple[float, float]]()
+    try:
+        async with asyncio.timeout(for_s):
+            while True:
+                found.add(await device.velocity())
+    except TimeoutError:
+        return found

@@ -1,0 +1,101 @@
+"""The blocking client in a real Jupyter kernel: a robot is driven over cells; a cell that fails stops it."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+from jupyter_client.manager import AsyncKernelManager
+
+from tests.support.scripts import robot_to_drive
+
+pytestmark = [pytest.mark.quiet, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+
+PATIENCE_S = 20.0
+
+
+class Notebook:
+    """One kernel and its cells."""
+
+    def __init__(self, manager: AsyncKernelManager, client: Any) -> None:
+        self.manager, self._client = manager, client
+
+    def begin(self, cell: str) -> None:
+        self._client.execute(cell)
+
+    async def run(self, cell: str) -> str:
+        """What the cell shows: its value, what it prints, or the name of its error."""
+        self.begin(cell)
+        return await self.shown()
+
+    async def shown(self) -> str:
+        found = ""
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                message = await self._client.get_iopub_msg()
+                content = message["content"]
+                match message["msg_type"]:
+                    case "stream":
+                        found += content["text"]
+                    case "execute_result":
+                        found += content["data"]["text/plain"]
+                    case "error":
+                        found += content["ename"]
+                    case "status" if content["execution_state"] == "idle" and found is not None:
+                        if message["parent_header"].get("msg_type") == "execute_request":
+                            return found
+
+
+@contextlib.asynccontextmanager
+async def notebook() -> AsyncIterator[Notebook]:
+    manager = AsyncKernelManager(kernel_name="python3")
+    await manager.start_kernel()
+    client = manager.client()
+    client.start_channels()
+    try:
+        await client.wait_for_ready(timeout=PATIENCE_S)
+        yield Notebook(manager, client)
+    finally:
+        client.stop_channels()
+        await manager.shutdown_kernel(now=True)
+
+
+async def test_a_robot_is_driven_over_cells_and_an_error_an_interrupt_or_the_kernels_death_stops_it() -> None:
+    async with robot_to_drive() as robot, notebook() as cells:
+        await cells.run("import time, hostlink.client")
+        await cells.run(f"host = hostlink.client.connect_blocking({robot.host.url!r})")
+        assert (
+            await cells.run("robot = host.robot('robot_0'); robot")
+            == f"<BlockingRobot robot_0 at {robot.host.url}, priority 50>"
+        )
+
+        assert (await cells.run("robot.drive(0.2, 0.0)")).startswith("Driven(linear_m_s=0.2")
+        await robot.moves()
+        assert float(await cells.run("print(next(robot.odometry())['pose']['x_m'])")) >= 0.0
+        assert await cells.run("robot.is_driven") == "True"  # cells that end well change nothing
+        assert await cells.run("1 / 0") == "ZeroDivisionError"
+        await robot.stands()
+
+        await cells.run("robot.drive(0.2, 0.0)")
+        await robot.moves()
+        cells.begin("for pose in robot.odometry(): pass")
+        await asyncio.sleep(0.3)
+        await cells.manager.interrupt_kernel()
+        assert await cells.shown() == "KeyboardInterrupt"
+        await robot.stands()
+
+        await cells.run("robot.drive(0.2, 0.0)")
+        await robot.moves()
+        assert await cells.run("await undefined") == "NameError"
+        await robot.stands()
+
+        await cells.run("robot.drive(0.2, 0.0)")
+        await robot.moves()
+        await cells.run("import threading; threading.Thread(target=lambda: 1 / 0).start()")  # the cell itself ends well
+        await robot.stands()
+
+        await cells.run("robot.drive(0.2, 0.0)")
+        await robot.moves()
+        await cells.manager.signal_kernel(9)
+        await robot.stands()

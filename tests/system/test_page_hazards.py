@@ -1,0 +1,360 @@
+"""What must not move a robot or keep a stop from it: lost keys and pointers, robots that come and go, wild values."""
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Any
+
+import pytest
+import pytest_asyncio
+from playwright.async_api import Browser
+from playwright.async_api import expect as expect_page
+
+from tests.support.browser import Visit, visit
+from tests.support.page_server import PageServer, State, link, odometry, page_server, robot
+from tests.support.waiting import expect
+
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+
+PAD = """
+  const pad = { connected: true, axes: [0, -1, 0, 0], buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
+  window.pad = pad;
+  navigator.getGamepads = () => [pad];
+"""
+DISPATCH = "([name, selector]) => document.querySelector(selector).dispatchEvent(new Event(name, { bubbles: true }))"
+FREEZE = "(ms) => { const end = performance.now() + ms; while (performance.now() < end); }"
+SENT_AGAIN_S = 0.12  # what is held is sent every 80 ms
+FROZEN_MS = 700
+BEHIND_S = """(time) => {
+  const [hours, minutes, seconds] = time.textContent.split(":").map(Number);
+  const now = new Date(Date.now());
+  const behind = (now.getHours() - hours) * 3600 + (now.getMinutes() - minutes) * 60 + now.getSeconds() - seconds;
+  return (behind + 86400) % 86400;
+}"""
+KEEPS_NOTHING = """
+  for (const name of ["localStorage", "sessionStorage"]) {
+    Object.defineProperty(window, name, { get: () => { throw new DOMException("blocked", "SecurityError"); } });
+  }
+"""
+LINES = """
+  window.lines = 0;
+  const line = CanvasRenderingContext2D.prototype.lineTo;
+  CanvasRenderingContext2D.prototype.lineTo = function (...to) {
+    window.lines += 1;
+    line.apply(this, to);
+  };
+"""
+
+
+def fleet(*names: str, **changes: Any) -> State:
+    return State([robot(name, **changes) for name in names], [link(name) for name in names])
+
+
+@dataclass
+class Scene:
+    server: PageServer
+    tab: Visit
+
+    def commands(self) -> list[tuple[str, float, float]]:
+        sent = [each for each in self.server.published if each["op"] == "drive"]
+        return [(each["robot"], each["linear"], each["angular"]) for each in sent]
+
+    async def drives(self, name: str = "robot_0") -> None:
+        await expect(lambda: any(each[0] == name and each[1:] != (0, 0) for each in self.commands()[-1:]))
+
+    async def stands(self) -> None:
+        """Zeros came last, and nothing else follows while whatever is held stays held."""
+        await expect(lambda: [each[1:] for each in self.commands()[-2:]] == [(0, 0), (0, 0)])
+        sent = len(self.commands())
+        await asyncio.sleep(SENT_AGAIN_S)
+        assert all(each[1:] == (0, 0) for each in self.commands()[sent:])
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="session")
+async def opened(browser: Browser) -> AsyncIterator[Scene]:
+    async with page_server() as server, visit(browser, server.url, script=PAD) as tab:
+        yield Scene(server, tab)
+
+
+@pytest_asyncio.fixture(loop_scope="session")
+async def scene(opened: Scene) -> Scene:
+    """One robot that nobody drives, nothing held."""
+    page = opened.tab.page
+    opened.server.show(fleet("robot_0"))
+    await opened.tab.layout("Drive")
+    await page.mouse.up()
+    for key in ("KeyW", "ArrowDown", "Meta"):
+        await page.keyboard.up(key)
+    await page.evaluate("document.activeElement.blur()")
+    await opened.tab.shows("#drive-state", "nobody drives")
+    opened.server.published.clear()
+    opened.server.requests.clear()
+    return opened
+
+
+@pytest.mark.parametrize("name", ["contextmenu", "dragstart"])
+async def test_a_menu_or_a_drag_that_swallows_the_release_of_a_key_stops(scene: Scene, name: str) -> None:
+    await scene.tab.page.keyboard.down("KeyW")
+    await scene.drives()
+    await scene.tab.page.evaluate(DISPATCH, [name, "#link"])
+    await scene.stands()
+
+
+@pytest.mark.parametrize("key", ["Meta", "Alt", "Control"])
+async def test_a_key_of_the_system_stops_because_a_release_beside_it_is_not_reported(scene: Scene, key: str) -> None:
+    await scene.tab.page.keyboard.down("KeyW")
+    await scene.drives()
+    await scene.tab.page.keyboard.down(key)
+    await scene.stands()
+    await scene.tab.page.keyboard.up(key)
+    await scene.tab.page.keyboard.up("KeyW")
+    await scene.tab.page.keyboard.down("KeyW")
+    await scene.drives()
+
+
+async def test_another_button_of_the_mouse_drives_nothing(scene: Scene) -> None:
+    page = scene.tab.page
+    x, y = await scene.tab.stick()
+    for button in ("right", "middle"):
+        await page.mouse.move(x, y - 40)
+        await page.mouse.down(button=button)  # type: ignore[arg-type]
+        await page.mouse.move(x, y - 60)
+        await asyncio.sleep(0.1)
+        await page.mouse.up(button=button)  # type: ignore[arg-type]
+    assert scene.commands() == []
+
+
+async def test_a_mouse_whose_release_was_lost_lets_go_as_soon_as_it_moves(scene: Scene) -> None:
+    page = scene.tab.page
+    x, y = await scene.tab.stick()
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    await page.mouse.move(x, y - 60)
+    await scene.drives()
+    moved = "new PointerEvent('pointermove', { pointerType: 'mouse', pointerId: 1, buttons: 0, bubbles: true })"
+    await page.evaluate(f"document.body.dispatchEvent({moved})")
+    await scene.stands()
+    await page.mouse.up()
+    await page.mouse.move(x, y)
+    await page.mouse.down()
+    await page.mouse.move(x, y - 60)
+    await scene.drives()
+
+
+async def test_a_page_that_did_not_run_drives_on_only_when_it_is_pressed_again(scene: Scene) -> None:
+    """As a laptop that slept, a debugger, a dialog: what was let go meanwhile is not known."""
+    page = scene.tab.page
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    await page.evaluate(FREEZE, FROZEN_MS)
+    await scene.stands()
+    await page.keyboard.up("KeyW")
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+
+
+async def test_a_computer_that_slept_while_a_key_was_held_drives_no_more(scene: Scene) -> None:
+    """The page's clock may stand meanwhile, as it does on Linux; the time of day does not."""
+    page = scene.tab.page
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    await page.evaluate("const now = Date.now; Date.now = () => now() + 7_200_000")
+    await scene.stands()
+    scene.server.show(fleet("robot_0", locked=True))
+    line = page.locator("#log li", has_text="locked")
+    await expect_page(line).to_be_visible()
+    assert await line.locator("time").evaluate(BEHIND_S) < 60  # what happens now is not shown two hours early
+
+
+async def test_a_gamepad_drives_only_from_the_window_that_has_the_focus(scene: Scene) -> None:
+    page = scene.tab.page
+    await page.evaluate("document.hasFocus = () => false; pad.buttons[5].pressed = true")
+    await scene.tab.shows("#gamepad", "another window")
+    assert scene.commands() == []
+    await page.evaluate("delete document.hasFocus")
+    await scene.drives()
+    await page.evaluate("pad.buttons[5].pressed = false")
+    await scene.stands()
+
+
+async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: Scene) -> None:
+    page = scene.tab.page
+    await page.get_by_role("button", name="Log: move, fold").press("Enter")
+    first = await page.locator(":focus").inner_text()
+    await page.keyboard.press("ArrowDown")
+    await page.keyboard.press("KeyW")
+    assert await page.locator(":focus").inner_text() != first
+    await page.keyboard.press("End")
+    await expect_page(page.locator(":focus")).to_have_text("Reset Drive")
+    await page.keyboard.press("ArrowDown")
+    await expect_page(page.locator(":focus")).to_have_text(first)
+    await page.keyboard.press("Tab")
+    await page.locator("#clients ul").focus()
+    await page.keyboard.press("Shift+Tab")
+    await page.keyboard.press("Tab")  # as who goes through the page with keys
+    await expect_page(page.locator("#clients ul")).to_be_focused()
+    await page.keyboard.press("ArrowDown")
+    assert scene.commands() == []
+    await page.keyboard.press("KeyW")
+    await expect(lambda: scene.commands() != [])
+
+
+async def test_a_robot_that_was_chosen_by_mouse_is_driven_by_keys_at_once(scene: Scene) -> None:
+    page = scene.tab.page
+    scene.server.show(fleet("robot_0", "robot_1", "robot_2"))
+    await page.locator("#robots .robot", has_text="robot_1").click()
+    await page.keyboard.down("ArrowDown")
+    await scene.drives("robot_1")
+    await page.keyboard.up("ArrowDown")
+    await page.locator("#robots input:checked").focus()
+    await page.keyboard.press("ArrowUp")  # as in every group of radio buttons
+    await expect_page(page.locator("#robots .robot:has(:checked)")).to_contain_text("robot_0")
+    await page.keyboard.down("KeyW")
+    await scene.drives("robot_0")
+
+
+async def test_a_robot_that_comes_takes_neither_the_stick_nor_the_stop(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        scene = Scene(server, tab)
+        server.show(fleet("robot_5"))
+        await tab.shows("#drive-state", "nobody drives")
+        await tab.page.keyboard.down("KeyW")
+        await scene.drives("robot_5")
+        server.show(fleet("robot_0", "robot_5"))
+        await tab.shows("#robots", "robot_0")
+        await tab.page.keyboard.press("Escape")
+        await expect(lambda: server.requests == [("POST", "/api/robots/robot_5/lock")])
+        await tab.page.keyboard.up("KeyW")
+        assert {name for name, *_ in scene.commands()} == {"robot_5"}
+        server.show(fleet("robot_0", "robot_1"))  # it is forgotten: nobody has chosen another one
+        await tab.shows("#drive-state", "Choose a robot")
+        await tab.page.keyboard.press("KeyW")
+        assert {name for name, *_ in scene.commands()} == {"robot_5"}
+        server.requests.clear()
+        await tab.page.keyboard.press("Escape")
+        await expect(lambda: server.requests == [("POST", "/api/stop")])
+        await tab.page.locator("#robots .robot", has_text="robot_1").click()
+        await tab.page.keyboard.down("KeyW")
+        await scene.drives("robot_1")
+
+
+async def test_a_later_stop_takes_nothing_from_an_earlier_one(scene: Scene) -> None:
+    page = scene.tab.page
+    state = fleet("robot_0", "robot_1", "robot_2")
+    state.is_stop_lost = True
+    scene.server.show(state)
+    await page.get_by_role("button", name="Lock all").click()
+    await scene.tab.shows("#notice", "has not arrived yet")
+    await page.keyboard.press("Space")
+    await asyncio.sleep(0.1)
+    scene.server.show(fleet("robot_0", "robot_1", "robot_2"))
+    names = {f"/api/robots/robot_{number}/lock" for number in range(3)}
+    await expect(lambda: {path for _, path in scene.server.requests} == names)
+    await scene.tab.shows("#notice", "stopped")
+
+
+async def test_a_stop_that_the_daemon_cannot_pass_on_now_is_tried_again(scene: Scene) -> None:
+    state = fleet("robot_0")
+    state.refusal, state.refusal_status = "bench-2 has not answered", HTTPStatus.SERVICE_UNAVAILABLE
+    scene.server.show(state)
+    await scene.tab.page.keyboard.press("Escape")
+    await scene.tab.shows("#notice", "bench-2 has not answered")
+    await expect(lambda: len(scene.server.requests) >= 3)
+    scene.server.show(fleet("robot_0"))
+    await scene.tab.shows("#notice", "robot_0 is stopped")
+
+
+async def test_a_browser_that_keeps_nothing_shows_and_stops(browser: Browser) -> None:
+    """As one that blocks the data of all pages: the token holds until the page is left."""
+    async with page_server() as server, visit(browser, f"{server.url}/?token=secret", script=KEEPS_NOTHING) as tab:
+        server.show(fleet("robot_0"))
+        await tab.shows("#drive-state", "nobody drives")
+        await tab.layout("Watch")
+        await tab.page.keyboard.press("Escape")
+        await expect(lambda: server.requests == [("POST", "/api/robots/robot_0/lock")])
+        assert tab.complaints == []
+
+
+async def test_a_robot_whose_device_cannot_receive_says_so(scene: Scene) -> None:
+    cause = "the frame of 60 bytes does not fit into the 40 of the device"
+    scene.server.show(fleet("robot_0", unreachable=cause, holder="client 1"))
+    await scene.tab.shows("#drive-state", cause)
+    await expect_page(scene.tab.page.locator("#drive[data-state=refused]")).to_be_visible()
+
+
+async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
+    """The daemon obeys the newest command of one priority: each of two tabs would show that it drives."""
+    await scene.tab.page.keyboard.down("KeyW")
+    await scene.drives()
+    scene.server.show(fleet("robot_0", holder="client 1", priority=60))
+    await scene.tab.shows("#drive-state", "You drive")
+    scene.server.show(fleet("robot_0", holder="client 2", priority=60))
+    await scene.tab.shows("#drive-state", "Somebody else drives it, too")
+    await scene.tab.shows("#drive-state", "You drive")  # the other one has let go
+    await scene.tab.page.keyboard.up("KeyW")
+
+
+async def test_wild_values_of_a_device_stay_readable(scene: Scene) -> None:
+    page, state = scene.tab.page, fleet("robot_0")
+    known = state.links[0]["topics"][0]
+    state.links[0]["topics"].append({**known, "name": "/robot_0/errors", "type": "std_msgs/UInt16MultiArray"})
+    scene.server.show(state)
+    await expect(lambda: any(each.get("topic") == "/robot_0/errors" for each in scene.server.published))
+    await scene.server.publish("/robot_0/errors", {"data": list(range(60000, 60200))})
+    await scene.tab.shows("#link [data-tile=errors]", "60005 unknown, and 194 more")
+    await scene.tab.layout("Watch")
+    await page.get_by_role("button", name="/robot_0/odometry").click()
+    await scene.server.publish("/robot_0/odometry", {"x": 1e-9, "y": -1.7e308, "z": None, "long": "v" * 500, "n": 0.25})
+    for text in ("1.000e−9", "−1.7e+308", "none", "(500 letters)", "0.2500"):
+        await scene.tab.shows("#topics .tree", text)
+    await page.get_by_role("button", name="All topics").click()
+
+
+async def test_long_paths_of_many_robots_are_not_drawn_again_and_again(browser: Browser) -> None:
+    """Fifty of them held the page, and with it its stop, for half a second at a time."""
+    async with page_server() as server, visit(browser, server.url, script=LINES) as tab:
+        state = fleet(*(f"robot_{number}" for number in range(12)))
+        circle = [{"x_m": math.cos(at / 100), "y_m": math.sin(at / 100), "theta_rad": 0.0} for at in range(628)]
+        state.past = [{"age_s": 70.0 - at / 10, "pose": pose} for at, pose in enumerate(circle)]
+        server.show(state)
+        await tab.shows("#robots .robot:nth-child(12)", "robot_11")
+        await tab.page.wait_for_function("window.lines > 12 * 50")  # they were drawn
+        lines: list[int] = []
+        async with asyncio.timeout(5):
+            while len(lines) < 2 or lines[-1] > 200 * len(state.robots):
+                await tab.page.evaluate("window.lines = 0")
+                for number, view in enumerate(state.robots * 2):
+                    view["odometry"] = odometry(0.01 * number, 0.0, 0.0)
+                    server.show(state)
+                    await asyncio.sleep(0.02)
+                lines.append(await tab.page.evaluate("window.lines"))
+
+
+async def test_what_a_slow_line_brings_late_is_dimmed_and_says_how_old_it_is(scene: Scene) -> None:
+    page = scene.tab.page
+    state = fleet("robot_0")
+    state.late_s = 3.0
+    scene.server.show(state)
+    await scene.tab.shows("#notice", "what is shown is 3")
+    await scene.tab.shows("#pose", "old")
+    await expect_page(page.locator("body.lost")).to_be_visible()
+    assert await page.locator(".robot[data-state=silent]").count() == 0  # it is not the robot that is late
+    scene.server.show(fleet("robot_0"))
+    await expect_page(page.locator("body.lost")).to_have_count(0)
+
+
+async def test_a_pose_far_away_freezes_neither_the_page_nor_its_stop(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        state = fleet("robot_0", "robot_1", "robot_2", "robot_3")
+        for view, far_m in zip(state.robots[1:], (9e5, 1e19, 1.7e308), strict=True):
+            fast = {"linear_m_s": far_m, "angular_rad_s": far_m}
+            view |= {"odometry": odometry(far_m, -far_m, 1.0, twist=fast), "velocity": fast}
+        state.past = [{"age_s": 5.0, "pose": {"x_m": 1e19, "y_m": 0.0, "theta_rad": 0.0}}]
+        server.show(state)
+        for number in range(1, 4):
+            await tab.page.locator("#robots .robot", has_text=f"robot_{number}").click()
+            await tab.page.keyboard.press("Escape")
+            await expect(lambda number=number: ("POST", f"/api/robots/robot_{number}/lock") in server.requests)
+        assert tab.complaints == []

@@ -1,0 +1,490 @@
+"""Every state of the page at every size, light and dark: nothing leaves the window, overlaps or is hard to read.
+
+A script in the page measures it. With HOSTLINK_PICTURES=1 the pictures lie in build/screenshots afterwards.
+"""
+
+import math
+import os
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+import pytest_asyncio
+from axe_playwright_python.async_playwright import Axe
+from playwright.async_api import Browser, expect
+
+from tests.support.browser import Visit, visit
+from tests.support.page_server import BUILT, PageServer, State, link, odometry, page_server, robot
+from tests.support.waiting import is_soon
+
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+
+SIZES = ((1280, 800), (1440, 900), (1920, 1080), (1024, 768), (390, 844), (844, 390), (320, 568))
+TWICE = ((640, 400), (512, 384), (568, 320), (960, 540))  # at 200 %: 1280x800, 1024x768, 1920x1080; and a small phone
+SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
+LAYOUTS = ("Drive", "Tune", "Fleet", "Watch")
+COLOURS = {
+    "runOnly": {"type": "rule", "values": ["color-contrast", "link-in-text-block"]}
+}  # of axe: what depends on the scheme
+MEASURE = (Path(__file__).parents[1] / "support" / "page_measure.js").read_text(encoding="utf-8")
+PICTURES = Path("build/screenshots")
+TAKES_PICTURES = bool(os.environ.get("HOSTLINK_PICTURES"))  # make screenshots
+SETTLED = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+LONG = "a robot of the third bench by the window_0"
+NOTICED_S = 0.5  # a robot that falls silent is shown as such within this time
+MOST_BYTES = 400_000
+INTERACTIVE_MS, SLOWED_TIMES = 1000, 4  # on a processor that is so many times slower
+
+
+def names(count: int) -> list[str]:
+    return [f"robot_{number}" for number in range(count)]
+
+
+def fleet(count: int, **changes: Any) -> State:
+    """So many robots; what is changed is of the first."""
+    robots = [robot(name, **(changes if name == "robot_0" else {})) for name in names(count)]
+    return State(robots, [link(name) for name in names(count)])
+
+
+def silent(**changes: Any) -> State:
+    state = fleet(3, holder="client 1", priority=60, **changes)
+    state.silent = frozenset({"robot_0"})
+    return state
+
+
+def drive(owner: str, **changes: Any) -> dict[str, Any]:
+    """Somebody drove robot_0."""
+    view: dict[str, Any] = {
+        "robot": "robot_0",
+        "owner": owner,
+        "address": "192.168.100.105",
+        "priority": 50,
+        "began": "2026-11-22T07:43:29.123+00:00",
+        "ended": "2026-11-22T07:44:42.000+00:00",
+        "seconds": 72.9,
+        "commands": 700,
+        "fastest_m_s": 0.3436,
+        "fastest_rad_s": 1.5,
+        "end": "locked: somebody stands in front of the third bench by the window",
+    }
+    return {**view, **changes}
+
+
+def locked() -> State:
+    """Somebody locked it while it was driven."""
+    state = fleet(3, locked=True, lock_reason="somebody stands in front of the third bench by the window")
+    state.drives = [
+        drive("client 12 (phone)"),
+        drive("rest 192.168.100.105", end="no command came"),
+        drive("demo", address=""),
+    ]
+    return state
+
+
+def read_only() -> State:
+    state = fleet(1)
+    state.role = "read"
+    return state
+
+
+def lost() -> State:
+    state = fleet(3)
+    state.is_lost = True
+    return state
+
+
+def driven() -> State:
+    """A curve behind it, and a command that it does not follow."""
+    fast = {"linear_m_s": 0.3, "angular_rad_s": 1.2}
+    slow = {"linear_m_s": 0.14, "angular_rad_s": 0.6}
+    return fleet(1, holder="client 1", priority=60, velocity=fast, odometry=odometry(1.2, 0.4, 0.8, twist=slow))
+
+
+def played() -> State:
+    """A recording is played: where it drove is known from the beginning."""
+    lap = [{"x_m": math.cos(at / 9), "y_m": math.sin(at / 9), "theta_rad": 0.0} for at in range(48)]
+    state = State([robot("played_0", link=1, odometry=odometry(0.6, -0.8, 0.6))], [link("played_0", peer="play")])
+    state.past = [{"age_s": 5.0 - at / 10, "pose": pose} for at, pose in enumerate(lap)]
+    return state
+
+
+def sick() -> State:
+    """Its names and findings are as long as they may be."""
+    finding = {
+        "code": "no_topics",
+        "cause": "The device connects, and then never announces what it publishes or subscribes to.",
+        "next_step": "Call nh.negotiateTopics() in loop(), or flash a sketch which does: docs/troubleshooting.md.",
+        "detail": "3 requests in 7.5 s",
+    }
+    ill = link("robot_0", robot=LONG, diagnosis=[finding], skipped_bytes=123456, negotiations=17, signal_dbm=-91)
+    return State([robot(LONG, link=1, host="laboratory-of-the-second-floor"), robot("robot_1")], [ill, link("robot_1")])
+
+
+@dataclass(frozen=True)
+class Case:
+    """A state, and by what it is known that the page shows it."""
+
+    state: Callable[[], State]
+    selector: str
+    text: str
+
+
+CASES = {
+    "empty": Case(State, "#robots", "No robot yet"),
+    "one": Case(lambda: fleet(1), "#drive-state", "nobody drives"),
+    "three": Case(lambda: fleet(3), "#robots .robot:nth-child(3)", "robot_2"),
+    "twelve": Case(lambda: fleet(12), "#robots .robot:nth-child(12)", "robot_11"),
+    "fifty": Case(lambda: fleet(50), "#robots .robot:nth-child(50)", "robot_49"),
+    "silent": Case(silent, "#drive-state", "silent for"),
+    "gone": Case(lambda: fleet(3, connected=False, link=None), "#drive-state", "not connected"),
+    "locked": Case(locked, "#drive-state", "locked"),
+    "other": Case(
+        lambda: fleet(3, holder="client 12 (phone)", holder_address="192.168.100.105", priority=90),
+        "#drive-state",
+        "Goes before you",
+    ),
+    "driven": Case(driven, "#drive-state", "drives"),
+    "played": Case(played, "#robots", "played_0"),
+    "sick": Case(sick, ".diagnosis", "announces"),
+    "lost": Case(lost, "#connection", "no connection"),
+    "read-only": Case(read_only, "#drive-state", "may only read"),
+}
+
+
+@dataclass
+class Scene:
+    server: PageServer
+    tab: Visit
+
+    async def show(self, case: Case) -> None:
+        """From another state to this one, with its first robot where the chosen one is not in it."""
+        state = case.state()
+        self.server.show(state)
+        if state.robots and not state.is_lost:
+            await self.tab.shows("#robots .robot:nth-child(1)", state.robots[0]["name"], timeout_s=15.0)
+            if not await self.tab.page.locator("#robots input:checked").count():
+                await self.tab.page.locator("#robots .robot").first.click()
+        await self.tab.shows(case.selector, case.text, timeout_s=15.0)
+
+    async def size(self, width: int, height: int) -> None:
+        await self.tab.page.set_viewport_size({"width": width, "height": height})
+        await self.tab.page.evaluate(SETTLED)
+
+    async def picture(self, name: str) -> None:
+        """Where somebody wants to look at it: each takes as long as measuring does."""
+        if TAKES_PICTURES:
+            await self.tab.page.screenshot(path=PICTURES / f"{name}.png")
+
+    async def faults(self) -> list[str]:
+        found: list[str] = await self.tab.page.evaluate(MEASURE)
+        return found
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="session")
+async def scene(browser: Browser) -> AsyncIterator[Scene]:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        yield Scene(server, tab)
+
+
+@pytest.mark.parametrize("name", CASES)
+async def test_every_state_fits_every_size(scene: Scene, name: str) -> None:
+    await scene.tab.layout("Drive")
+    await scene.size(*SIZES[0])
+    await scene.show(CASES[name])
+    found = []
+    for scheme, (width, height) in product(SCHEMES, SIZES):
+        await scene.tab.page.emulate_media(color_scheme=scheme)
+        await scene.size(width, height)
+        found += [f"{scheme} {width}x{height}: {fault}" for fault in await scene.faults()]
+        if scheme == "light" or width == 1280:
+            await scene.picture(f"{name}-{width}-{scheme}")
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS[1:])
+async def test_every_layout_fits_every_size(scene: Scene, layout: str) -> None:
+    found = []
+    await scene.tab.layout(layout)
+    for name in ("empty", "three", "fifty", "locked"):
+        await scene.show(CASES[name])
+        for width, height in SIZES:
+            await scene.size(width, height)
+            found += [f"{name} {width}x{height}: {fault}" for fault in await scene.faults()]
+            if name != "empty":
+                await scene.picture(f"{layout}-{name}-{width}")
+    assert not found, "\n".join(found)
+
+
+async def test_a_window_at_twice_its_size_and_a_small_phone_on_its_side_have_room_to_drive(scene: Scene) -> None:
+    found = []
+    for name in ("fifty", "locked", "lost"):
+        await scene.tab.layout("Drive")
+        await scene.show(CASES[name])
+        for width, height in TWICE:
+            await scene.size(width, height)
+            found += [f"{name} {width}x{height}: {fault}" for fault in await scene.faults()]
+            await scene.picture(f"{name}-{width}-twice")
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+async def test_axe_finds_nothing_in_any_layout(scene: Scene, layout: str) -> None:
+    await scene.size(*SIZES[0])
+    for name in ("locked", "gone", "read-only"):
+        await scene.tab.layout("Drive")
+        await scene.show(CASES[name])
+        await scene.tab.layout(layout)
+        for scheme, options in (("light", None), ("dark", COLOURS)):
+            await scene.tab.page.emulate_media(color_scheme=scheme)
+            found = await Axe().run(scene.tab.page, options=options)
+            assert found.violations_count == 0, f"{name}, {scheme}: {found.generate_report()}"
+
+
+async def test_a_robot_that_falls_silent_is_amber_within_half_a_second_and_red_when_gone(
+    browser: Browser,
+) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        server.show(fleet(3))
+        assert await is_soon(lambda: noticed_s(server, tab), NOTICED_S)
+        await tab.shows("#drive-state", "silent for")
+        await tab.shows("#pose", "old")
+        await tab.shows("#speeds .bar", "silent")
+        await expect(tab.page.locator("#link dl.stale [data-tile=age] .bad")).to_be_visible()
+        assert await tab.page.locator(".robot[data-state=silent]").count() == 1
+        assert await tab.page.locator("#map-canvas").evaluate(AMBER) > 50
+        server.show(fleet(3, connected=False, link=None))
+        await tab.shows("#drive-state", "not connected")
+        await tab.page.locator(".robot[data-state=gone]").wait_for()
+        assert await tab.page.locator("#map-canvas").evaluate(AMBER) == 0
+        server.show(fleet(3))
+        await tab.shows("#drive-state", "nobody drives")
+
+
+async def test_a_robot_without_odometry_is_silent_by_its_usual_rate(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        server.show(fleet(3, odometry=None))
+        assert await is_soon(lambda: noticed_s(server, tab, odometry=None), NOTICED_S)
+
+
+async def noticed_s(server: PageServer, tab: Visit, **changes: Any) -> float:
+    """How long it takes until a robot that falls silent is amber in the list and the drive panel."""
+    server.show(fleet(3, **changes))
+    await tab.shows("#drive-state", "nobody drives", timeout_s=15.0)
+    await expect_never_silent(tab)
+    begun_ms = await tab.page.evaluate("performance.now()")
+    server.show(silent(**changes))
+    seen_ms = await tab.page.evaluate(SEEN_SILENT)
+    return float(seen_ms - begun_ms) / 1000
+
+
+async def expect_never_silent(tab: Visit) -> None:
+    """Also when the daemon sends a little late: a second of a robot that is well."""
+    counts = await tab.page.evaluate(
+        """async () => {
+          let count = 0;
+          for (const end = performance.now() + 1000; performance.now() < end; ) {
+            count += document.querySelectorAll(".robot[data-state=silent]").length;
+            await new Promise(requestAnimationFrame);
+          }
+          return count;
+        }"""
+    )
+    assert counts == 0
+
+
+SEEN_SILENT = """() => new Promise((done) => {
+  const look = () => {
+    const row = document.querySelector(".robot[data-state=silent]");
+    if (row && document.querySelector("#drive").dataset.state === "silent") done(performance.now());
+    else requestAnimationFrame(look);
+  };
+  look();
+})"""
+AMBER = """canvas => {
+  const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, canvas.width, canvas.height);
+  let found = 0;
+  for (let at = 0; at < data.length; at += 4) {
+    if (data[at] > 200 && data[at + 1] > 100 && data[at + 1] < 150 && data[at + 2] < 40) found += 1;
+  }
+  return found;
+}"""
+
+
+async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        state = fleet(50)
+        state.robots.sort(key=lambda view: view["name"])  # as a computer counts: robot_10 before robot_2
+        state.robots[3] = {**state.robots[3], "host": "bench-2"}
+        server.show(state)
+        await tab.layout("Fleet")
+        await tab.shows("#robots .robot:nth-child(50)", "robot_49")
+        shown = await tab.page.locator("#robots .robot b").all_inner_texts()
+        assert shown == names(50)
+        colours = await tab.page.locator("#robots .robot").evaluate_all(
+            "rows => rows.map((row) => getComputedStyle(row.querySelector('.dot')).backgroundColor)"
+        )
+        assert len(set(colours)) == 50
+        await server.publish("/robot_7/battery", {"voltage": 11.4})
+        await tab.shows("#robots .robot:nth-child(8)", "11.4 V")
+        await tab.page.set_viewport_size({"width": 390, "height": 844})
+        for part in (".battery", ".signal"):  # on a phone, too
+            await expect(tab.page.locator("#robots .robot:nth-child(8)").locator(part)).to_be_visible()
+        await tab.page.locator("#robots-filter").fill("bench-2")
+        assert await tab.page.locator("#robots .robot:visible b").all_inner_texts() == [state.robots[3]["name"]]
+        await tab.page.locator("#robots-filter").fill("")
+        await tab.page.get_by_role("button", name="Lock all").click()
+        await tab.shows("#notice", "50 robots")
+        assert sorted(server.requests) == sorted(("POST", f"/api/robots/{name}/lock") for name in names(50))
+        server.requests.clear()
+        await tab.page.get_by_role("button", name="Stop all").click()
+        await tab.shows("#notice", "Every robot is stopped")
+        assert server.requests == [("POST", "/api/stop")]
+
+
+async def test_all_locked_robots_are_unlocked_at_the_second_press(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        state = fleet(3)
+        server.show(state)
+        button = tab.page.locator("#unlock-all")
+        await expect(button).to_be_hidden()  # none is locked
+        for view in state.robots[1:]:
+            view |= {"locked": True, "lock_reason": "a lesson ends"}
+        server.show(state)
+        await tab.shows("#robots-locked", "2 robots are locked")
+        await button.click()
+        await expect(button).to_have_text("Really unlock?")
+        assert server.requests == []
+        await button.click()
+        await tab.shows("#notice", "2 robots may be driven again")
+        assert sorted(server.requests) == [("POST", f"/api/robots/{name}/unlock") for name in names(3)[1:]]
+        state.refusal = "the robot has gone"
+        server.show(state)
+        await button.dblclick()
+        await tab.shows("#notice", "Not unlocked: robot_1: the robot has gone; robot_2: the robot has gone")
+        state.role = "read"
+        server.show(state)
+        await expect(button).to_be_disabled()
+
+
+async def test_who_drives_and_who_drove_is_shown_with_the_address(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        server.show(fleet(1, holder="client 12 (phone)", holder_address="10.0.0.5", priority=90))
+        await tab.shows("#drive-state", "Goes before you: client 12 (phone, 10.0.0.5)")
+        await tab.layout("Watch")
+        await tab.shows("#drives", "Nobody has driven yet")
+        server.show(locked())
+        await tab.shows("#drives li:nth-child(1)", "client 12 (phone, 192.168.100.105)")
+        await tab.shows("#drives li:nth-child(1)", "for 1 min")
+        await tab.shows("#drives li:nth-child(1)", "up to 0.34 m/s, 1.50 rad/s; ended: locked: somebody stands")
+        await tab.shows("#drives li:nth-child(2)", "rest 192.168.100.105robot_0")
+        state = fleet(1, holder="demo")
+        state.drives = [drive("demo", address="", end="")]
+        server.show(state)
+        await expect(tab.page.locator("#drives li")).to_have_count(1)
+        await tab.shows("#drives li", "drives now")
+
+
+async def test_names_on_the_map_do_not_overprint(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, script=PRINTED) as tab:
+        state = fleet(12)
+        for number, view in enumerate(state.robots):
+            view["odometry"] = odometry(0.05 * number, 0.03 * (number % 3), 0.0)
+        server.show(state)
+        await tab.shows("#robots .robot:nth-child(12)", "robot_11")
+        boxes = await tab.page.evaluate("new Promise((done) => setTimeout(() => done(window.printed), 300))")
+        assert {box["text"] for box in boxes} >= {"robot_0"}
+        for one, other in combinations(boxes, 2):
+            width = min(one["right"], other["right"]) - max(one["left"], other["left"])
+            height = min(one["bottom"], other["bottom"]) - max(one["top"], other["top"])
+            assert width <= 0 or height <= 0, (one, other)
+
+
+PRINTED = """
+  window.printed = [];
+  const clear = CanvasRenderingContext2D.prototype.clearRect;
+  CanvasRenderingContext2D.prototype.clearRect = function (...box) {
+    if (this.canvas.id === "map-canvas") window.printed = [];
+    clear.apply(this, box);
+  };
+  const print = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+    if (text.startsWith("robot_")) {
+      window.printed.push({ text, left: x, top: y, right: x + this.measureText(text).width, bottom: y + 11 });
+    }
+    print.call(this, text, x, y);
+  };
+"""
+
+
+async def test_what_was_asked_is_drawn_beside_what_is(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url, script=DASHES) as tab:
+        server.show(fleet(1))
+        await tab.shows("#drive-state", "nobody drives")
+        await tab.page.evaluate("window.dashes = 0; new Promise((done) => setTimeout(done, 300))")
+        assert await tab.page.evaluate("window.dashes") == 0  # nothing is asked
+        server.show(driven())
+        await tab.page.wait_for_function("window.dashes > 0")
+        await tab.shows("#speeds", "asked 0.30")
+        await tab.shows("#speeds", "measured 0.14")
+
+
+DASHES = """
+  window.dashes = 0;
+  const dash = CanvasRenderingContext2D.prototype.setLineDash;
+  CanvasRenderingContext2D.prototype.setLineDash = function (parts) {
+    if (this.canvas.id === "map-canvas") window.dashes += parts.length;
+    dash.call(this, parts);
+  };
+"""
+
+
+async def test_a_refusal_is_shown_in_the_words_for_a_person(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        state = fleet(1, locked=True, lock_reason="somebody stands there")
+        state.refusal = "POST /api/robots/robot_0/unlock: the token may only read"
+        server.show(state)
+        await tab.page.get_by_role("button", name="Unlock").click()
+        await tab.shows("#notice", "Not unlocked: the token may only read")
+        assert "/api" not in await tab.page.locator("body").inner_text()
+
+
+async def test_a_layout_and_where_its_panels_are_is_remembered(browser: Browser) -> None:
+    async with page_server() as server, visit(browser, server.url) as tab:
+        server.show(fleet(1))
+        await tab.layout("Watch")
+        await tab.page.get_by_role("button", name="Log: move, fold").click()
+        await tab.page.get_by_role("menuitemcheckbox", name="To the left").click()
+        await tab.page.get_by_role("button", name="Clients", exact=True).click()
+        for _ in range(2):
+            assert await tab.page.locator(".left > #log").count() == 1
+            assert await tab.page.locator("#clients ul").is_hidden()
+            await tab.page.reload()
+            await tab.is_connected()
+        await tab.page.get_by_role("button", name="Log: move, fold").click()
+        await tab.page.get_by_role("menuitemcheckbox", name="In Watch").click()
+        assert await tab.page.locator("main #log").count() == 0
+        await tab.page.get_by_role("button", name="Clients: move, fold").click()
+        await tab.page.get_by_role("menuitem", name="Reset Watch").click()
+        assert await tab.page.locator(".right > #log").count() == 1
+
+
+async def test_it_is_small_and_soon_ready_on_a_slow_processor(browser: Browser) -> None:
+    size = sum(path.stat().st_size for path in BUILT.rglob("*") if path.is_file())
+    assert size < MOST_BYTES
+    async with page_server() as server, visit(browser, "about:blank") as tab:
+        server.show(fleet(3))
+        slow = await tab.page.context.new_cdp_session(tab.page)
+        await slow.send("Emulation.setCPUThrottlingRate", {"rate": SLOWED_TIMES})
+
+        async def ready_ms() -> float:
+            await tab.page.goto(server.url)
+            await tab.shows("#drive-state", "nobody drives")
+            ready: float = await tab.page.evaluate("performance.getEntriesByName('hostlink.ready')[0].startTime")
+            return ready
+
+        assert await is_soon(ready_ms, INTERACTIVE_MS)

@@ -1,0 +1,103 @@
+"""Whatever ends a program that drives with the blocking client, or a cell of a notebook, stops the robot."""
+
+import asyncio
+import signal
+import sys
+
+import pytest
+
+from hostlink.robot.velocity_gate import LEASE_S
+from tests.support.screen import screen
+from tests.support.scripts import robot_to_drive, script
+from tests.support.waiting import expect_never
+
+pytestmark = pytest.mark.quiet
+
+
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("pass", 0),
+        ("sys.exit(3)", 3),
+        ("1 / 0", 1),
+        ("raise KeyboardInterrupt", 130),
+        ("os._exit(4)", 4),
+        ("os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM),
+        ("del robot, host; time.sleep(1)", 0),
+        ("threading.Thread(target=time.sleep, args=(0.3,)).start()", 0),
+    ],
+)
+async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int) -> None:
+    async with robot_to_drive() as robot:
+        async with script(robot.host.url.replace("127.0.0.1", "localhost"), "time.sleep(0.5)", line) as child:
+            await robot.moves()
+            async with asyncio.timeout(10):
+                _, errors = await child.communicate()
+            found = child.returncode
+        await robot.stands()
+    assert found in (status, -signal.SIGINT if status == 130 else status)
+    assert (errors != b"") is (status in (1, 130)), errors.decode()
+    assert b"Exception in thread" not in errors
+
+
+@pytest.mark.parametrize(
+    ("number", "line"),
+    [
+        (signal.SIGINT, "time.sleep(60)"),
+        (signal.SIGINT, "for pose in robot.odometry(): pass"),
+        (signal.SIGKILL, "time.sleep(60)"),
+        (signal.SIGHUP, "threading.Thread(target=time.sleep, args=(60,)).start()"),
+    ],
+)
+async def test_a_signal_that_ends_a_program_stops_what_it_drives(number: signal.Signals, line: str) -> None:
+    async with robot_to_drive() as robot:
+        async with script(robot.host.url, line) as child:
+            await robot.moves()
+            child.send_signal(number)
+            async with asyncio.timeout(10):
+                await child.communicate()
+        await robot.stands()
+
+
+@pytest.mark.parametrize("line", ["1 / 0", "sys.exit()"])
+async def test_an_error_in_a_thread_stops_what_is_driven_though_the_program_lives_on(line: str) -> None:
+    thread = f"def control():\n    time.sleep(0.5)\n    {line}\nthreading.Thread(target=control).start()"
+    async with robot_to_drive() as robot, script(robot.host.url, thread, "time.sleep(60)") as child:
+        await robot.moves()
+        await robot.stands()
+        assert child.returncode is None
+
+
+async def test_a_program_that_stands_still_drives_for_a_lease_and_not_again_when_it_goes_on() -> None:
+    async with robot_to_drive(lease_s=LEASE_S) as robot, script(robot.host.url, "time.sleep(60)") as child:
+        await robot.moves()
+        child.send_signal(signal.SIGSTOP)
+        await robot.stands()
+        child.send_signal(signal.SIGCONT)
+        await expect_never(lambda: robot.is_held, for_s=0.5)
+
+
+async def test_an_error_and_ctrl_c_at_pythons_prompt_stop_what_is_driven_and_the_connection_stays() -> None:
+    async with robot_to_drive() as robot, screen() as terminal:
+        await terminal.keys(f"{sys.executable} -i -q", "Enter")
+        await terminal.keys("import hostlink.client, time", "Enter")
+        await terminal.keys(
+            f"host = hostlink.client.connect_blocking('{robot.host.url}'); robot = host.robot('robot_0')", "Enter"
+        )
+        for mistake, shown in (("1 / 0", "ZeroDivisionError"), ("time.sleep(60)", "KeyboardInterrupt")):
+            await terminal.keys("robot.drive(0.2, 0.0)", "Enter")
+            await robot.moves()
+            await terminal.shows("Driven(linear_m_s=0.2")
+            await terminal.keys(mistake, "Enter")
+            if "sleep" in mistake:
+                await asyncio.sleep(0.5)
+                await terminal.keys("C-c")
+            await terminal.shows(shown)
+            await robot.stands()
+            await terminal.keys("clear = host.is_connected, robot.is_driven; clear", "Enter")
+            await terminal.shows("(True, False)")
+            await terminal.keys("C-l")
+        await terminal.keys("robot.drive(0.1, 0.0)", "Enter")
+        await robot.moves()
+        await terminal.keys("C-d")
+        await robot.stands()
