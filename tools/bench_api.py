@@ -305,7 +305,7 @@ async def measure(scale: float) -> list[dict[str, Any]]:
     for compression, name in (("none", "JSON"), ("cbor-raw", "cbor-raw")):
         for count in (1, 10, 100):
             rows += await fan_out(compression, name, count, scale)
-    return [*rows, *await memory(), *await beside_a_stuck_client(scale)]
+    return [*rows, *await memory(), *await beside_a_stuck_client(scale), await beside_a_flood_to_many(scale)]
 
 
 async def fan_out(compression: str, name: str, count: int, scale: float) -> list[dict[str, Any]]:
@@ -373,6 +373,46 @@ async def beside_a_stuck_client(scale: float) -> list[dict[str, Any]]:
             at_most=250.0,
         ),
     ]
+
+
+async def beside_a_flood_to_many(scale: float) -> dict[str, Any]:
+    """How long an HTTP request takes while a device floods a hundred clients: what a stop over HTTP would wait."""
+    seconds = max(1.0, 8.0 * scale)
+    async with daemon() as host, device(host) as writer, clients(host, 100):
+        alone = await requests(host, seconds / 4)
+        async with asyncio.TaskGroup() as tasks:
+            flooding = tasks.create_task(flood(writer))
+            beside = await requests(host, seconds)
+            flooding.cancel()
+    return row(
+        "GET /healthz beside a flood to 100 clients, median",
+        statistics.median(beside) * 1000,
+        "ms",
+        yardstick="of one without the flood",
+        ratio=statistics.median(beside) / statistics.median(alone),
+    )
+
+
+async def flood(writer: asyncio.StreamWriter) -> None:
+    while True:
+        writer.write(pose_of(1.5) * BURST)
+        await writer.drain()
+        await asyncio.sleep(0.1)  # more than the daemon passes on meanwhile, and the clients here can read
+
+
+async def requests(to: Server, seconds: float) -> list[float]:
+    """GET /healthz each 20 ms, and how long each took, in seconds."""
+    reader, writer = await asyncio.open_connection(*to.api)
+    times: list[float] = []
+    end_s = time.perf_counter() + seconds
+    while (began_s := time.perf_counter()) < end_s:
+        writer.write(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        head = await reader.readuntil(b"\r\n\r\n")
+        await reader.readexactly(int(re.findall(rb"Content-Length: (\d+)", head)[0]))
+        times.append(time.perf_counter() - began_s)
+        await asyncio.sleep(0.02)
+    writer.close()
+    return times
 
 
 def _image() -> bytes:

@@ -26,6 +26,7 @@ from hostlink.protocol.frame import Frame, Id
 from hostlink.protocol.stream import FrameStream
 from tests.support.process import HOSTLINK, Process, serve
 from tools.crowd import TIME, hello
+from tools.sent_commands import SentCommands
 
 ROOT = Path(__file__).resolve().parents[1]
 P99_BOUND_S = 0.020
@@ -77,7 +78,8 @@ def main() -> int:
     for row in rows:
         times = "  ".join(f"{name} {row[f'{name}_ms']:.2f} ms" for name in ("median", "p99", "longest", "stop_p95"))
         costs = f"{row['memory_mib']:.0f} MiB  {row['core_percent']:.0f} % of a core"
-        print(f"{row['count']:>6} {row['what']:<32} {times}  {costs}  {row['crowd']}")
+        rest = f"{row['superseded']} superseded  {row['crowd']}"
+        print(f"{row['count']:>6} {row['what']:<32} {times}  {costs}  {rest}")
     missed = [row["what"] for row in rows if is_over(row)]
     if missed:
         print("over its bound: " + ", ".join(missed), file=sys.stderr)
@@ -101,7 +103,7 @@ async def measure(load: Load) -> dict[str, Any]:
                 latencies = await robot.drive(load.seconds)
                 busy_s = cpu_s(daemon) - before_s
                 counts = await visitors()
-                stops = robot.stops
+                sent = robot.sent
             memory_mib = peak_memory_mib(daemon)
             reading.cancel()
     return {
@@ -111,8 +113,9 @@ async def measure(load: Load) -> dict[str, Any]:
         "median_ms": statistics.median(latencies) * 1000,
         "p99_ms": statistics.quantiles(latencies, n=100)[98] * 1000,
         "longest_ms": max(latencies) * 1000,
-        "stop_p95_ms": statistics.quantiles(stops, n=20)[18] * 1000,
+        "stop_p95_ms": statistics.quantiles(sent.stops_s, n=20)[18] * 1000,
         "commands": len(latencies),
+        "superseded": sent.superseded,
         "memory_mib": memory_mib,
         "core_percent": 100 * busy_s / load.seconds,
         "crowd": counts,
@@ -129,12 +132,15 @@ async def read_away(daemon: Process) -> None:
 class Robot:
     """The robot and the program that drives it."""
 
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, program: Any) -> None:
-        self._reader, self._writer, self._program = reader, writer, program
-        self._sent_at_s: dict[int, float] = {}
-        self._latencies: list[float] = []
-        self.stops: list[float] = []  # from the send of a zero to its arrival
-        self._stop_sent_at_s: float | None = None
+    def __init__(
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        program: aiohttp.ClientWebSocketResponse,
+        session: aiohttp.ClientSession,
+    ) -> None:
+        self._reader, self._writer, self._program, self._session = reader, writer, program, session
+        self.sent = SentCommands()
         self._is_known = asyncio.Event()
 
     async def listen(self) -> None:
@@ -149,11 +155,7 @@ class Robot:
                 elif isinstance(item, Frame) and item.topic_id == 100:
                     self._is_known.set()
                     number = round(VELOCITY.unpack(item.payload)[0] / STEP_M_S)
-                    if number in self._sent_at_s:
-                        self._latencies.append(now_s - self._sent_at_s.pop(number))
-                    elif number == 0 and self._stop_sent_at_s is not None:
-                        self.stops.append(now_s - self._stop_sent_at_s)
-                        self._stop_sent_at_s = None
+                    self.sent.receive(number, now_s)
 
     async def keep_time(self) -> None:
         """A device that asks for no time is dead."""
@@ -162,25 +164,35 @@ class Robot:
             await asyncio.sleep(2.0)
 
     async def drive(self, seconds: float) -> list[float]:
-        """Latencies of the commands that came, newest wins; AssertionError when too few came."""
+        """Latencies of the commands that came; AssertionError when too few came, or one was lost.
+
+        Of two that come in one turn of the daemon's loop the newer one is sent on, and the daemon counts the other.
+        """
         await self._is_known.wait()
         loop = asyncio.get_running_loop()
-        self._latencies.clear()
+        self.sent = sent = SentCommands()
+        replaced = await self._replaced()
         count = round(seconds / COMMAND_INTERVAL_S)
         began_s = loop.time()
         for number in range(count):
             speed = 0 if number % STOP_EVERY == STOP_EVERY - 1 else number % SPEEDS + 1
-            if speed:
-                self._sent_at_s[speed] = loop.time()
-            else:
-                self._stop_sent_at_s = loop.time()
+            sent.send(speed, loop.time())
             message = {"linear": {"x": speed * STEP_M_S}}
             await self._program.send_json({"op": "publish", "topic": "/robot_0/velocity_commands", "msg": message})
             await asyncio.sleep(max(0.0, began_s + (number + 1) * COMMAND_INTERVAL_S - loop.time()))
         await asyncio.sleep(0.5)
-        if len(self._latencies) < 0.9 * count or len(self.stops) < count // STOP_EVERY:
-            raise AssertionError(f"{len(self._latencies)} commands and {len(self.stops)} stops of {count} came")
-        return self._latencies
+        replaced = await self._replaced() - replaced
+        came = len(sent.latencies_s) + len(sent.stops_s)
+        if came < 0.9 * count or sent.lost or sent.superseded > replaced:
+            text = f"{sent.superseded} were superseded by newer ones (the daemon has replaced {replaced})"
+            raise AssertionError(f"{came} of {count} commands came, {text}, {sent.lost} were lost")
+        return sent.latencies_s
+
+    async def _replaced(self) -> int:
+        """Commands to the robot that the daemon has not sent because a newer one came."""
+        async with self._session.get("/api/links") as answer:
+            links = (await answer.json())["links"]
+        return int(next(link["replaced"] for link in links if link["robot"] == "robot_0"))
 
 
 @contextlib.asynccontextmanager
@@ -188,11 +200,11 @@ async def driven(daemon: Process) -> AsyncIterator[Robot]:
     """The robot on its link, and a program on the WebSocket."""
     reader, writer = await asyncio.open_connection(*daemon.tcp)
     async with (
-        aiohttp.ClientSession() as session,
-        session.ws_connect(daemon.url) as program,
+        aiohttp.ClientSession(daemon.url) as session,
+        session.ws_connect("/") as program,
         asyncio.TaskGroup() as tasks,
     ):
-        robot = Robot(reader, writer, program)
+        robot = Robot(reader, writer, program, session)
         running = [tasks.create_task(robot.listen()), tasks.create_task(robot.keep_time())]
         await program.send_json(
             {"op": "advertise", "topic": "/robot_0/velocity_commands", "type": "geometry_msgs/Twist"}

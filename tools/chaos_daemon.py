@@ -47,6 +47,7 @@ def wanted_of(arguments: argparse.Namespace, seed: int) -> Wanted:
         steps=arguments.steps,
         first_step=arguments.first_step,
         keeps_going=arguments.keep_going,
+        has_udp=arguments.udp,
     )
 
 
@@ -62,6 +63,12 @@ def command_line() -> argparse.ArgumentParser:
     parser.add_argument("--first-step", type=int, default=0, help="begin with this step of the seed's (%(default)s)")
     parser.add_argument("--kind", action="append", default=[], choices=tuple(KINDS), help="only this kind of action")
     parser.add_argument("--keep-going", action="store_true", help="collect violations; else the first ends the run")
+    parser.add_argument(
+        "--udp",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="some devices, and at times the honest robot, send datagrams; without, a seed gives its steps of before",
+    )
     parser.add_argument("--out", type=Path, help="all findings and figures as JSON")
     limits.add_flags(parser)
     return parser

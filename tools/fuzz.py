@@ -1,7 +1,10 @@
-"""Coverage-guided fuzzing of what reads bytes of others, by atheris, for a bounded time; part of `make fuzz`.
+"""Coverage-guided fuzzing of what reads bytes of others, for a bounded time; part of `make fuzz`.
+
+By atheris; the generated headers of the board library ("headers") by clang's libFuzzer.
 
 Each target starts from tests/corpus/TARGET and from what earlier runs on this machine have learned (build/fuzz/TARGET/
-corpus). What breaks a law is written to build/fuzz/TARGET, and goes into tests/corpus with the fix.
+corpus). What breaks a law is written to build/fuzz/TARGET, and goes into tests/corpus with the fix; of "headers", whose
+inputs number the types, into tests/property/test_board_headers.py.
 """
 
 import argparse
@@ -15,7 +18,8 @@ sys.path.insert(0, str(ROOT))
 CORPUS = ROOT / "tests" / "corpus"
 FOUND = ROOT / "build" / "fuzz"
 MAX_BYTES = 512
-NAMES = ("stream", "session", "control", "codec")
+HEADERS = "headers"
+NAMES = ("stream", "session", "control", "codec", HEADERS)
 
 
 def main() -> int:
@@ -40,7 +44,14 @@ def fuzz_in_process(name: str, seconds: int) -> int:
     print(f"{name}: {seconds} s from {len(list(corpus.iterdir()))} inputs", flush=True)
     limits = [f"-max_total_time={seconds}", f"-max_len={MAX_BYTES}", "-timeout=10", "-rss_limit_mb=2048"]
     options = [*limits, f"-artifact_prefix={found}/", "-print_final_stats=1", str(work), str(corpus)]
-    return subprocess.run([sys.executable, __file__, "--run", name, *options], cwd=ROOT, check=False).returncode
+    program = [sys.executable, __file__, "--run", name]
+    if name == HEADERS:
+        from tests.support.headers_fuzzer import compile_fuzzer  # noqa: PLC0415 - the others need no hostlink here
+
+        built = compile_fuzzer(found / "built")
+        program = [str(built)]
+        options.append(str(built.parent / "seeds"))
+    return subprocess.run([*program, *options], cwd=ROOT, check=False).returncode
 
 
 def fuzz(name: str, options: list[str]) -> None:

@@ -53,24 +53,15 @@ def main() -> int:
 
 async def measure(daemons: int, robots: int, pages: int, seconds: float) -> dict[str, Any]:
     """A fleet, idle, then driven, then with pages."""
-    async with fleet(daemons) as hosts, contextlib.AsyncExitStack() as stack:
-        tasks = await stack.enter_async_context(asyncio.TaskGroup())
-        running = []
-        for number, host in enumerate(hosts):
-            for robot in range(robots):
-                name = f"robot_{number * robots + robot}"
-                device = await stack.enter_async_context(fake_device(host.tcp, robot_topics(name)))
-                running.append(tasks.create_task(talk(device)))
-        session = await stack.enter_async_context(aiohttp.ClientSession())
+    async with populated(daemons, robots) as (hosts, session), asyncio.TaskGroup() as tasks:
         found_s = await all_known(session, hosts, daemons * robots)
         await asyncio.sleep(READ_S + 1)  # poses travel on for a while
         idle = await costs(hosts, seconds)
-        target = f"robot_{daemons * robots - 1}"
-        driving = await drive(session, hosts, target, seconds)
+        driving = await drive(session, hosts, f"robot_{daemons * robots - 1}", seconds)
         readers = [tasks.create_task(read_page(session, host)) for host in hosts[:pages]]
         await asyncio.sleep(2.0)
         with_pages = await costs(hosts, seconds)
-        for task in (*running, *readers):
+        for task in readers:
             task.cancel()
     return {
         "daemons": daemons,
@@ -81,6 +72,22 @@ async def measure(daemons: int, robots: int, pages: int, seconds: float) -> dict
         f"{pages}_pages": with_pages,
         **driving,
     }
+
+
+@contextlib.asynccontextmanager
+async def populated(daemons: int, robots: int) -> AsyncIterator[tuple[list[Process], aiohttp.ClientSession]]:
+    """A fleet whose daemons have so many robots each, and a session for their APIs."""
+    async with fleet(daemons) as hosts, contextlib.AsyncExitStack() as stack:
+        tasks = await stack.enter_async_context(asyncio.TaskGroup())
+        running = []
+        for number, host in enumerate(hosts):
+            for robot in range(robots):
+                name = f"robot_{number * robots + robot}"
+                device = await stack.enter_async_context(fake_device(host.tcp, robot_topics(name)))
+                running.append(tasks.create_task(talk(device)))
+        yield hosts, await stack.enter_async_context(aiohttp.ClientSession())
+        for task in running:
+            task.cancel()
 
 
 @contextlib.asynccontextmanager

@@ -1,0 +1,204 @@
+"""`make release`: the wheel and the source distribution, and whether a user who has only them can work.
+
+Builds both into build/release, checks what is in them, installs the wheel into an empty virtual environment for each
+Python that is found (and the source distribution for the first), and there runs the demo: a robot appears, drives,
+and stands when the daemon ends. Prints a table; ends with status 1 when something is wrong.
+"""
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tests.support.process import free_port
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "build" / "release"
+PYTHONS = ("3.11", "3.12", "3.13")
+MAX_WHEEL_BYTES = 2_000_000
+TIMEOUT_S = 60.0
+MIN_WAY_M = 0.2  # of a robot that is driven
+NEEDED = (
+    "hostlink/py.typed",
+    "hostlink/api/web/built/index.html",
+    "hostlink/data/hostlink.toml",
+    "hostlink/data/hostlink.service",
+    "hostlink/guardian/process.py",
+)
+UNWANTED = re.compile(r"(^|/)(tests|node_modules|__pycache__|\.git|build)/|\.(ts|pyc|so|toml\.bak)$")
+OF_SOURCES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "firmware/README.md", "docs/api.md")
+
+
+class Unusable(Exception):
+    """What was installed does not work."""
+
+
+class Row(NamedTuple):
+    """What became of one installation."""
+
+    python: str
+    of: str
+    megabytes: float  # with all that it needs
+    start_s: float  # from the command to a robot
+    problem: str
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--python", action="append", help="only this version; may be repeated")
+    arguments = parser.parse_args()
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    FOLDER.mkdir(parents=True)
+    print("building ...", flush=True)
+    subprocess.run([sys.executable, "-m", "hatchling", "build", "--directory", str(FOLDER)], cwd=ROOT, check=True)
+    (wheel,), (sources,) = FOLDER.glob("*.whl"), FOLDER.glob("*.tar.gz")
+    problems = [*problems_of_wheel(wheel), *problems_of_sources(sources)]
+    found = {version: path for version in arguments.python or PYTHONS if (path := interpreter(version)) is not None}
+    missing = [version for version in arguments.python or PYTHONS if version not in found]
+    problems += [f"Python {version} is not found: nothing is known of it" for version in missing]
+    rows = [tried(version, path, wheel) for version, path in found.items()]
+    rows += [tried(version, path, sources) for version, path in list(found.items())[:1]]
+    for row in rows:
+        what = row.problem or f"{row.megabytes:.0f} MB with what it needs, a robot after {row.start_s:.1f} s"
+        print(f"Python {row.python:<6} {row.of:<28} {'FAILED' if row.problem else 'works':<7} {what}")
+    print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.2f} MB; {sources.name}: {sources.stat().st_size / 1e6:.2f} MB")
+    print(*problems, sep="\n", end="\n" if problems else "")
+    return 1 if problems or any(row.problem for row in rows) else 0
+
+
+# -- what is in them --------------------------------------------------------------------------------------------------
+
+
+def problems_of_wheel(wheel: Path) -> list[str]:
+    """What a user would miss, and what he should not get."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    size = wheel.stat().st_size
+    too_large = [f"the wheel has {size} bytes, more than {MAX_WHEEL_BYTES}"] if size > MAX_WHEEL_BYTES else []
+    return [*_missing(NEEDED, names, "the wheel"), *_unwanted(names, "the wheel"), *too_large]
+
+
+def problems_of_sources(sources: Path) -> list[str]:
+    """The same of the source distribution, which has the tests."""
+    with tarfile.open(sources) as archive:
+        names = [name.partition("/")[2] for name in archive.getnames()]
+    wanted = (*OF_SOURCES, *NEEDED, "tests/conftest.py")
+    return [*_missing(wanted, names, "the source distribution"), *_copies(names)]
+
+
+def _missing(wanted: Iterable[str], names: list[str], where: str) -> list[str]:
+    return [f"{name} is not in {where}" for name in wanted if name not in names]
+
+
+def _unwanted(names: Iterable[str], where: str) -> list[str]:
+    return [f"{name} is in {where}" for name in names if UNWANTED.search(name)]
+
+
+def _copies(names: Iterable[str]) -> list[str]:
+    return [f"{name} is in the source distribution" for name in names if "node_modules/" in name or ".venv/" in name]
+
+
+# -- what a user does with them ---------------------------------------------------------------------------------------
+
+
+def interpreter(version: str) -> Path | None:
+    """A Python of this version: on the path, of pyenv, of uv."""
+    on_path = shutil.which(f"python{version}")
+    places = (
+        Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions",
+        Path.home() / ".local" / "share" / "uv" / "python",
+    )
+    others = (path for place in places for path in sorted(place.glob(f"*{version}.*/bin/python3"), reverse=True))
+    for path in (*([Path(on_path)] if on_path else []), *others):
+        asked = subprocess.run(
+            [path, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], capture_output=True, check=False
+        )
+        if asked.stdout.decode().strip() == version:
+            return path
+    return None
+
+
+def tried(version: str, python: Path, package: Path) -> Row:
+    """Install it into an empty environment, and run the demo there."""
+    print(f"Python {version}: {package.name} ...", flush=True)
+    venv = FOLDER / f"venv-{version}-{package.suffix.strip('.')}"
+    try:
+        subprocess.run([python, "-m", "venv", "--clear", venv], check=True, capture_output=True)
+        install = [venv / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", package]
+        subprocess.run(install, check=True, capture_output=True)
+        start_s = demonstrated(venv / "bin" / "hostlink", cwd=venv)
+    except subprocess.CalledProcessError as error:
+        return Row(version, package.name, 0.0, 0.0, error.stderr.decode().strip().rpartition("\n")[2])
+    except (OSError, Unusable, subprocess.TimeoutExpired) as error:
+        return Row(version, package.name, 0.0, 0.0, str(error) or type(error).__name__)
+    size = sum(file.stat().st_size for file in venv.rglob("*") if file.is_file() and not file.is_symlink())
+    return Row(version, package.name, size / 1e6, start_s, "")
+
+
+def demonstrated(hostlink: Path, *, cwd: Path) -> float:
+    """A robot appears, drives, and the daemon ends in order; returns how long the first took."""
+    url = f"http://127.0.0.1:{free_port()}"
+    words = [hostlink, "demo", "--listen", "127.0.0.1:0", "--api", url.removeprefix("http://")]
+    with _running(words, cwd=cwd) as demo:
+        began_s = time.monotonic()
+        robot = _until(lambda: _with_pose(_json(hostlink, "robots", "--json", "--url", url, cwd=cwd)))
+        start_s = time.monotonic() - began_s
+        words = [hostlink, "pub", robot["velocity_topic"], '{"linear": {"x": 0.2}}', "--rate", "10", "--url", url]
+        with _running(words, cwd=cwd):
+            _until(lambda: _way_m(robot, hostlink, url, cwd=cwd) > MIN_WAY_M or None)
+        demo.send_signal(signal.SIGINT)
+        status = demo.wait(TIMEOUT_S)
+        if status != 0:
+            raise Unusable(f"the demo ended with status {status}")
+    return start_s
+
+
+def _with_pose(robots: list[dict[str, Any]] | None) -> dict[str, Any] | None:
+    return next((robot for robot in robots or [] if robot["odometry"] is not None), None)
+
+
+def _way_m(before: dict[str, Any], hostlink: Path, url: str, *, cwd: Path) -> float:
+    (now,) = _json(hostlink, "robots", "--json", "--url", url, cwd=cwd)
+    here, there = before["odometry"]["pose"], now["odometry"]["pose"]
+    return math.dist((here["x_m"], here["y_m"]), (there["x_m"], there["y_m"]))
+
+
+@contextlib.contextmanager
+def _running(words: list[Any], *, cwd: Path) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(words, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _until(find: Any) -> Any:
+    deadline_s = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < deadline_s:
+        found = find()
+        if found is not None:
+            return found
+        time.sleep(0.1)
+    raise Unusable(f"no robot that moves within {TIMEOUT_S:g} s")
+
+
+def _json(*words: Any, cwd: Path) -> Any:
+    done = subprocess.run(words, cwd=cwd, capture_output=True, timeout=TIMEOUT_S, check=False)
+    return json.loads(done.stdout) if done.returncode == 0 else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
