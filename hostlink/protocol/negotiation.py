@@ -86,9 +86,14 @@ class NegotiationScheduler:
         self.is_regular |= shortest_s <= now_s - self._last_time_request_s <= longest_s
         self._time_requested_at_s = self._last_time_request_s = now_s
 
-    def topic_info_received(self, now_s: float) -> bool:
-        """A TopicInfo came; whether it is the first of a negotiation."""
-        is_first = self.state is not SessionState.NEGOTIATING
+    def topic_info_received(self, now_s: float, *, may_go_on: bool = False) -> bool:
+        """A TopicInfo came; whether it is the first of a negotiation.
+
+        A device announces its topics when they are requested: behind messages of its other tasks and without a request
+        between them it goes on, with an id that it has not announced yet (`may_go_on`).
+        """
+        goes_on = may_go_on and now_s < self._topic_info_at_s + NEGOTIATION_QUIET_S
+        is_first = self.state is SessionState.REQUESTING or (self.state is SessionState.READY and not goes_on)
         self._topic_info_at_s = now_s
         self._step(Step.TOPIC_INFO)
         return is_first

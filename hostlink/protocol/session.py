@@ -165,8 +165,8 @@ class Session(MessagesToDevice):
             if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
                 self._add_topic_info(Id(topic_id), payload, now_s, found)
                 continue
-            if self._negotiation.state is SessionState.NEGOTIATING:
-                found.append(self._finish_negotiation())
+            if topic_id != Id.LOG and self._negotiation.state is SessionState.NEGOTIATING:
+                found.append(self._finish_negotiation())  # a line of the log may be a passthrough's, between any two
             if topic_id >= FIRST_TOPIC_ID:
                 self._dispatch(topic_id, payload, found)
             else:
@@ -215,7 +215,8 @@ class Session(MessagesToDevice):
         if info is None or info.topic_id < FIRST_TOPIC_ID:
             self.counts.malformed += 1
             return
-        if self._negotiation.topic_info_received(now_s):
+        may_go_on = not self._topics.has_announced(info.topic_id)
+        if self._negotiation.topic_info_received(now_s, may_go_on=may_go_on):
             self._topics.begin()
         if not self._topics.is_room(info.topic_id):
             self._refuse_excess(info, found)

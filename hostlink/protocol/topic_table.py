@@ -38,6 +38,10 @@ class TopicTable:
         self.excess = 0
         self._announced, self._complete = {}, dict(self._topics)
 
+    def has_announced(self, topic_id: int) -> bool:
+        """Whether the last negotiation had this id."""
+        return topic_id in self._announced
+
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
         """Add one TopicInfo of the present negotiation, for which there `is_room`."""
         before = self._topics.get(info.topic_id)
@@ -54,7 +58,7 @@ class TopicTable:
 
     def is_room(self, topic_id: int) -> bool:
         """Whether one more TopicInfo of the present negotiation can be added."""
-        return topic_id in self._announced or len(self._announced) < self.max_topics
+        return self.has_announced(topic_id) or len(self._announced) < self.max_topics
 
     def finish(self, *, refused: Container[int] = ()) -> None:
         """The device has announced all: what is not among it is gone, or lost for now; `refused` is never used."""

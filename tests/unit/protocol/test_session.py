@@ -138,6 +138,30 @@ def test_five_seconds_without_a_time_request_cause_a_request() -> None:
     assert host.requests() == ["no_time_requests"]
 
 
+def test_a_line_of_the_log_between_topics_ends_no_negotiation() -> None:
+    """A passthrough that reports its signal puts the line behind any frame of the device."""
+    host = Host()
+    host.receive(TIME + wire(ODOMETRY) + encode(Id.LOG, encode_log(Log(1, "WiFi signal -85 dBm"))))
+    assert host.receive(wire(LED) + TIME)[0] == events.TopicsNegotiated((LED, ODOMETRY), is_changed=True, gap_at=None)
+    host.receive(encode(125, bytes(24)))
+    assert (host.session.counts.negotiations, host.session.counts.unknown_ids) == (1, 0)
+
+
+def test_messages_between_topics_let_the_same_negotiation_go_on() -> None:
+    """Of a device whose tasks write side by side; no request for topics is between the two parts."""
+    host = Host()
+    host.receive(TIME + wire(LED, ODOMETRY) + encode(125, bytes(24)) + wire(TEXT) + encode(125, bytes(24)) + TIME)
+    assert [info.name for info in host.session.topics] == ["/led", "/text", "/odometry"]
+    assert host.session.counts.unknown_ids == 0
+
+
+@pytest.mark.parametrize("after_s", [0.01, 0.6])
+def test_a_device_that_restarts_at_once_begins_a_negotiation(after_s: float) -> None:
+    host = Host(ODOMETRY, LED)
+    host.receive(wire(ODOMETRY._replace(name="/pose")) + TIME, after_s=after_s)
+    assert [info.name for info in host.session.topics] == ["/pose"]
+
+
 def test_a_second_negotiation_replaces_the_first() -> None:
     host = Host(ODOMETRY, LED)
     other = ODOMETRY._replace(name="/battery", type="std_msgs/Float32")
