@@ -104,9 +104,9 @@ test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed
 	$(BIN)/coverage run -m pytest -n $(CORES) $(PURE_TESTS)
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include='$(PURE_FILES)' --fail-under=100
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not quiet and not alone" $(addprefix --ignore=,$(PURE_TESTS))
-	$(BIN)/python -m pytest -n $(QUIET_WORKERS) -m "quiet and not alone" $(call MARKED,quiet)
-	$(BIN)/python -m pytest -m alone $(call MARKED,alone)
+	$(BIN)/python tools/run_tests.py -n $(WORKERS) -m "not quiet and not alone" $(addprefix --ignore=,$(PURE_TESTS))
+	$(BIN)/python tools/run_tests.py -n $(QUIET_WORKERS) -m "quiet and not alone" $(call MARKED,quiet)
+	$(BIN)/python tools/run_tests.py -m alone $(call MARKED,alone)
 
 coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration
