@@ -93,16 +93,16 @@ class Graph:
         assert status == 0, out
         return [line.strip() for line in out.splitlines() if line.strip()]
 
-    async def call(self, node: str, method: str, *arguments: object) -> Any:
-        """The answer of a node to a call of its slave API: (status, text, value)."""
-        _, _, uri = await asyncio.to_thread(_call, self.url, "lookupNode", "/test", node)
-        return await asyncio.to_thread(_call, uri, method, *arguments)
+    async def slave_uri(self, node: str) -> str:
+        """Where the master says that the node listens for calls."""
+        _, _, uri = await call(self.url, "lookupNode", "/test", node)
+        return str(uri)
 
     @contextlib.asynccontextmanager
-    async def node(self, *words: str) -> AsyncIterator["Node"]:
+    async def node(self, *words: str, precedence: tuple[str, ...] = ()) -> AsyncIterator["Node"]:
         """`program.py` with these words, killed at the end of the block."""
         child = await asyncio.create_subprocess_exec(
-            PYTHON, PROGRAM, *words, env=self.environment, stdin=PIPE, stdout=PIPE, limit=1 << 24
+            *precedence, PYTHON, PROGRAM, *words, env=self.environment, stdin=PIPE, stdout=PIPE, limit=1 << 24
         )
         node = Node(child)
         try:
@@ -177,6 +177,11 @@ async def living_device(
                 yield device
             finally:
                 task.cancel()
+
+
+async def call(uri: str, method: str, *arguments: object) -> Any:
+    """The answer of a master or of a node's slave API: (status, text, value)."""
+    return await asyncio.to_thread(_call, uri, method, *arguments)
 
 
 def _call(uri: str, method: str, *arguments: object) -> Any:

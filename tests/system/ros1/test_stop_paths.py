@@ -16,8 +16,9 @@ import pytest
 from hostlink.protocol.frame import Id
 from tests.support.background import meanwhile
 from tests.support.fake_device import FakeDevice, robot_topics, topic
+from tests.support.precedence import GOES_LAST
 from tests.support.process import Process
-from tests.support.ros1.debian import Graph, Node, graph, living_device
+from tests.support.ros1.debian import Graph, Node, call, graph, living_device
 from tests.support.waiting import expect
 
 pytestmark = pytest.mark.quiet
@@ -25,7 +26,7 @@ pytestmark = pytest.mark.quiet
 VELOCITY = "/robot_0/velocity_commands"
 LEASE_S = 0.5
 LATE_S = 0.15  # a tick of the gates, and what a busy machine adds
-AT_ONCE_S = 0.25  # an end that TCP reports; two processes and the daemon share two cores with the flood
+AT_ONCE_S = 0.25  # an end that TCP reports; the daemon shares two cores with the flood
 FLOOD = "/neighbour/blob"
 
 
@@ -75,7 +76,7 @@ async def driven(folder: Path, *, is_flooded: bool) -> AsyncIterator[Driven]:
             await stack.enter_async_context(drained(daemon, [*robot_topics("neighbour"), blob]))
             for number in range(2):
                 words = ("talk", FLOOD, "std_msgs/String", "{data: flood}", "-1", f"name=flood_{number}")
-                await stack.enter_async_context(ros.node(*words))
+                await stack.enter_async_context(ros.node(*words, precedence=GOES_LAST))
         driver = await stack.enter_async_context(ros.node("drive", VELOCITY, "0.25", "20"))
         if is_flooded:
             await flooding(daemon)
@@ -151,9 +152,10 @@ async def test_a_driver_that_ends_in_order(tmp_path: Path, is_flooded: bool) -> 
 @flooded
 async def test_a_driver_whom_the_master_names_no_more(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
+        uri = await made.ros.slave_uri("/hostlink")
 
         async def end() -> None:
-            assert (await made.ros.call("/hostlink", "publisherUpdate", "/master", VELOCITY, []))[0] == 1
+            assert (await call(uri, "publisherUpdate", "/master", VELOCITY, []))[0] == 1
 
         await made.stands_after(end, AT_ONCE_S)
 
@@ -177,9 +179,10 @@ async def test_a_driver_beside_a_dead_master_drives_on_until_it_is_killed(tmp_pa
 @flooded
 async def test_the_daemons_node_that_is_killed_by_rosnode(tmp_path: Path, is_flooded: bool) -> None:
     async with driven(tmp_path, is_flooded=is_flooded) as made:
+        uri = await made.ros.slave_uri("/hostlink")
 
         async def end() -> None:
-            await made.ros.call("/hostlink", "shutdown", "/rosnode", "user request")
+            await call(uri, "shutdown", "/rosnode", "user request")
 
         await made.stands_after(end, AT_ONCE_S)
 
