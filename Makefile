@@ -101,7 +101,8 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed
 	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(ROS1_PACKAGES)
-	$(BIN)/coverage run -m pytest -n $(CORES) $(PURE_TESTS)
+	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null & \
+	  $(BIN)/coverage run -m pytest -n $(CORES) $(PURE_TESTS) && wait # what pytest compiles: once, not once a worker
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report --include='$(PURE_FILES)' --fail-under=100
 	$(BIN)/python tools/run_tests.py -n $(WORKERS) -m "not quiet and not alone" $(addprefix --ignore=,$(PURE_TESTS))

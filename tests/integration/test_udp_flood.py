@@ -14,6 +14,7 @@ from hostlink.hub.hub import Hub
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import daemon
 from tests.support.fake_device import pose, robot_topics
+from tests.support.precedence import GOES_LAST
 from tests.support.udp_device import GREETING, UdpDevice, udp_device
 from tests.support.waiting import expect
 
@@ -43,7 +44,7 @@ for sender in itertools.cycle(senders):
 @contextlib.asynccontextmanager
 async def flood(to: tuple[str, int], data: bytes, *, sockets: int, local_host: str = CROWD) -> AsyncIterator[None]:
     """As many datagrams as one process can send."""
-    words = [sys.executable, "-c", FLOOD, to[0], str(to[1]), local_host, data.hex(), str(sockets)]
+    words = [*GOES_LAST, sys.executable, "-c", FLOOD, to[0], str(to[1]), local_host, data.hex(), str(sockets)]
     process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
     assert process.stdout is not None
     try:
