@@ -38,6 +38,10 @@ KEEPS_NOTHING = """
     Object.defineProperty(window, name, { get: () => { throw new DOMException("blocked", "SecurityError"); } });
   }
 """
+FOCUSED = """() => {
+  window.focused = [];
+  addEventListener("focusin", ({ target }) => target.matches("[type=radio]") && window.focused.push(target.value));
+}"""
 LINES = """
   window.lines = 0;
   const line = CanvasRenderingContext2D.prototype.lineTo;
@@ -204,7 +208,9 @@ async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: 
 async def test_a_robot_that_was_chosen_by_mouse_is_driven_by_keys_at_once(scene: Scene) -> None:
     page = scene.tab.page
     scene.server.show(fleet("robot_0", "robot_1", "robot_2"))
+    await page.evaluate(FOCUSED)
     await page.locator("#robots .robot", has_text="robot_1").click()
+    assert await page.evaluate("window.focused") == []  # not for a moment, in which an arrow would choose another one
     await page.keyboard.down("ArrowDown")
     await scene.drives("robot_1")
     await page.keyboard.up("ArrowDown")

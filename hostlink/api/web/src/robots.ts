@@ -115,10 +115,15 @@ export class RobotList {
     const label = make("label", { class: "robot" }, input, dot, make("b", {}, name), state, speed, battery, signal);
     label.style.setProperty("--robot", robotColour(name));
     input.addEventListener("change", () => this.fleet.choose(name));
-    // by a pointer: then the arrows drive it, and choose no other
-    label.addEventListener("click", (event) => event.detail > 0 && setTimeout(() => input.blur()));
+    label.addEventListener("mousedown", dropFocus); // by a pointer: then the arrows drive it, and choose no other
     const card = { label, input, state, speed, battery, signal };
     this.cards.set(name, card);
     return card;
   }
+}
+
+/** What is pressed works and gets no focus, not even for a moment; what had it loses it. */
+function dropFocus(event: MouseEvent): void {
+  event.preventDefault();
+  if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
 }
