@@ -8,7 +8,7 @@ from hostlink.recording.reader import StoredMessage
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
 from hostlink.robot.velocity_gate import LEASE_S
 
-TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
+_MOVING = ("Twist", "TwistStamped", "")  # the last part of a type's name; none: the topic's own, whatever that is
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,11 @@ def is_drive(channel: Channel) -> bool:
 
 
 def may_move(channel: Channel) -> bool:
-    """Whether a robot could take it for a velocity, now or when it comes: by its type, whoever published it."""
-    return channel.origin == VELOCITY or channel.type_name in (TWIST_TYPE, TWIST_STAMPED_TYPE)
+    """Whether a robot could take it for a velocity, now or when it comes: by its type, whoever published it.
+
+    A daemon reads geometry_msgs/msg/Twist as geometry_msgs/Twist: a file of another program may have either.
+    """
+    return channel.origin == VELOCITY or channel.type_name.rpartition("/")[2] in _MOVING
 
 
 def robots_of(channels: Iterable[Channel]) -> dict[str, list[Channel]]:

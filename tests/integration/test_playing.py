@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import io
 import re
 from collections.abc import AsyncIterator, Coroutine, Iterable
@@ -173,6 +174,17 @@ async def test_a_velocity_that_no_gate_had_seen_is_published_to_nobody(
 ) -> None:
     """It was recorded while the robot was not there, or by a device that drives another."""
     file = recording(tmp_path, [(0.1 * number, channel(name, type_name, origin), payload) for number in range(5)])
+    async with robot() as (host, _):
+        await play.publish_topics(host.url, None, file, PACE, ["*"])
+        assert host.hub.robots.find("robot_0").gate.counts.commands == 0
+
+
+@pytest.mark.parametrize("type_name", ["geometry_msgs/msg/Twist", "geometry_msgs/srv/Twist", ""])
+async def test_a_velocity_whose_type_another_program_wrote_is_published_to_nobody(
+    tmp_path: Path, type_name: str
+) -> None:
+    theirs = dataclasses.replace(channel("/robot_0/cmd_vel", "geometry_msgs/Twist", ""), type_name=type_name)
+    file = recording(tmp_path, [(0.1 * number, theirs, FORWARD.encode()) for number in range(5)])
     async with robot() as (host, _):
         await play.publish_topics(host.url, None, file, PACE, ["*"])
         assert host.hub.robots.find("robot_0").gate.counts.commands == 0
