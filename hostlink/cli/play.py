@@ -185,7 +185,7 @@ async def drive_robot(url: str, token: str | None, file: Path, pace: Pace, robot
         while True:
             due_messages = schedule(Reader(file).messages(), rate=pace.rate, start_s=pace.start_s)
             clock = Clock(pace, "velocities")
-            for due in drives(due_messages, topic, rate=pace.rate):
+            for due in drives(due_messages, names[0], topic, rate=pace.rate):
                 await clock.reach(due.at_s)
                 await driven.drive(due.velocity.linear_x_m_s, due.velocity.angular_z_rad_s, is_yielding=True)
                 clock.count += 1

@@ -38,8 +38,8 @@ class DueVelocity:
     velocity: Velocity
 
 
-def drives(due_messages: Iterable[Due], topic: str, *, rate: float = 1.0) -> Iterator[DueVelocity]:
-    """The velocities of a topic, and a zero wherever a robot would have stood: after a lease without another one.
+def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float = 1.0) -> Iterator[DueVelocity]:
+    """The velocities of a robot's topic, and a zero wherever it would have stood: after a lease without another one.
 
     A recording may lack the zero that ended a drive: the link was lost, the file is cut, a chunk of it is damaged.
 
@@ -51,7 +51,8 @@ def drives(due_messages: Iterable[Due], topic: str, *, rate: float = 1.0) -> Ite
         if end_s is not None and due.at_s >= end_s:
             yield DueVelocity(end_s, Velocity())
             end_s = None
-        if due.message.channel.topic == topic and is_drive(due.message.channel):
+        channel = due.message.channel
+        if channel.topic == topic and channel.robot == robot and is_drive(channel):  # one that came later may have it
             velocity = Velocity.decode(due.message.payload)
             yield DueVelocity(due.at_s, velocity)
             end_s = None if velocity.is_zero else due.at_s + LEASE_S / rate

@@ -4,8 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
-from hostlink.recording.playing import robots_of, schedule
+from hostlink.recording.playing import drives, robots_of, schedule
 from hostlink.recording.reader import StoredMessage
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
 
 SECOND_NS = 1_000_000_000
 
@@ -49,3 +50,16 @@ def test_a_robot_has_what_its_device_published_and_its_velocities() -> None:
 def test_a_topic_that_was_recorded_twice_is_one() -> None:
     latched = ros_channel("/a/odometry", "std_msgs/String", None, is_latched=True, robot="a", origin=DEVICE)
     assert robots_of([channel("a", "/a/odometry", DEVICE), latched]) == {"a": [latched]}
+
+
+def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
+    forward, back = Velocity(linear_x_m_s=0.2), Velocity(linear_x_m_s=-0.2)
+    mine, others = (
+        ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot=name, origin=VELOCITY) for name in ("a", "b")
+    )
+    stored = [
+        StoredMessage(of, int(at_s * SECOND_NS), velocity.encode())
+        for at_s, of, velocity in ((0.0, mine, forward), (0.25, mine, ZERO), (4.0, others, back))
+    ]
+    found = [(each.at_s, each.velocity) for each in drives(schedule(stored), "a", "/cmd_vel")]
+    assert found == [(0.0, forward), (0.25, ZERO)]
