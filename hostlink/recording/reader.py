@@ -1,5 +1,7 @@
 """Reading MCAP files, also those that were never finished: a daemon was killed, a disk was full, a cable was pulled."""
 
+import contextlib
+import itertools
 import struct
 import zlib
 from collections.abc import Iterator
@@ -21,6 +23,8 @@ from hostlink.recording.channel import Channel
 
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a length that damage has made is not read into memory
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; those of other writers have a few MB
+MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which are kept; a large one has a few kB
+_DAMAGES = (McapError, ValueError, OverflowError, MemoryError, struct.error)  # of a length that is none
 
 
 class StoredMessage(NamedTuple):
@@ -39,8 +43,10 @@ class Reader:
         self.damage: list[str] = []
         self.profile = ""
         self.metadata: dict[str, str] = {}
-        self._schemas: dict[int, Schema] = {}
+        self._schemas: dict[int, tuple[str, str]] = {}  # name, text
         self._channels: dict[int, Channel] = {}
+        self._has_read_summary = False
+        self._definitions_left_bytes = MAX_DEFINITIONS_BYTES
 
     def messages(self) -> Iterator[StoredMessage]:
         """Every message that can be read, in the order of writing.
@@ -53,7 +59,7 @@ class Reader:
                 for record in self._records(file):
                     if not isinstance(record, Message):
                         self._note(record)
-                    elif record.channel_id in self._channels:  # else its definition was in a damaged chunk
+                    elif record.channel_id in self._channels or self._finds_at_the_end(record.channel_id):
                         yield StoredMessage(self._channels[record.channel_id], record.log_time, record.data)
         except OSError as error:
             raise RecordingFailed(f"{self.path}: {error.strerror}") from error
@@ -71,11 +77,23 @@ class Reader:
             for record in records:
                 is_begun = True
                 yield from self._of_chunk(record) if isinstance(record, Chunk) else [record]
-        except (McapError, ValueError, OverflowError, MemoryError, struct.error) as error:  # a length that is none
+        except _DAMAGES as error:
             if not is_begun:
                 raise RecordingFailed(f"{self.path} is no MCAP file") from error
             is_cut = isinstance(error, EndOfFile)
             self.damage.append("it was never finished" if is_cut else f"unreadable from byte {file.tell()}: {error}")
+
+    def _finds_at_the_end(self, channel_id: int) -> bool:
+        """Whether the summary has a channel whose definition was in a damaged chunk; a cut file has no summary."""
+        if not self._has_read_summary:
+            self._has_read_summary = True
+            with self.path.open("rb") as file, contextlib.suppress(*_DAMAGES):
+                for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
+                    if isinstance(record, Schema) or (
+                        isinstance(record, McapChannel) and record.id not in self._channels
+                    ):
+                        self._note(record)
+        return channel_id in self._channels
 
     def _of_chunk(self, chunk: Chunk) -> Iterator[McapRecord]:
         try:
@@ -85,13 +103,28 @@ class Reader:
 
     def _note(self, record: McapRecord) -> None:
         if isinstance(record, Schema):
-            self._schemas[record.id] = record
+            schema = record.name, record.data.decode(errors="replace")
+            if self._schemas.get(record.id) != schema and self._has_room(*schema):
+                self._schemas[record.id] = schema
         elif isinstance(record, McapChannel):
-            self._channels[record.id] = _channel(record, self._schemas.get(record.schema_id))
+            channel = _channel(record, self._schemas.get(record.schema_id, ("", "")))
+            is_new = self._channels.get(record.id) != channel
+            if is_new and self._has_room(channel.topic, *itertools.chain.from_iterable(channel.metadata)):
+                self._channels[record.id] = channel
         elif isinstance(record, Metadata):
             self.metadata |= record.metadata
         elif isinstance(record, Header):
             self.profile = record.profile
+
+    def _has_room(self, *texts: str) -> bool:
+        """For one more definition: they are kept, and a few bytes of a file can become many of them."""
+        if self._definitions_left_bytes >= 0:
+            self._definitions_left_bytes -= sum(map(len, texts))
+            if self._definitions_left_bytes < 0:
+                self.damage.append(
+                    f"its definitions have more than {MAX_DEFINITIONS_BYTES} bytes: the rest is left out"
+                )
+        return self._definitions_left_bytes >= 0
 
 
 def _unpacked(chunk: Chunk) -> bytes:
@@ -133,6 +166,5 @@ def _records_in(data: bytes) -> Iterator[McapRecord]:
             stream.read(length)
 
 
-def _channel(record: McapChannel, schema: Schema | None) -> Channel:
-    name, text = ("", "") if schema is None else (schema.name, schema.data.decode(errors="replace"))
-    return Channel(record.topic, record.message_encoding, name, text, tuple(record.metadata.items()))
+def _channel(record: McapChannel, schema: tuple[str, str]) -> Channel:
+    return Channel(record.topic, record.message_encoding, *schema, tuple(record.metadata.items()))

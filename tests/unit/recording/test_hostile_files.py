@@ -112,6 +112,28 @@ def test_a_chunk_of_nothing_but_messages_is_read_one_by_one(tmp_path: Path) -> N
     assert peak_bytes(lambda: sum(1 for _ in Reader(path).messages())) < LITTLE // 4
 
 
+def test_definitions_that_a_few_bytes_become_are_bounded(tmp_path: Path) -> None:
+    """Each text is another one, and every channel has it."""
+    chunks = []
+    for number in range(1, 9):
+        data = schema(number, "a/A", str(number) * LITTLE) + channel(number, "/x") + message(number, b"{}")
+        chunks.append(chunk(zstandard.compress(data), "zstd", len(data)))
+    path = file(tmp_path, *chunks)
+    assert path.stat().st_size < LITTLE // 1000
+    reader = Reader(path)
+    assert peak_bytes(lambda: list(reader.messages())) < 8 * LITTLE
+    assert len(reader.damage) == 1
+
+
+def test_channels_of_one_schema_share_its_text(tmp_path: Path) -> None:
+    many = [
+        record(CHANNEL, struct.pack("<HH", n, 1), text(f"/{n}"), text("json"), struct.pack("<I", 0)) for n in range(99)
+    ]
+    data = b"".join([schema(1, "a/A", " " * LITTLE), *many])
+    path = file(tmp_path, chunk(zstandard.compress(data), "zstd", len(data)))
+    assert peak_bytes(lambda: contents_of(path)) < 8 * LITTLE
+
+
 @pytest.mark.parametrize(
     "payload",
     [b"[" * 100_000 + b"]" * 100_000, b'{"a":' * 5000 + b"1" + b"}" * 5000, b'{"a":' + b"[" * 900 + b"]" * 900 + b"}"],

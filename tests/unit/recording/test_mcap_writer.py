@@ -133,6 +133,17 @@ def test_a_damaged_file_gives_messages_that_were_written_and_no_traceback(
             assert found.payload in payloads
 
 
+def test_a_damaged_chunk_costs_its_own_messages_and_none_of_the_channels_that_it_defines(tmp_path: Path) -> None:
+    path, messages = tmp_path / "a.mcap", drawn(300)
+    sizes = write(path, messages)
+    damaged = bytearray(path.read_bytes())
+    damaged[sizes[0] // 2] ^= 0xFF  # in the first chunk, which has every definition
+    path.write_bytes(damaged)
+    assert list(Reader(path).messages()) == messages[50:]
+    assert repair(path).messages == 250
+    assert list(Reader(path).messages()) == messages[50:]
+
+
 def test_repairing_a_whole_file_leaves_its_bytes(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", drawn(100))
     before = (tmp_path / "a.mcap").read_bytes()
