@@ -13,6 +13,7 @@ from hostlink.recording.tables import Decoders, flat
 
 MAX_ARRAY = 64  # elements of an array that have columns of their own; more are one column, as JSON
 MAX_COLUMNS = 10_000  # of a file; JSON may have other fields in each message
+MAX_OPEN_FILES = 128  # at once; a process may have 1024, or 256, and a hundred robots have more topics
 _LONGEST_NAME = 200  # characters; a file's may have 255 bytes
 _TIME = "time_s"  # since the epoch, when the message arrived
 
@@ -31,15 +32,19 @@ def export_csv(reader: Reader, folder: Path) -> dict[str, int]:
     folder.mkdir()
     columns = _columns(Reader(reader.path))
     files: dict[_Key, _File] = {}
+    opened: dict[_Key, _File] = {}  # the one that was written to last is the last
     try:
         for channel, stamp_ns, cells in _decoded(reader):
             key = _key(channel)
             if key not in files:
                 taken = {file.path.stem.lower() for file in files.values()}
                 files[key] = _File(folder / f"{_free(file_name(channel.topic), taken)}.csv", columns[key])
+            opened[key] = opened.pop(key, files[key])
+            if len(opened) > MAX_OPEN_FILES:
+                opened.pop(next(iter(opened))).close()
             files[key].add(stamp_ns, cells)
     finally:
-        for file in files.values():
+        for file in opened.values():
             file.close()
     return {file.path.name: file.lines for file in files.values()}
 
@@ -92,11 +97,17 @@ def _cells(fields: dict[str, Any]) -> Iterator[tuple[str, object]]:
 class _File:
     def __init__(self, path: Path, columns: list[str]) -> None:
         self.path, self.lines = path, 0
-        self._file = path.open("x", newline="", encoding="utf-8")
-        self._writer = csv.DictWriter(self._file, [_TIME, *columns], restval="", extrasaction="ignore")
+        self._columns = [_TIME, *columns]
+        self._open("x")
         self._writer.writeheader()
 
+    def _open(self, mode: str) -> None:
+        self._file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may have half a pair
+        self._writer = csv.DictWriter(self._file, self._columns, restval="", extrasaction="ignore")
+
     def add(self, stamp_ns: int, cells: dict[str, object]) -> None:
+        if self._file.closed:
+            self._open("a")
         seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
         self._writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}", **cells})
         self.lines += 1

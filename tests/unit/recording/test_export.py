@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,7 @@ from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, ros_channel
 from hostlink.recording.contents import contents_of
-from hostlink.recording.export_csv import export_csv
+from hostlink.recording.export_csv import export_csv, file_name
 from hostlink.recording.export_ros import RosFormat, export_ros
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.plot import draw_fields, draw_map, find_field
@@ -241,6 +242,23 @@ def test_every_topic_and_type_has_a_file_whatever_their_names_are(tmp_path: Path
     assert sorted(lines) == sorted(file.name for file in (tmp_path / "csv").iterdir())
     assert len({name.lower() for name in lines}) == len(lines)
     assert rows(tmp_path / "csv" / "a.b.csv")[0]["data"] == "a"
+
+
+def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path: Path, catalog: Catalog) -> None:
+    number = catalog.message("std_msgs/UInt8")
+    assert number is not None
+    names = [f"/robot_{each}/number" for each in range(300)]
+    of_all = [(name, number, number.encode({"data": turn})) for turn in range(2) for name in names]
+    path = write(tmp_path / "a.mcap", of_all)
+    few, all_of_them = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (256, all_of_them))
+    try:
+        lines = export_csv(Reader(path), tmp_path / "csv")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (few, all_of_them))
+    assert list(lines.values()) == [2] * len(names)
+    for name in names:
+        assert [row["data"] for row in rows(tmp_path / "csv" / f"{file_name(name)}.csv")] == ["0", "1"]
 
 
 @pytest.mark.parametrize("format_", ["rosbag2", "ros1"])
