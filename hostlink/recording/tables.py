@@ -17,6 +17,7 @@ from hostlink.recording.reader import Reader, StoredMessage
 
 Column = NDArray[Any]
 MAX_DEPTH = 64  # of messages in messages, and lists in lists
+MAX_PART = 2**32  # of a time: its seconds, its nanoseconds
 MAX_STAMP_NS = 2**63 - 1  # of numpy's int64; the format has twice that
 
 
@@ -97,12 +98,19 @@ def flat(message: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
     """(path, value) of every field that is no message; a time is seconds."""
     for name, value in message.items():
         path = f"{prefix}{name}"
-        if isinstance(value, Mapping) and value.keys() == {"secs", "nsecs"}:
+        if isinstance(value, Mapping) and _is_time(value):
             yield path, value["secs"] + value["nsecs"] / NS_PER_S
         elif isinstance(value, Mapping):
             yield from flat(value, f"{path}.")
         else:
             yield path, value
+
+
+def _is_time(value: Mapping[str, Any]) -> bool:
+    """By its fields and what they are: JSON may have anything in them."""
+    return value.keys() == {"secs", "nsecs"} and all(
+        isinstance(part, int) and abs(part) < MAX_PART for part in value.values()
+    )
 
 
 def _is_deep(value: Any) -> bool:

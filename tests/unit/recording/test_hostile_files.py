@@ -144,6 +144,19 @@ def test_json_in_json_without_end_is_a_message_that_nobody_can_decode(tmp_path: 
     assert export_csv(Reader(path), tmp_path / "csv") == {}
 
 
+@pytest.mark.parametrize("number", [b'"x"', b"[]", b"null", b"9" * 400])
+def test_json_that_looks_like_a_time_and_is_none_has_its_fields(tmp_path: Path, number: bytes) -> None:
+    path = one(tmp_path, "{}", b'{"at":{"secs":' + number + b',"nsecs":1}}', encoding="json")
+    assert list(read(path)["/x"]) == ["at.secs", "at.nsecs"]
+    assert export_csv(Reader(path), tmp_path / "csv") == {"x.csv": 1}
+
+
+def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> None:
+    path = one(tmp_path, "{}", b'{"a\\ud800":"\\udc00"}', encoding="json")
+    assert export_csv(Reader(path), tmp_path / "csv") == {"x.csv": 1}
+    assert (tmp_path / "csv" / "x.csv").read_text().splitlines()[0] == "time_s,a?"
+
+
 @pytest.mark.parametrize(
     ("definition", "payload"),
     [
