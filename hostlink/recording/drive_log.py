@@ -1,6 +1,7 @@
 """DriveLog: who drove when, of the last drives in memory and of many more in a file that the next start reads."""
 
 import asyncio
+import os
 import time
 from collections import deque
 from itertools import islice
@@ -87,8 +88,10 @@ def append_drives(folder: Path, drives: list[Drive]) -> None:
     file = folder / NAME
     if file.exists() and file.stat().st_size > MAX_FILE_BYTES:
         file.replace(folder / NAME_BEFORE)
-    with file.open("ab") as stream:
-        stream.write(b"".join(msgspec.json.encode(drive) + b"\n" for drive in drives))
+    with file.open("ab+") as stream:
+        stream.seek(-min(1, stream.tell()), os.SEEK_END)
+        is_cut = stream.read() not in (b"", b"\n")  # by a full disk, or the end of the power: the next one is whole
+        stream.write(b"\n" * is_cut + b"".join(msgspec.json.encode(drive) + b"\n" for drive in drives))
 
 
 def read_drives(folder: Path) -> list[Drive]:

@@ -86,6 +86,15 @@ def test_a_file_that_was_cut_or_damaged_is_read_to_its_end(tmp_path: Path, damag
     assert read_drives(tmp_path) == [a_drive(1), a_drive(2)]
 
 
+def test_a_line_that_was_cut_costs_no_later_drive(tmp_path: Path) -> None:
+    append_drives(tmp_path, [a_drive(1), a_drive(2)])
+    with (tmp_path / NAME).open("rb+") as file:
+        file.truncate((tmp_path / NAME).stat().st_size - 10)
+    append_drives(tmp_path, [a_drive(3)])
+    append_drives(tmp_path, [a_drive(4)])
+    assert read_drives(tmp_path) == [a_drive(1), a_drive(3), a_drive(4)]
+
+
 def test_the_files_are_bounded_and_what_is_read_too(tmp_path: Path) -> None:
     line_bytes = len(json.dumps({"owner": "x"}))
     for first in range(0, 40_000, 4_000):
