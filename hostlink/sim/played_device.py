@@ -2,12 +2,13 @@
 
 import asyncio
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from hostlink.cancellation import raise_if_cancelled
-from hostlink.protocol.control import TopicInfo, encode_topic_info
+from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import FIRST_TOPIC_ID, MAX_PAYLOAD_BYTES, Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
+from hostlink.protocol.topic_table import MAX_TOPICS
 from hostlink.sim.device import MAX_SUBSCRIBERS
 
 READ_BYTES = 4096
@@ -41,14 +42,20 @@ class PlayedDevice:
     dropped: int = 0  # messages that came while it was not connected
     left_out: int = 0  # messages that no device can send, or that are none of its topics
     is_ready: asyncio.Event = field(default_factory=asyncio.Event)  # a host has requested its topics
+    _mark: str = field(init=False)
     _writer: asyncio.StreamWriter | None = None
     _ids: dict[str, int] = field(default_factory=dict)  # of what it publishes
     _infos: list[TopicInfo] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        mark = PlayedTopic(f"/{self.robot}/{_PLAYED}", _STRING, _STRING_MD5, is_velocity=False)
-        subscribed = [topic for topic in self.topics if topic.is_velocity]
-        published = [mark, *(topic for topic in self.topics if not topic.is_velocity)]
+        self._mark = f"/{self.robot}/{_PLAYED}"
+        mark = PlayedTopic(self._mark, _STRING, _STRING_MD5, is_velocity=False)
+        if not _is_taken(mark):  # a file has any names; without its mark a device may drive a robot
+            self._mark = f"/{_PLAYED}"
+            mark = replace(mark, name=self._mark)
+        taken = [topic for topic in self.topics if _is_taken(topic)][:MAX_TOPICS]
+        subscribed = [topic for topic in taken if topic.is_velocity]
+        published = [mark, *(topic for topic in taken if not topic.is_velocity)]
         self._add(Id.PUBLISHER, FIRST_TOPIC_ID + max(MAX_SUBSCRIBERS, len(subscribed)), published)
         self._add(Id.SUBSCRIBER, FIRST_TOPIC_ID, subscribed)
 
@@ -121,10 +128,16 @@ class PlayedDevice:
 
     async def _beat(self, writer: asyncio.StreamWriter) -> None:
         """Request the time, and say what this is, for whoever has come since."""
-        text = self.source.encode()
+        text = self.source.encode(errors="replace")  # a file's name may be anything
         while True:
             writer.write(encode(Id.TIME, bytes(8)))
             if self.is_ready.is_set():
-                self.publish(f"/{self.robot}/{_PLAYED}", len(text).to_bytes(4, "little") + text)
+                self.publish(self._mark, len(text).to_bytes(4, "little") + text)
             await writer.drain()
             await asyncio.sleep(TIME_INTERVAL_S)
+
+
+def _is_taken(topic: PlayedTopic) -> bool:
+    """Whether a host takes its announcement: a recording may have names that no device has."""
+    info = TopicInfo(Id.PUBLISHER, FIRST_TOPIC_ID, topic.name, topic.type_name, topic.md5, BUFFER_BYTES)
+    return decode_topic_info(info.kind, encode_topic_info(info)) is not None

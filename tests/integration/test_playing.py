@@ -206,6 +206,25 @@ async def test_a_played_device_drives_no_robot(tmp_path: Path) -> None:
         assert (gate.counts.commands, gate.current) == (0, ZERO)
 
 
+@pytest.mark.parametrize("name", ["joy stick", "joy\n", "\u00e9", "x" * 300, "x" * 70_000])
+async def test_a_played_device_whose_name_is_none_drives_no_robot(tmp_path: Path, name: str) -> None:
+    """Its topic that says that it is played has a name, too."""
+    twist = channel("/robot_0/drive", "geometry_msgs/Twist", DEVICE, robot=name)
+    odometry = channel("/joystick/odometry", "geometry_msgs/Pose2D", DEVICE, robot=name)
+    odd = [channel(each, "std_msgs/String", DEVICE, robot=name) for each in ("/a b", "", "/" + "x" * 70_000)]
+    moving = [(0.1 * number, each, FORWARD.encode()) for number in range(10) for each in (odometry, twist)]
+    driven = [
+        topic(Id.SUBSCRIBER, 100, "/robot_0/drive", "geometry_msgs/Twist"),
+        topic(Id.PUBLISHER, 125, "/robot_0/odometry", "geometry_msgs/Pose2D"),
+    ]
+    async with daemon() as host, fake_device(host.tcp, driven):
+        await expect(lambda: host.hub.robots.has("robot_0"))
+        await play.play_devices(recording(tmp_path, moving, odd), PACE, host.tcp, [])
+        assert host.hub.topics.find("/robot_0/drive").publishers
+        gate = host.hub.robots.find("robot_0").gate
+        assert (gate.counts.commands, gate.current) == (0, ZERO)
+
+
 async def test_a_message_that_no_device_can_send_is_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
