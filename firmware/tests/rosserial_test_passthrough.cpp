@@ -104,6 +104,37 @@ void test_motors_stop_when_the_passthrough_loses_the_host() {
   CHECK(!rolls && !node.connected());
 }
 
+// What the device has of a command must not swallow the stop, also where nothing is read twice, as in ros_lib.
+void test_a_stop_is_read_wherever_the_command_before_it_was_cut() {
+  const ros::Retry retries[] = {ros::Retry::kNone, ros::Retry::kKeepState};
+  for (const ros::Retry retry : retries) {
+    for (size_t passed = 0; passed <= 12; ++passed) {
+      TestLink uart, tcp, board;
+      SmallPassthrough passthrough(uart, tcp);
+      TestNode node(board, retry);
+      int32_t received = 0;
+      ros::Subscriber<Number> command("command", [&](const Number& number) { received = number.data; });
+      node.subscribe(command);
+      tcp.request_topics();
+      passthrough.spin();
+      tcp.put_number(100, 0x01020304);
+      uart.room = passed;
+      passthrough.spin();
+      uart.room = kBytes;
+      tcp.is_restarted = true;
+      passthrough.spin();
+      move_sent(uart, board);
+      node.spinOnce();
+      node.spinOnce();
+      CHECK(!node.connected());
+      CHECK(received == (passed == 12 ? 0x01020304 : 0));
+      board.request_topics();
+      node.spinOnce();
+      CHECK(node.connected());
+    }
+  }
+}
+
 }  // namespace
 
 void run_passthrough_tests() {
@@ -113,4 +144,5 @@ void run_passthrough_tests() {
   RUN(test_another_host_gets_nothing_of_what_was_said_before);
   RUN(test_a_passthrough_whose_link_says_it_wrote_more_than_it_was_given);
   RUN(test_motors_stop_when_the_passthrough_loses_the_host);
+  RUN(test_a_stop_is_read_wherever_the_command_before_it_was_cut);
 }

@@ -19,7 +19,7 @@ class LinkPassthrough {
   // One turn, which never waits: each direction at most what its buffer takes.
   void spin() {
     read_host();
-    to_device_.flush(device_);
+    to_device_.flush(device_, &begun_);
     read_device();
     to_host_.flush(host_);
   }
@@ -27,14 +27,55 @@ class LinkPassthrough {
   uint32_t dropped() const { return dropped_; }  // bytes of the device that the host did not accept in time
 
  private:
+  // The frame that the device has received in part: what follows would be taken for the rest of it.
+  class BegunFrame {
+   public:
+    bool is_begun() const { return at_ > 0; }
+    // With it the frame ends as soon as it can, and never as a good one.
+    uint8_t bad_byte() const {
+      const bool is_check = at_ == kSizeBytes || (at_ > kSizeBytes && left_ == 1);
+      return is_check ? static_cast<uint8_t>(0xFE - sum_) : 0;
+    }
+    void pass(uint8_t byte) {
+      const size_t at = at_++;
+      if (at == 0) {
+        if (byte != 0xFF) at_ = 0;
+      } else if (at == 1) {
+        if (byte != 0xFE) at_ = byte == 0xFF ? 1 : 0;
+        left_ = sum_ = 0;
+      } else if (at < kSizeBytes) {
+        left_ |= static_cast<uint32_t>(byte) << (at == 2 ? 0 : 8);
+        sum_ = static_cast<uint8_t>(sum_ + byte);
+      } else if (at == kSizeBytes) {
+        if (static_cast<uint8_t>(sum_ + byte) != 0xFF) at_ = 0;
+        left_ += kIdAndCheckBytes;
+        sum_ = 0;
+      } else {
+        at_ = kSizeBytes + 1;
+        sum_ = static_cast<uint8_t>(sum_ + byte);
+        if (--left_ == 0) at_ = 0;
+      }
+    }
+
+   private:
+    static const size_t kSizeBytes = 4;  // of the header; the check of the size follows them
+    static const uint32_t kIdAndCheckBytes = 3;
+
+    size_t at_ = 0;
+    uint32_t left_ = 0;
+    uint8_t sum_ = 0;
+  };
+
   class Waiting {
    public:
     bool has_room() const { return size_ < kBytes; }
     void put(int byte) { bytes_[size_++] = static_cast<uint8_t>(byte); }
     void clear() { size_ = 0; }
-    void flush(ros::Link& link) {
+    size_t room() const { return kBytes - size_; }
+    void flush(ros::Link& link, BegunFrame* begun = nullptr) {
       if (size_ == 0) return;
       const size_t accepted = ros::accepted_of(size_, link.write(bytes_, size_));
+      for (size_t i = 0; begun != nullptr && i < accepted; ++i) begun->pass(bytes_[i]);
       size_ -= accepted;
       memmove(bytes_, bytes_ + accepted, size_);
     }
@@ -77,6 +118,11 @@ class LinkPassthrough {
     to_device_.clear();
     to_host_.clear();
     for (size_t count = 0; count < kBytes && device_.read() >= 0;) ++count;
+    for (BegunFrame frame = begun_; frame.is_begun() && to_device_.room() > sizeof kStop;) {
+      const uint8_t byte = frame.bad_byte();
+      to_device_.put(byte);
+      frame.pass(byte);
+    }
     for (size_t i = 0; i < sizeof kStop; ++i) to_device_.put(kStop[i]);
   }
 
@@ -84,6 +130,7 @@ class LinkPassthrough {
   ros::Link& host_;
   Waiting to_device_;
   Waiting to_host_;
+  BegunFrame begun_;
   uint32_t dropped_ = 0;
 };
 
