@@ -1,6 +1,7 @@
 """McapWriter: messages into one MCAP file, in chunks of which each can be read when the next was never written."""
 
 import contextlib
+import fcntl
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -32,6 +33,8 @@ class McapWriter:
         self.messages = self.last_size_bytes = 0  # the file's size as of the last flush
         self._fsync = fsync
         self._file = path.open("xb")
+        with contextlib.suppress(OSError):  # a folder of another computer may have no locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # whoever repairs files leaves this one alone
         self._inode = os.fstat(self._file.fileno()).st_ino
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(PROFILE, library="hostlink")

@@ -1,5 +1,6 @@
 """Repair: a file that was never finished, or is damaged, written anew with its index."""
 
+import fcntl
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +25,10 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     `on_progress`: called with the number of messages, now and then. Whatever fails leaves the file as it was.
 
     Raises:
-        RecordingFailed: it cannot be read or written, is no MCAP file, or is damaged and another program's.
+        RecordingFailed: it cannot be read or written, is no MCAP file, is damaged and another program's, or is not
+            finished because it is being written: what comes later would be lost.
     """
+    _check_left(path)
     reader = Reader(path)
     beside = path.with_name(f"{path.name}.repaired")
     try:
@@ -50,6 +53,16 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     except OSError as error:
         raise RecordingFailed(f"{path}: {error.strerror or error}") from error
     return Repaired(writer.messages, tuple(reader.damage))
+
+
+def _check_left(path: Path) -> None:
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise RecordingFailed(f"{path} is being written: stop the recording first") from None
+    except OSError:  # reading says why, or there are no locks
+        return
 
 
 def _check_ours(reader: Reader) -> None:

@@ -15,7 +15,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, Channel, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import Reader, StoredMessage
-from hostlink.recording.repair import repair
+from hostlink.recording.repair import Repaired, repair
 
 CATALOG = Catalog()
 POSE, TEXT = (CATALOG.message(name) for name in ("geometry_msgs/Pose2D", "std_msgs/String"))
@@ -160,6 +160,21 @@ def test_what_is_no_recording_is_a_line_and_stays(tmp_path: Path, content: bytes
         repair(path)
     assert path.read_bytes() == content
     assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_file_that_is_being_written_is_not_repaired(tmp_path: Path) -> None:
+    path, messages = tmp_path / "a.mcap", drawn(100)
+    writer = McapWriter(path, metadata={})
+    for message in messages[:50]:
+        writer.write(*message)
+    writer.end_chunk()
+    with pytest.raises(RecordingFailed, match="is being written: stop the recording first"):
+        repair(path)
+    for message in messages[50:]:
+        writer.write(*message)
+    writer.close()
+    assert repair(path) == Repaired(100, ())
+    assert list(Reader(path).messages()) == messages
 
 
 def test_a_file_that_is_not_there_is_a_line(tmp_path: Path) -> None:
