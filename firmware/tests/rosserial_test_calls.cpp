@@ -153,6 +153,37 @@ void test_parameters_with_defaults() {
   CHECK(count == 5 && count.is_from_host() && parameters.is_done());
 }
 
+// The host is lost and comes back while the sketch waits: the answer is now for whoever asked since.
+void test_a_parameter_that_is_given_up_takes_no_answer_from_another() {
+  TestLink link;
+  link.step_ms = 1;
+  TestNode node(link);
+  ros::Parameter<int> count("count", 3);
+  ros::Parameters parameters;
+  parameters.add(count);
+  node.attach(parameters);
+  connect(link, node);
+  uint8_t answer[20] = {};
+  ros::Writer out(answer, sizeof answer);
+  out.put(static_cast<uint32_t>(1));
+  out.put(static_cast<int32_t>(5));
+  out.put(static_cast<uint64_t>(0));
+  node.spinOnce();
+  link.put_frame(6, answer, out.size());
+  node.spinOnce();
+  CHECK(count == 5 && parameters.is_done());
+  link.put_frame(11, nullptr, 0);
+  link.request_topics();
+  int missing = 1;
+  CHECK(!node.getParam("~missing", &missing, 1, 200) && missing == 1);
+  CHECK(node.connected() && !parameters.is_done());
+  answer[4] = 6;
+  link.put_frame(6, answer, out.size());
+  node.spinOnce();
+  node.spinOnce();
+  CHECK(count == 6 && parameters.is_done());
+}
+
 int nested = 0;
 ros::NodeApi* nested_node = nullptr;
 void spin_again(const Number&) {
@@ -184,5 +215,6 @@ void run_calls_tests() {
   RUN(test_a_call_that_waits);
   RUN(test_parameters);
   RUN(test_parameters_with_defaults);
+  RUN(test_a_parameter_that_is_given_up_takes_no_answer_from_another);
   RUN(test_a_callback_that_spins);
 }

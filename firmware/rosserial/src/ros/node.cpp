@@ -273,9 +273,10 @@ bool Node::request_parameter(const char* name, ParameterCallback callback, void*
   return true;
 }
 
-void Node::forget_parameter() {
-  is_parameter_late_ = is_parameter_late_ || parameter_ != nullptr;
-  if (parameter_ != nullptr) parameter_forgotten_ms_ = link_.milliseconds();
+void Node::forget_parameter(const void* context) {
+  if (parameter_ == nullptr || parameter_context_ != context) return;
+  is_parameter_late_ = true;
+  parameter_forgotten_ms_ = link_.milliseconds();
   parameter_ = nullptr;
 }
 

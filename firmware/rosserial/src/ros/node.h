@@ -54,7 +54,8 @@ class Node : private Topics {
   // One at a time: an answer does not name its parameter. False: another one's answer is expected, that of one that
   // was forgotten for a second; or there is no room.
   bool request_parameter(const char* name, ParameterCallback callback, void* context);
-  void forget_parameter();
+  // The request of this context; that of somebody else, who asked since the host was lost, stays.
+  void forget_parameter(const void* context);
 
   uint32_t milliseconds() { return link_.milliseconds(); }
   HostClock& clock() { return clock_; }

@@ -135,7 +135,7 @@ class NodeApi : public Node {
       if (!is_configured() || milliseconds() - began_ms > timeout_ms) return false;
       spin();
     }
-    if (!spin_until(wanted.is_done, timeout_ms)) forget_parameter();
+    if (!spin_until(wanted.is_done, timeout_ms)) forget_parameter(&wanted);
     return wanted.is_found;
   }
 

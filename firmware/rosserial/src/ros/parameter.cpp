@@ -29,7 +29,7 @@ void Parameters::spin(Node& node) {
   if (is_requested_) {
     const bool is_over = node.milliseconds() - requested_at_ms_ > kAnswerTimeoutMs;
     if (!is_answered_ && !is_over) return;
-    if (!is_answered_) node.forget_parameter();
+    if (!is_answered_) node.forget_parameter(this);
     is_requested_ = false;
     requested_ = requested_->next_;
     is_done_ = requested_ == nullptr;
