@@ -17,6 +17,7 @@ from hostlink.recording.reader import Reader, StoredMessage
 
 Column = NDArray[Any]
 MAX_DEPTH = 64  # of messages in messages, and lists in lists
+MAX_COLUMNS = 2048  # of a table; JSON may have other fields in each message, and each is as long as the table
 MAX_PART = 2**32  # of a time: its seconds, its nanoseconds
 MAX_STAMP_NS = 2**63 - 1  # of numpy's int64; the format has twice that
 
@@ -25,7 +26,8 @@ class Table(Mapping[str, Column]):
     """The messages of one topic, N of them.
 
     `table["pose.position.x"]` is an array of N numbers, of N x M where the field is an array of M, and of N objects
-    where it is a text or has no fixed length. `time_s` (N, float64) counts from the beginning of the recording.
+    where it is a text or has no fixed length. `time_s` (N, float64) counts from the beginning of the recording. JSON
+    with ever new fields has the first MAX_COLUMNS of them.
     """
 
     def __init__(self, topic: str, type_name: str, columns: dict[str, Column], stamp_ns: Column, begin_ns: int) -> None:
@@ -165,7 +167,7 @@ class _Rows:
         self._topic, self._type_name = message.channel.topic, message.channel.type_name
         row = dict(flat(fields))
         for path in row:
-            if path not in self._values:  # JSON has other fields each time
+            if path not in self._values and len(self._values) < MAX_COLUMNS:  # JSON has other fields each time
                 self._values[path] = [None] * len(self.stamps_ns)
         self.stamps_ns.append(min(message.stamp_ns, MAX_STAMP_NS))
         for path, values in self._values.items():

@@ -14,7 +14,7 @@ from hostlink.recording.contents import contents_of
 from hostlink.recording.export_csv import export_csv
 from hostlink.recording.export_ros import RosFormat, export_ros
 from hostlink.recording.reader import MAX_CHUNK_BYTES, Reader
-from hostlink.recording.tables import read
+from hostlink.recording.tables import MAX_COLUMNS, read
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 3, 4, 5, 6
@@ -149,6 +149,15 @@ def test_json_that_looks_like_a_time_and_is_none_has_its_fields(tmp_path: Path, 
     path = one(tmp_path, "{}", b'{"at":{"secs":' + number + b',"nsecs":1}}', encoding="json")
     assert list(read(path)["/x"]) == ["at.secs", "at.nsecs"]
     assert export_csv(Reader(path), tmp_path / "csv") == {"x.csv": 1}
+
+
+def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_path: Path) -> None:
+    fields = [",".join(f'"{number}_{each}":1' for each in range(10)) for number in range(1500)]
+    messages = [message(1, f"{{{each}}}".encode()) for each in fields]
+    path = file(tmp_path, schema(1, "a/A", "{}"), channel(1, "/x", "json"), *messages)
+    assert peak_bytes(lambda: read(path)) < 6 * LITTLE
+    table = read(path)["/x"]
+    assert (len(table), len(table.stamp_ns)) == (MAX_COLUMNS, 1500)
 
 
 def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> None:
