@@ -165,8 +165,8 @@ class Session(MessagesToDevice):
             if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
                 self._add_topic_info(Id(topic_id), payload, now_s, found)
                 continue
-            if topic_id != Id.LOG and self._negotiation.state is SessionState.NEGOTIATING:
-                found.append(self._finish_negotiation())  # a line of the log may be a passthrough's, between any two
+            if self._negotiation.state is SessionState.NEGOTIATING and self._is_behind_topics(topic_id):
+                found.append(self._finish_negotiation())
             if topic_id >= FIRST_TOPIC_ID:
                 self._dispatch(topic_id, payload, found)
             else:
@@ -245,6 +245,14 @@ class Session(MessagesToDevice):
         if self._topics.excess == 1:
             reason = f"{info.name}: one topic more than the {self._topics.max_topics} that [link] max_topics allows"
             found.append(events.TopicRefused(info, BadRequest(reason)))
+
+    def _is_behind_topics(self, topic_id: int) -> bool:
+        """Whether a frame means that the device has announced all.
+
+        A line of the log may be a passthrough's, between any two. A device that is configured goes on publishing while
+        it announces its topics again: until it has announced them all only a pause tells that some are gone.
+        """
+        return topic_id == Id.TIME or (topic_id != Id.LOG and not self._topics.is_partial)
 
     def _finish_negotiation(self) -> events.TopicsNegotiated:
         self._topics.finish(refused=self._refused)

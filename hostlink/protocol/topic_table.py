@@ -21,7 +21,9 @@ class TopicTable:
     `max_topics` is not added: `excess` counts it, in the present negotiation.
     """
 
-    __slots__ = ("_announced", "_by_name", "_complete", "_missed", "_topics", "excess", "fixed_bytes", "max_topics")
+    __slots__ = (
+        "_announced", "_by_name", "_complete", "_missed", "_others", "_topics", "excess", "fixed_bytes", "max_topics",
+    )  # fmt: skip
 
     def __init__(self, max_topics: int = MAX_TOPICS) -> None:
         self.fixed_bytes: dict[int, int] = {}
@@ -30,6 +32,7 @@ class TopicTable:
         self._by_name: dict[tuple[str, int], TopicInfo] = {}
         self._announced: dict[int, TopicInfo] = {}  # by the present negotiation
         self._complete: dict[int, TopicInfo] = {}  # what the negotiation before it left
+        self._others: set[int] = set()  # announced by the present one, and not as in the one before
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked an id
         self._topics: dict[int, TopicInfo] = {}  # announced so far, then those of the negotiation before
 
@@ -37,10 +40,16 @@ class TopicTable:
         """A new negotiation: the device announces all of its topics again."""
         self.excess = 0
         self._announced, self._complete = {}, dict(self._topics)
+        self._others.clear()
 
     def has_announced(self, topic_id: int) -> bool:
         """Whether the last negotiation had this id."""
         return topic_id in self._announced
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether the present negotiation has announced only a part of what was announced before, and nothing else."""
+        return not self._others and len(self._announced) < len(self._complete)
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
         """Add one TopicInfo of the present negotiation, for which there `is_room`."""
@@ -48,6 +57,7 @@ class TopicTable:
         if before is not None and self._by_name.get((before.name, before.kind)) == before:
             del self._by_name[before.name, before.kind]
         self._announced[info.topic_id] = self._topics[info.topic_id] = info
+        (self._others.discard if self._complete.get(info.topic_id) == info else self._others.add)(info.topic_id)
         known = self._by_name.get((info.name, info.kind))
         if known is None or self._announced.get(known.topic_id) != known:  # the first of a negotiation has the name
             self._by_name[info.name, info.kind] = info
@@ -62,9 +72,8 @@ class TopicTable:
 
     def finish(self, *, refused: Container[int] = ()) -> None:
         """The device has announced all: what is not among it is gone, or lost for now; `refused` is never used."""
-        is_part = self._announced.items() <= self._complete.items()
         usable = [each for each, info in self._complete.items() if info.kind is Id.SUBSCRIBER and each not in refused]
-        lacked = [each for each in usable if is_part and each not in self._announced]
+        lacked = [each for each in usable if not self._others and each not in self._announced]
         self._missed = Counter({each: self._missed[each] + 1 for each in lacked})
         kept = {each: self._complete[each] for each in self.missing}
         for gone in self._topics.keys() - self._announced.keys() - kept.keys():

@@ -155,6 +155,26 @@ def test_messages_between_topics_let_the_same_negotiation_go_on() -> None:
     assert host.session.counts.unknown_ids == 0
 
 
+def test_messages_between_topics_that_are_announced_again_change_nothing() -> None:
+    """A configured device goes on publishing, and the daemon must not take its robot for gone meanwhile."""
+    scan = ODOMETRY._replace(topic_id=126, name="/scan")
+    host = Host(ODOMETRY, scan, LED)
+    messages = encode(125, bytes(24)) + encode(126, bytes(24))
+    parts = [TIME, wire(ODOMETRY), messages, wire(scan), messages, encode(Id.PARAMETER, encode_parameter_request("/a"))]
+    found = [event for part in (*parts, wire(LED), messages) for event in host.receive(part)]
+    negotiated = [event for event in found if isinstance(event, events.TopicsNegotiated)]
+    assert negotiated == [events.TopicsNegotiated((LED, ODOMETRY, scan), is_changed=False, gap_at=None)]
+    assert sum(isinstance(event, events.MessageReceived) for event in found) == 6
+    assert host.session.counts.unknown_ids == 0
+
+
+def test_a_part_of_the_topics_is_all_after_half_a_second_whatever_is_published() -> None:
+    host = Host(ODOMETRY, LED)
+    host.receive(wire(LED))
+    assert host.receive(encode(125, bytes(24)), after_s=0.4) == [events.MessageReceived(ODOMETRY, bytes(24))]
+    assert host.wait(0.2) == [events.TopicsNegotiated((LED,), is_changed=True, gap_at=None)]
+
+
 @pytest.mark.parametrize("after_s", [0.01, 0.6])
 def test_a_device_that_restarts_at_once_begins_a_negotiation(after_s: float) -> None:
     host = Host(ODOMETRY, LED)
