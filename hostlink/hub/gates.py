@@ -81,6 +81,11 @@ class Gates:
         """This one, and whatever else is driven by the same link."""
         return self.of_link(drivable.link) or [drivable]
 
+    def reach(self, elsewhere: Elsewhere | None) -> None:
+        """This is the way to the gates of other daemons from now on; None: there is none any more."""
+        self.elsewhere = elsewhere
+        self._wake.set()
+
     # -- driving ------------------------------------------------------------------------------------------------------
 
     def receive(self, drivable: Drivable, message: Message) -> None:
@@ -93,8 +98,7 @@ class Gates:
         """
         if message.type_name != TWIST_TYPE:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        if _now_s() >= message.at_s + drivable.gate.lease_s:
-            raise BadRequest(f"{drivable.name}: the command waited longer than it holds")
+        check_age(drivable, message)
         velocity = Velocity.decode(message.payload)
         self.command(drivable, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
 
@@ -121,6 +125,7 @@ class Gates:
         if isinstance(drivable, RemoteRobot):
             if self.is_closed:
                 raise DeviceGone(drivable.name, ENDING)
+            self._check_pause(velocity)
             return drivable.command(velocity, owner=owner, priority=priority, stops=stops)
         now_s = _now_s() if now_s is None else now_s
         facts = {"owner": str(owner), "address": address_of(owner), "priority": priority, "velocity": velocity}
@@ -139,8 +144,7 @@ class Gates:
             raise DeviceGone(drivable.name, ENDING)
         if drivable.link is None:
             raise DeviceGone(drivable.name)
-        if not velocity.is_zero:
-            self._stalls.check(_now_s())
+        self._check_pause(velocity)
         gate = drivable.gate
         # Two zeros of one moment would leave a slow line as one.
         is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
@@ -154,6 +158,11 @@ class Gates:
         if len(beside) > 1 and not velocity.is_zero:
             self._overrule(beside, drivable, owner, priority)
         return limited
+
+    def _check_pause(self, velocity: Velocity) -> None:
+        """Whether a velocity that arrives now may be old, here or for another daemon, which cannot know it."""
+        if not velocity.is_zero:
+            self._stalls.check(_now_s())
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
         """Stop what somebody less important drives of the same robot; its next command is refused."""
@@ -259,12 +268,13 @@ class Gates:
                 await self._idle()
 
     async def _idle(self) -> None:
-        """Wait until a gate is active, or for a beat while there are any."""
+        """Wait until a gate is active, or for a beat while there are any, here or elsewhere."""
         self._wake.clear()
-        if not self._of_link:
+        is_watching = bool(self._of_link) or self.elsewhere is not None
+        if not is_watching:
             self._stalls.rest()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(BEAT_S if self._of_link else None):
+            async with asyncio.timeout(BEAT_S if is_watching else None):
                 await self._wake.wait()
 
     def _stop(self, drivables: Iterable[Drivable]) -> None:
@@ -350,6 +360,16 @@ class Gates:
                 topic_ids.append(link.session.topic_id(drivable.velocity_topic))
                 longest_bytes = link.session.longest_to_device_bytes
                 self._guardian.watch(link.number, link.descriptor, topic_ids=topic_ids, claim_bytes=longest_bytes)
+
+
+def check_age(drivable: Drivable | RemoteRobot, message: Message) -> None:
+    """Whether a velocity may still be obeyed.
+
+    Raises:
+        BadRequest: it arrived a lease ago or earlier, and means nothing any more.
+    """
+    if _now_s() >= message.at_s + drivable.gate.lease_s:
+        raise BadRequest(f"{drivable.name}: the command waited longer than it holds")
 
 
 def _now_s() -> float:

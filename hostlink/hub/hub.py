@@ -102,7 +102,7 @@ class Hub:
             on_change=functools.partial(changes.note, Kind.ROBOT),
         )
         self.emergency_stop = EmergencyStop(self.robots, self.gates, self.join_daemon())
-        self.remote_robots = RemoteRobots(self.robots, self.topics, self.emergency_stop, self.new_number)
+        self.remote_robots = RemoteRobots(self.robots, self.topics, self.gates, self.emergency_stop, self.new_number)
         robot_topics = RobotTopicPublisher(config.robots, self.topics, self.gates, self._node, catalog)
         self._identities = Identities(
             Affected(self.topics, self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses),

@@ -8,6 +8,7 @@ import structlog
 
 from hostlink.errors import DeviceGone, HostlinkError, WrongType
 from hostlink.hub.emergency_stop import EmergencyStop
+from hostlink.hub.gates import Gates, check_age
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
@@ -25,10 +26,15 @@ class RemoteRobots:
     """Whoever publishes on a velocity topic of one of them commands it, as with a robot that is here."""
 
     def __init__(
-        self, robots: Robots, topics: TopicGraph, emergency_stop: EmergencyStop, new_number: Callable[[], int]
+        self,
+        robots: Robots,
+        topics: TopicGraph,
+        gates: Gates,
+        emergency_stop: EmergencyStop,
+        new_number: Callable[[], int],
     ) -> None:
         """`new_number`: for one more connection of a device."""
-        self._robots, self._topics, self._emergency_stop = robots, topics, emergency_stop
+        self._robots, self._topics, self._gates, self._emergency_stop = robots, topics, gates, emergency_stop
         self._new_number = new_number
         self._nodes: dict[str, Node] = {}
         self._velocities: dict[str, frozenset[tuple[str, str]]] = {}
@@ -85,14 +91,16 @@ class RemoteRobots:
         """A velocity that was published here.
 
         Raises:
-            HostlinkError: as `RemoteRobot.command`; also where a device here has the same topic.
+            HostlinkError: as `Gates.command`; also where a device here has the same topic.
+            BadRequest: it arrived a lease ago or earlier.
         """
         if len(self._topics.find(message.topic).devices) > 1:
             raise DeviceGone(robot.name, f"{message.topic} is a topic here and at {robot.host}")
+        check_age(robot, message)
         if message.type_name == TWIST_TYPE:
             velocity = Velocity.decode(message.payload)
         elif message.type_name == TWIST_STAMPED_TYPE:
             velocity = Velocity.from_twist(message.decoded["twist"])  # type: ignore[arg-type]  # by its definition
         else:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        robot.command(velocity, owner=message.source, priority=message.priority)
+        self._gates.command(robot, velocity, owner=message.source, priority=message.priority)

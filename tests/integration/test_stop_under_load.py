@@ -8,6 +8,7 @@ import asyncio
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
@@ -15,11 +16,14 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import BadRequest
 from hostlink.hub.hub import Hub
+from hostlink.hub.message import PROGRAM_PRIORITY
+from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
@@ -34,7 +38,7 @@ pytestmark = pytest.mark.quiet
 
 STOP = bytes(48)
 LINE_S = 0.020  # one velocity on the line, and what the passthrough adds
-FAST = Velocity(linear_x_m_s=0.3)
+SLOW, FAST = Velocity(linear_x_m_s=0.1), Velocity(linear_x_m_s=0.3)
 
 
 def loop() -> VirtualLoop:
@@ -201,6 +205,79 @@ def test_a_robot_that_nobody_has_driven_for_minutes_is_driven_at_once_unless_the
         assert [log["seconds"] for log in logs if log["event"] == "daemon.stalled"] == [pytest.approx(0.7, abs=0.11)]
 
     run_virtual(run())
+
+
+class OtherDaemon:
+    """Another daemon, with one robot. It takes whatever it receives for new."""
+
+    def __init__(self) -> None:
+        self.driven: list[Velocity] = []
+        here: Any = self
+        names = RobotTopicNames("far", "/far/cmd_vel", "/far/odom", "geometry_msgs/Pose2D", None)
+        self.robot = RemoteRobot(name="far", host="other", place=0, shown=names, elsewhere=here, link=RemoteLink(1, 1))
+
+    def drive(self, _: RemoteRobot, velocity: Velocity, **facts: object) -> None:
+        assert facts["priority"] == PROGRAM_PRIORITY
+        self.driven.append(velocity)
+
+
+@asynccontextmanager
+async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
+    """A hub without devices that has long been alone."""
+    hub, other = Hub(Config(), CATALOG, reraises=True), OtherDaemon()
+    with capture_logs():
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(hub.run(), name="hub")
+            await hub.is_running.wait()
+            await asyncio.sleep(60.0)
+            elsewhere: Any = other
+            hub.gates.reach(elsewhere)
+            hub.remote_robots.add(other.robot)
+            hub.remote_robots.offer(other.robot, [("/far/cmd_vel", TWIST_TYPE)])
+            await asyncio.sleep(60.0)
+            yield hub, other
+            running.cancel()
+
+
+@pytest.mark.parametrize("way", ["by name", "by topic"])
+def test_commands_that_waited_while_the_daemon_stood_still_drive_no_robot_of_another_daemon(way: str) -> None:
+    """That one cannot know how long they have waited here."""
+
+    async def run() -> list[Velocity]:
+        async with with_other_daemon() as (hub, other):
+            program = hub.join("program")
+
+            def drive(velocity: Velocity) -> None:
+                if way == "by name":
+                    program.drive(other.robot, velocity)
+                else:
+                    program.publish("/far/cmd_vel", velocity.encode())
+
+            drive(FAST)
+            loop().burn(3.0)
+            for _ in range(5):
+                with pytest.raises(BadRequest, match=r"did not run for 3\.\d s"):
+                    drive(FAST)
+            drive(ZERO)
+            await asyncio.sleep(0.3)
+            drive(FAST)
+            return other.driven
+
+    assert run_virtual(run()) == [FAST, ZERO, FAST]
+
+
+def test_what_arrived_a_lease_ago_drives_no_robot_of_another_daemon() -> None:
+    """A joystick whose old connection seems alive is known seconds after it has sent something."""
+
+    async def run() -> list[Velocity]:
+        async with with_other_daemon() as (hub, other):
+            topic = hub.topics.find("/far/cmd_vel")
+            with pytest.raises(BadRequest, match="far: the command waited longer than it holds"):
+                topic.publish(FAST.encode(), source="joystick", at_s=loop().time() - 0.6)
+            topic.publish(SLOW.encode(), source="joystick", at_s=loop().time() - 0.1)
+            return other.driven
+
+    assert run_virtual(run()) == [SLOW]
 
 
 # -- a socket that takes nothing --------------------------------------------------------------------------------------

@@ -74,7 +74,7 @@ class Fleet:
         ]
         self._tokens.find(_now_s())
         self._topics.begin()
-        self._hub.gates.elsewhere = self._requests
+        self._hub.gates.reach(self._requests)
 
     async def run(self) -> None:
         """Send states, and watch the others, until `end`."""
@@ -85,7 +85,8 @@ class Fleet:
 
     def end(self) -> None:
         """Leave the fleet: the robots of others are unknown, and what others drive here stops."""
-        self._has_ended, self._hub.gates.elsewhere = True, None
+        self._has_ended = True
+        self._hub.gates.reach(None)
         self._tokens.close()
         for declaration in self._declarations:
             declaration.close()
