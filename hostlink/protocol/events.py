@@ -7,7 +7,10 @@ from hostlink.protocol.control import TopicInfo
 
 
 class TopicsNegotiated(NamedTuple):
-    """The device has announced its topics; `gap_at` is an id whose TopicInfo was lost, and is requested again."""
+    """The device has announced its topics; `gap_at` is an id whose TopicInfo was lost, and is requested again.
+
+    `is_changed`: they are others than before, or some were in between, and what waited for the device was dropped.
+    """
 
     topics: tuple[TopicInfo, ...]
     is_changed: bool

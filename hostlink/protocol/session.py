@@ -62,6 +62,7 @@ class Session(MessagesToDevice):
         self._check = check
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._negotiation = NegotiationScheduler()
+        self._has_dropped = False  # what waited, in this negotiation
 
     # -- what the link reports ----------------------------------------------------------------------------------------
 
@@ -223,6 +224,7 @@ class Session(MessagesToDevice):
             return
         if self._topics.get(info.topic_id) not in (None, info):  # what waits must not meet the id's new meaning
             self._outbox.drop_messages()
+            self._has_dropped = True
         self._refused.pop(info.topic_id, None)
         self.device_clock.topics_answered(now_s)
         fixed_bytes = None
@@ -265,9 +267,10 @@ class Session(MessagesToDevice):
             self._outbox.drop_messages()
             self._negotiation.forget_causes()
         self._known = known
+        has_dropped, self._has_dropped = self._has_dropped, False
         gap_at = self._topics.gap()
         self._negotiation.finish(gap_at, is_short=bool(self._topics.missing))
-        return events.TopicsNegotiated(known, is_changed, gap_at)
+        return events.TopicsNegotiated(known, is_changed or has_dropped, gap_at)
 
     def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:
         reason = self._negotiation.pop_request(now_s)

@@ -199,6 +199,15 @@ def test_a_negotiation_that_changes_ids_forgets_what_waits_for_the_old_ones() ->
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
+def test_what_was_dropped_for_an_id_with_two_meanings_is_noticed_though_the_topics_are_the_same() -> None:
+    """Whoever hears of changed topics sends a zero: one that waited is gone."""
+    host = Host(ODOMETRY, TEXT._replace(topic_id=100), LED)
+    host.session.publish("/led", b"\x00", is_urgent=True)
+    found = host.receive(TIME + wire(ODOMETRY, TEXT._replace(topic_id=100), LED) + TIME)
+    assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
+    assert [event.is_changed for event in found if isinstance(event, events.TopicsNegotiated)] == [True]
+
+
 def test_the_same_topics_again_change_nothing() -> None:
     host = Host(ODOMETRY, LED)
     found = host.receive(TIME + wire(ODOMETRY, LED) + TIME)
