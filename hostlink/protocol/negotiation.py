@@ -10,6 +10,7 @@ NEGOTIATION_QUIET_S = 0.5  # a device sends its TopicInfos without a pause; WiFi
 SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
 QUIET_S = 3.5  # not a byte, one time request missed: a device that restarted behind its radio waits for a request
 TIME_PERIOD_S = (1.0, 4.0)  # between two time requests: 2.5 s, a slow loop later, never two at once as in a negotiation
+MAX_PARTS = 8  # of one negotiation that are announced at once; what follows waits for a pause
 MAX_SAME_REQUESTS = 3  # for one gap or one unknown id; a device that does not correct it never will
 
 
@@ -59,7 +60,7 @@ class NegotiationScheduler:
     """
 
     __slots__ = (
-        "_is_damaged", "_last_time_request_s", "_pending", "_requested_at_s", "_same_requests",
+        "_is_damaged", "_last_time_request_s", "_parts", "_pending", "_requested_at_s", "_same_requests",
         "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s", "state",
     )  # fmt: skip
 
@@ -69,6 +70,7 @@ class NegotiationScheduler:
         self.is_regular = False  # it requests the time at the usual period
         self._is_damaged = False  # bytes were skipped in this negotiation
         self._topic_info_at_s = 0.0
+        self._parts = 1  # of this negotiation, each with messages behind it
         self._time_requested_at_s = 0.0  # or a request for topics took its place
         self._last_time_request_s = float("-inf")
         self._requested_at_s = float("-inf")
@@ -94,6 +96,8 @@ class NegotiationScheduler:
         """
         goes_on = may_go_on and now_s < self._topic_info_at_s + NEGOTIATION_QUIET_S
         is_first = self.state is SessionState.REQUESTING or (self.state is SessionState.READY and not goes_on)
+        if self.state is not SessionState.NEGOTIATING:
+            self._parts = 1 if is_first else self._parts + 1
         self._topic_info_at_s = now_s
         self._step(Step.TOPIC_INFO)
         return is_first
@@ -129,6 +133,14 @@ class NegotiationScheduler:
         else:
             self._same_requests.pop("loss", None)
         self._is_damaged = False
+
+    @property
+    def may_finish(self) -> bool:
+        """Whether a frame of another kind ends the negotiation that there is, if any.
+
+        Each end costs as much as all topics so far: one behind each of them would keep the daemon busy by a few bytes.
+        """
+        return self.state is SessionState.NEGOTIATING and self._parts <= MAX_PARTS
 
     def is_quiet(self, now_s: float) -> bool:
         """Whether a negotiation ends because no TopicInfo came for long enough."""

@@ -11,7 +11,7 @@ from hostlink.protocol import events
 from hostlink.protocol.clock import DeviceClock
 from hostlink.protocol.control import TopicInfo, decode_log, decode_parameter_request, decode_topic_info
 from hostlink.protocol.frame import FIRST_TOPIC_ID, TOPICS_REQUEST, Frame, Id
-from hostlink.protocol.negotiation import NegotiationScheduler, SessionState
+from hostlink.protocol.negotiation import NegotiationScheduler
 from hostlink.protocol.non_rosserial import NonRosserialBytes
 from hostlink.protocol.outbox import Outbox, OutgoingFrame
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
@@ -166,7 +166,7 @@ class Session(MessagesToDevice):
             if topic_id <= Id.SERVICE_CLIENT_SUBSCRIBER:
                 self._add_topic_info(Id(topic_id), payload, now_s, found)
                 continue
-            if self._negotiation.state is SessionState.NEGOTIATING and self._is_behind_topics(topic_id):
+            if self._negotiation.may_finish and self._is_behind_topics(topic_id):
                 found.append(self._finish_negotiation())
             if topic_id >= FIRST_TOPIC_ID:
                 self._dispatch(topic_id, payload, found)
