@@ -58,8 +58,8 @@ class Device:
     """A link in the graph, from its first negotiation to its end."""
 
     __slots__ = (
-        "_node", "_odometry", "_parts", "_stamped", "early", "infos", "is_played", "is_undecided", "link", "names",
-        "parameters", "received_at_s", "routes", "services", "shown",
+        "_awaited", "_node", "_odometry", "_parts", "_stamped", "early", "infos", "is_played", "is_undecided", "link",
+        "names", "parameters", "received_at_s", "routes", "services", "shown",
     )  # fmt: skip
 
     def __init__(self, link: Link, parts: Parts, node: Node) -> None:
@@ -76,6 +76,7 @@ class Device:
         self.received_at_s = float("-inf")  # of the last read that was noted
         self.parameters: dict[str, Parameter] = {}  # what it was answered, by the names that are shown
         self._stamped: set[int] = set()  # the ids of messages that begin with a header
+        self._awaited: set[str] = set()  # its services that may still answer a call of before it left the graph
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
         self._parts, self._node = parts, node
 
@@ -92,6 +93,9 @@ class Device:
             except (WrongType, BadRequest) as error:
                 log.warning("topic.refused", topic=printable(info.name), reason=str(error))
                 self._route_refused(info, robot)
+        for name in self.services.keys() & self._awaited:
+            self.services[name].expect_late()
+        self._awaited.clear()
 
     def displace(self, name: str, type_name: str, robot: Robot | None) -> None:
         """End what the device has by a name in the graph: it is another robot's own, with this type."""
@@ -139,6 +143,7 @@ class Device:
         self._stamped.clear()
         self.names = frozenset()
         self._parts.topics.leave(self.link)
+        self._awaited.update(name for name, service in self.services.items() if service.is_awaited)
         self._parts.services.leave(self.link)
         self.services.clear()
 

@@ -82,6 +82,15 @@ class DeviceService:
             self._late.set_result(None)
         return False
 
+    @property
+    def is_awaited(self) -> bool:
+        """Whether the device may still answer an earlier call."""
+        return any(each is not None and not each.done() for each in (self._answer, self._late))
+
+    def expect_late(self) -> None:
+        """The device may still answer a call of before it announced its topics again."""
+        self._late = asyncio.get_running_loop().create_future()
+
     def close(self) -> None:
         """The device is gone: every call fails at once."""
         self._send = self._fail

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import pytest
 
 from hostlink.errors import BadRequest, DeviceBusy, DeviceGone, ServiceFailed, UnknownTopic
-from hostlink.hub.services import MAX_WAITING, DeviceService, Provider
+from hostlink.hub.services import MAX_WAITING, DeviceService, Provider, Services
+from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
@@ -27,6 +28,16 @@ TOGGLE = [
 def answer(message: str, *, success: bool = True) -> bytes:
     """The payload of a SetBool response."""
     return bytes([success]) + struct.pack("<I", len(message)) + message.encode()
+
+
+def announced(infos: list[TopicInfo]) -> bytes:
+    wire = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
+    return encode(Id.TIME, bytes(8)) + wire + encode(Id.TIME, bytes(8))
+
+
+async def refused(services: Services, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        await services.call("/set_led", {"data": True})
 
 
 async def test_a_program_calls_a_service_of_a_device() -> None:
@@ -84,6 +95,24 @@ async def test_a_device_that_leaves_fails_its_calls_at_once() -> None:
         await expect(lambda: not host.hub.links())
         with pytest.raises(UnknownTopic, match="no service named /set_led"):
             await host.hub.services.call("/set_led", {"data": True})
+
+
+async def test_an_answer_to_a_call_of_before_other_topics_is_not_taken_for_the_next_one_s() -> None:
+    """A program on the board advertises one more topic, and negotiates without a restart."""
+    more = topic(Id.PUBLISHER, 126, "/battery", "std_msgs/Float32")
+    async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
+        async with asyncio.TaskGroup() as tasks:
+            call = tasks.create_task(refused(host.hub.services, DeviceGone))
+            assert await device.frame(100) == b"\x01"
+            await device.send(announced([*SET_LED, more]))
+            await call
+        async with asyncio.TaskGroup() as tasks:
+            again = tasks.create_task(host.hub.services.call("/set_led", {"data": False}))
+            await asyncio.sleep(0.05)
+            await device.send(encode(125, answer("of before")))
+            assert await device.frame(100) == b"\x00"
+            await device.send(encode(125, answer("mine")))
+            assert (await again)["message"] == "mine"
 
 
 async def test_too_many_calls_are_refused() -> None:
