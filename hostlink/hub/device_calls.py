@@ -208,8 +208,8 @@ class DeviceCalls:
         call.link.wake()
 
     async def _end(self, call: _Call, error: Exception) -> None:
-        """A device that would wait without end begins anew instead."""
-        if not call.is_over:
+        """A device that would wait without end begins anew instead; one that has other topics now has begun anew."""
+        if not call.is_over and call.link.session.has(call.endpoint):
             reason = printable(str(error), MAX_REASON) or "no room for the answer"
             log.error("service.unanswerable", service=printable(call.endpoint.name), reason=reason)
             await self._give_up(call.link)

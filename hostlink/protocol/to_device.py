@@ -117,6 +117,10 @@ class MessagesToDevice:
             raise UnknownTopic("endpoint for responses", request.name)
         return found
 
+    def has(self, info: TopicInfo) -> bool:
+        """Whether the device still has this endpoint."""
+        return self._topics.get(info.topic_id) == info
+
     def is_refused(self, info: TopicInfo) -> bool:
         """Whether the type of this endpoint is not what it is known as here."""
         return info.topic_id in self._refused

@@ -21,7 +21,7 @@ from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import ServiceRequested
 from hostlink.protocol.frame import OVERHEAD_BYTES, Id
 from hostlink.protocol.outbox import MAX_REPLIES
-from tests.support.fake_device import CATALOG, topic
+from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.ros_lib_device import (
     REQUESTS,
     RESPONSES,
@@ -302,6 +302,27 @@ def test_a_call_that_is_given_up_as_its_deadline_comes_ends_no_link() -> None:
             loop.call_at(first.deadline_s + SAME_TURN_S, accept)
             async with asyncio.timeout(DEVICE_TIMEOUT_S):
                 await accepted.wait()
+            return connected.end
+
+    assert run_virtual(run()) is None
+
+
+def test_a_board_that_restarts_with_other_topics_in_a_call_keeps_its_link() -> None:
+    """Behind a passthrough that keeps the connection; its program of now waits for no answer."""
+
+    async def run() -> LinkEnd | None:
+        async with (
+            running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
+            ros_lib_device(hub, trigger(), TRIGGER_RESPONSE) as connected,
+        ):
+            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", never))
+            await connected.device.send(REQUESTS, b"")
+            await asyncio.sleep(0.5)
+            connected.device.topics = robot_topics()
+            await connected.device.announce()
+            for _ in range(5):
+                await asyncio.sleep(2.0)
+                await connected.device.announce()
             return connected.end
 
     assert run_virtual(run()) is None

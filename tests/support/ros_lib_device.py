@@ -61,7 +61,7 @@ class RosLibDevice:
     """One device on one connection."""
 
     def __init__(self, end: MemoryTransport, topics: list[TopicInfo], response: MessageType) -> None:
-        self._end, self._topics, self._layout = end, topics, response.layout
+        self._end, self.topics, self._layout = end, topics, response.layout
         self._stream = FrameStream()
         self._frames: list[Frame] = []
         self.buffer_bytes = next((info.buffer_bytes for info in topics if info.is_to_device), 0) or DEFAULT_BUFFER_BYTES
@@ -103,7 +103,7 @@ class RosLibDevice:
 
     async def announce(self) -> None:
         """Announce what it has, then a frame that ends the negotiation."""
-        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self._topics)
+        infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in self.topics)
         await self._end.send(infos + encode(Id.TIME, bytes(8)))
 
     async def keep_time(self) -> None:

@@ -40,6 +40,13 @@ def test_a_call_for_a_service_that_is_gone_is_forgotten() -> None:
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
 
 
+def test_an_endpoint_is_had_as_long_as_its_id_means_the_same() -> None:
+    host = Host(ODOMETRY, LED)
+    assert host.session.has(LED)
+    host.receive(wire(ODOMETRY, MOTOR))
+    assert [host.session.has(info) for info in (ODOMETRY, LED, MOTOR, SERVICE)] == [True, False, True, False]
+
+
 def test_the_answer_to_a_parameter_request_outlives_a_negotiation() -> None:
     """Its id means the same to every device, and a device spins until it hears it."""
     host = Host()
