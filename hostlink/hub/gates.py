@@ -23,6 +23,7 @@ from hostlink.robot.velocity_gate import VelocityGate
 log = structlog.get_logger()
 
 TICK_S = 0.05  # how late the end of a lease may be noticed
+MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop comes in between
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
 MAX_GUARDED = 16  # velocity topics of a device that the guard stops; each that comes must be sent to it
 ENDING = "hostlink is stopping, and drives no robot any more"
@@ -257,7 +258,10 @@ class Gates:
         while True:
             now_s = _now_s()
             self._stalls.beat(now_s)
-            for drivable in list(self._active):
+            for number, drivable in enumerate(list(self._active), 1):
+                if number % MAX_STEPS == 0:
+                    await asyncio.sleep(0)
+                    now_s = _now_s()
                 if drivable.gate.may_move or (drivable.gate.is_active and drivable.link is not None):
                     self._step(drivable, now_s)
                 elif not drivable.gate.is_claimed(now_s):

@@ -5,6 +5,7 @@ of its 33 ms turns.
 """
 
 import asyncio
+import itertools
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -15,6 +16,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, LinkConfig
 from hostlink.errors import BadRequest
+from hostlink.hub.gates import MAX_STEPS
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
@@ -28,6 +30,7 @@ from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
+from tests.support.ros_lib_device import running_hub
 from tests.support.virtual_device import NumberedRobot
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 from tests.support.virtual_world import CATALOG, World, world
@@ -278,6 +281,27 @@ def test_what_arrived_a_lease_ago_drives_no_robot_of_another_daemon() -> None:
             return other.driven
 
     assert run_virtual(run()) == [SLOW]
+
+
+def test_a_device_with_hundreds_of_velocities_leaves_each_turn_of_the_loop_to_others() -> None:
+    """Four of them held the loop for 30 ms whenever they announced something else."""
+
+    async def run() -> list[int]:
+        async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
+            host_end, device_end = memory_pair()
+            hub.spawn(hub.serve(hub.open(host_end)), name="link")
+            twist = robot_topics()[1]
+            topics = [twist._replace(topic_id=100 + each, name=f"/{each}/cmd_vel") for each in range(256)]
+            infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
+            await device_end.send(infos + encode(Id.TIME, bytes(8)))
+            stepped = [0]
+            while stepped[-1] < len(topics):
+                await asyncio.sleep(0)
+                stepped.append(sum(not each.gate.is_new_device for each in hub.gates.all()))
+            await device_end.aclose()
+            return [later - earlier for earlier, later in itertools.pairwise(stepped)]
+
+    assert max(run_virtual(run())) <= MAX_STEPS
 
 
 # -- a socket that takes nothing --------------------------------------------------------------------------------------
