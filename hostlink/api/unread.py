@@ -2,6 +2,7 @@
 
 import asyncio
 import fcntl
+import math
 import sys
 import termios
 
@@ -10,7 +11,13 @@ CHECK_S = 0.02
 
 
 def unread_bytes(transport: asyncio.WriteTransport) -> int:
-    """In the process, in the kernel, and on the line; elsewhere than on Linux the process alone."""
+    """In the process, in the kernel, and on the line; elsewhere than on Linux the process alone.
+
+    Raises:
+        OSError: the connection is closed: its socket has no number any more.
+    """
+    if transport.is_closing():
+        raise ConnectionResetError
     count = transport.get_write_buffer_size()
     if sys.platform == "linux":
         queued = fcntl.ioctl(transport.get_extra_info("socket").fileno(), termios.TIOCOUTQ, bytes(4))
@@ -25,10 +32,10 @@ async def until_read(transport: asyncio.WriteTransport | None, timeout_s: float)
         TimeoutError: nothing more arrives.
         OSError: the connection is closed.
     """
-    if transport is None or transport.is_closing():
+    if transport is None:
         raise ConnectionResetError
     loop = asyncio.get_running_loop()
-    least, since_s = unread_bytes(transport), loop.time()
+    least, since_s = math.inf, loop.time()
     while (unread := unread_bytes(transport)) > MOST_BYTES:
         if unread < least:
             least, since_s = unread, loop.time()

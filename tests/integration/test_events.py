@@ -4,13 +4,16 @@ import asyncio
 import contextlib
 import json
 import socket
+import struct
 from collections.abc import AsyncIterator
 from typing import Any
 
 import aiohttp
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.api.state_feed import TICK_S
+from hostlink.api.unread import CHECK_S
 from hostlink.config import Config, LinkConfig
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
@@ -20,6 +23,7 @@ from tests.support.participants import publish
 from tests.support.waiting import expect
 
 ROBOTS, POSES, NARROW_BYTES = 6, 12, 2048
+NO_LINGER = struct.pack("ii", 1, 0)  # the end of a connection is a reset
 
 
 class Reader:
@@ -105,6 +109,25 @@ async def test_a_slow_reader_is_sent_the_newest_and_not_what_was_true_in_between
                     received += await reader.read(NARROW_BYTES)
             assert received.count(b"event: robots") < POSES / 2
             writer.close()
+
+
+async def test_a_slow_reader_that_vanishes_is_no_error_of_the_daemon() -> None:
+    names = [f"robot_{number}" for number in range(ROBOTS)]
+    with capture_logs() as lines:
+        async with daemon() as host, contextlib.AsyncExitStack() as stack:
+            devices = [await stack.enter_async_context(fake_device(host.tcp, robot_topics(name))) for name in names]
+            with socket.socket() as narrow:
+                narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, NARROW_BYTES)
+                narrow.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, NO_LINGER)
+                narrow.connect(("127.0.0.1", int(host.url.rpartition(":")[2])))
+                narrow.sendall(b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                for number in range(1, POSES + 1):
+                    for device in devices:
+                        await device.send(pose(float(number)))
+                    await asyncio.sleep(TICK_S)
+            await asyncio.sleep(5 * CHECK_S)
+            assert (await host.get("/api/clients"))["clients"] == []
+    assert [line for line in lines if line["event"] in ("library.complained", "loop.error")] == []
 
 
 async def test_each_new_pose_is_an_event() -> None:

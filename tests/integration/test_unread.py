@@ -52,3 +52,11 @@ async def test_a_connection_that_is_closed_is_waited_for_by_nobody() -> None:
             await until_read(transport, 1.0)
         with pytest.raises(OSError):  # noqa: PT011
             await until_read(None, 1.0)
+
+
+async def test_a_connection_that_is_closed_while_somebody_waits_is_closed_for_him() -> None:
+    async with connection() as (transport, _):
+        transport.write(bytes(SENT_BYTES))
+        asyncio.get_running_loop().call_soon(transport.abort)
+        with pytest.raises(ConnectionResetError):
+            await until_read(transport, 1.0)
