@@ -142,6 +142,7 @@ class Rest:
                 method="POST",
                 request=LockRequest,
                 is_body_optional=True,
+                on_head=lambda request: self._hub.emergency_stop.stop(self._find(request)),
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
             ),

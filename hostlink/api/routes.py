@@ -46,6 +46,7 @@ class Route:
     media_type: str = "application/json"
     request: type | None = None  # the type of its body
     is_body_optional: bool = False
+    on_head: Callable[[web.Request], None] | None = None  # done at once when its body is not there yet
     role: Role | None = Role.READ  # None: everybody, without a token
     is_limited: bool = True  # False: answered however often it comes, because it stops a robot
     fails: tuple[HTTPStatus, ...] = ()

@@ -201,6 +201,9 @@ class ApiServer:
         route = self._by_handler.get(request.match_info.handler)
         if route is None or route.request is None:
             return
+        is_there = request.content.is_eof() and request.content.total_bytes <= self._config.max_message_bytes
+        if route.on_head is not None and not is_there:
+            route.on_head(request)
         timeout_s = self._config.request_timeout_s
         try:
             with self.listener.receiving(request.transport):

@@ -237,6 +237,37 @@ async def test_a_lock_is_zero_past_every_ramp_and_refuses_everybody_until_it_is_
         assert await device.velocity_other_than(ZERO) == CURVE
 
 
+@pytest.mark.parametrize("announced_bytes", [20, 10**9])
+async def test_a_lock_waits_for_no_body_and_holds_without_it(announced_bytes: int) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        drive(host)
+        assert await device.velocity() == CURVE
+        reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
+        head = "POST /api/robots/robot_0/lock HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: "
+        writer.write(f'{head}{announced_bytes}\r\n\r\n{{"reason": '.encode())
+        assert await device.velocity_other_than(CURVE) == ZERO
+        assert host.hub.robots.find("robot_0").gate.lock_reason == "emergency stop"
+        writer.transport.abort()
+        await expect(reader.at_eof)
+        with pytest.raises(RobotHeld):
+            drive(host)
+
+
+async def test_a_lock_whose_reason_comes_late_has_it() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
+        head = b"POST /api/robots/robot_0/lock HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 20\r\n\r\n"
+        writer.write(head)
+        gate = host.hub.robots.find("robot_0").gate
+        await expect(lambda: gate.lock_reason == "emergency stop")
+        writer.write(b'{"reason": "a hand"}')
+        assert (await reader.readline()).startswith(b"HTTP/1.1 200 ")
+        assert gate.lock_reason == "a hand"
+        writer.close()
+
+
 async def test_a_lock_survives_a_reconnect() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()) as device:
