@@ -23,6 +23,18 @@ PAD = """
   window.pad = pad;
   navigator.getGamepads = () => [pad];
 """
+SECOND_PAD = """
+  window.other = { ...pad, buttons: Array.from({ length: 16 }, () => ({ pressed: false })) };
+  navigator.getGamepads = () => [pad, null, other];
+"""
+TAP = """async (ms) => {
+  const press = (pressed) => (pad.buttons[1].pressed = pressed);
+  press(true);
+  await new Promise((resolve) => setTimeout(resolve, ms));
+  press(false);
+  await new Promise((resolve) => setTimeout(resolve, 3 * ms));
+}"""
+SHORTEST_MS, PRESSES = 30, 8  # a finger that hits a button lets it go no sooner
 DISPATCH = "([name, selector]) => document.querySelector(selector).dispatchEvent(new Event(name, { bubbles: true }))"
 FREEZE = "(ms) => { const end = performance.now() + ms; while (performance.now() < end); }"
 SENT_AGAIN_S = 0.12  # what is held is sent every 80 ms
@@ -181,6 +193,25 @@ async def test_a_gamepad_drives_only_from_the_window_that_has_the_focus(scene: S
     await scene.drives()
     await page.evaluate("pad.buttons[5].pressed = false")
     await scene.stands()
+
+
+async def test_a_gamepad_beside_another_one_drives_and_stops(scene: Scene) -> None:
+    """Browsers list some keyboards and receivers as gamepads, and the first one may lie about."""
+    page = scene.tab.page
+    await page.evaluate(SECOND_PAD)
+    await page.evaluate("other.buttons[5].pressed = true")
+    await scene.drives()
+    await page.evaluate("other.buttons[1].pressed = true")
+    await expect(lambda: scene.server.requests == [("POST", "/api/robots/robot_0/lock")])
+    await scene.stands()
+    await page.evaluate("navigator.getGamepads = () => [pad]")
+
+
+async def test_no_short_press_of_the_stop_on_a_gamepad_is_missed(scene: Scene) -> None:
+    page = scene.tab.page
+    for press in range(PRESSES):
+        await page.evaluate(TAP, SHORTEST_MS)
+        await expect(lambda press=press: len(scene.server.requests) == press + 1)  # type: ignore[misc]
 
 
 async def test_arrows_in_the_menu_of_a_panel_and_in_a_list_drive_nothing(scene: Scene) -> None:

@@ -3,7 +3,7 @@
 import { setText } from "./dom";
 import type { Driving } from "./driving";
 
-const POLL_MS = 50;
+const POLL_MS = 16; // a browser reads it as often; a short press of the stop must not fall between two looks
 const SHOULDERS = [4, 5]; // of the standard mapping; one of them must be held
 const STOP_BUTTON = 1; // B, or the circle
 const DEAD_ZONE = 0.12;
@@ -15,20 +15,26 @@ export function connectGamepad(note: HTMLElement, driving: Driving, stop: () => 
   }
   let isStopping = false;
   const poll = () => {
-    const pad = navigator.getGamepads().find((each) => each?.connected && each.axes.length >= 2) ?? null;
+    const pads = navigator.getGamepads().filter((each) => each?.connected && each.axes.length >= 2);
     const isHere = document.hasFocus(); // a browser shows it to every window, and each would drive
-    const isEnabled = isHere && SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
+    // some list what is none as the first, and one may lie about: the one whose shoulder is held drives
+    const pad = pads.find(isEnabledBy) ?? pads[0] ?? null;
+    const isEnabled = isHere && isEnabledBy(pad);
     if (pad !== null && isEnabled) {
       driving.hold("gamepad", { forward: bend(-(pad.axes[1] ?? 0)), turn: bend(-(pad.axes[0] ?? 0)) });
     } else {
       driving.release("gamepad");
     }
-    const wantsStop = pad?.buttons[STOP_BUTTON]?.pressed ?? false;
+    const wantsStop = pads.some((each) => each?.buttons[STOP_BUTTON]?.pressed);
     if (wantsStop && !isStopping) stop();
     isStopping = wantsStop;
     setText(note, describe(pad, isHere, isEnabled));
   };
   setInterval(poll, POLL_MS);
+}
+
+function isEnabledBy(pad: Gamepad | null): boolean {
+  return SHOULDERS.some((button) => pad?.buttons[button]?.pressed);
 }
 
 function describe(pad: Gamepad | null, isHere: boolean, isEnabled: boolean): string {
