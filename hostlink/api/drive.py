@@ -7,7 +7,7 @@ import msgspec
 
 from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.views import velocity_answer
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.errors import BadRequest, HostlinkError, RobotHeld
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.participant import Participant
 from hostlink.hub.remote_robot import RemoteRobot
@@ -86,7 +86,9 @@ class Drive:
 
     def _refuse(self, request: dict[str, Any], error: HostlinkError) -> None:
         answer = {"op": "drive_result", "id": request.get("id"), "result": False}
-        put_json(self._queue, answer | {"kind": type(error).__name__, "reason": str(error)})
+        is_locked = isinstance(error, RobotHeld) and error.lock_reason is not None
+        lock = {"is_locked": True} if is_locked else {}
+        put_json(self._queue, answer | {"kind": type(error).__name__, "reason": str(error)} | lock)
 
     def _command(self, request: dict[str, Any]) -> tuple[Robot | RemoteRobot, Velocity, Velocity]:
         try:

@@ -67,7 +67,7 @@ class KeyDriver:
         self._refused = refused
         if refused is not None and refused is not before:  # one more command was refused
             self.refusal = refused.reason
-            if refused.kind != "RobotHeld":
+            if refused.kind != "RobotHeld" or refused.is_locked:
                 self._driving.bar(_now_s())
         elif refused is None and self._link is not None:  # what moves it was accepted; a zero always is
             self.refusal = ""

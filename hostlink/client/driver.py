@@ -159,7 +159,8 @@ class Driver:
         """Of a command that nobody waits for."""
         self._remember_name(answer)
         key = str(answer["id"])
-        refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]))
+        is_locked = bool(answer.get("is_locked"))
+        refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]), is_locked)
         if key.startswith(_COMMAND):
             self.refusals[key.removeprefix(_COMMAND)] = refusal
         elif refusal is not None:

@@ -83,6 +83,7 @@ class Refusal(NamedTuple):
 
     kind: str
     reason: str
+    is_locked: bool = False  # by an emergency stop
 
 
 @dataclass(frozen=True, slots=True)

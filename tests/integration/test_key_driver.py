@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from hostlink.cli.driving import HOLD_S, Driving
+from hostlink.cli.driving import HOLD_S, SEND_INTERVAL_S, Driving
 from hostlink.cli.key_driver import KeyDriver, watched_robot
 from hostlink.cli.keys import Key
 from hostlink.client import HostlinkError, connect
@@ -71,6 +71,21 @@ async def test_a_device_that_connects_again_is_not_driven_by_a_key_that_is_still
             assert await new.velocity_other_than(ZERO) == (0.2, 0.0)
             await keys.press("w", 0.2)
             assert keys.driver.refusal == ""
+
+
+async def test_a_lock_that_somebody_else_ends_is_not_followed_by_a_key_that_is_still_pressed() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, at_the_keys(host) as keys:
+        await keys.press("w", 0.2)
+        robot = host.hub.robots.find("robot_0")
+        host.hub.emergency_stop.stop(robot, "a hand in the wheel")
+        await keys.press("w", 2 * SEND_INTERVAL_S)
+        assert "locked: a hand in the wheel" in keys.driver.refusal
+        host.hub.emergency_stop.release(robot)
+        await keys.press("w", 4 * SEND_INTERVAL_S)
+        assert robot.gate.current.is_zero
+        await asyncio.sleep(2 * HOLD_S)
+        await keys.press("w", 0.2)
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
 
 
 async def drive_until_the_line_dies(host: Daemon, line: Proxy) -> None:

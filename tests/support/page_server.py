@@ -35,6 +35,7 @@ class State:
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
     role: str = "drive"
     refusal: str = ""  # of every request that changes something
+    drive_refusal: dict[str, Any] = field(default_factory=dict)  # of every command: kind, reason
     refusal_status: HTTPStatus = HTTPStatus.FORBIDDEN
     is_lost: bool = False  # nothing answers
     late_s: float = 0.0  # how long the events are on their way
@@ -130,7 +131,8 @@ class PageServer:
             if self._state.is_lost:
                 break
             if asked["op"] == "drive":
-                await socket.send_json({"op": "drive_result", "id": asked["id"], "result": True})
+                refusal = self._state.drive_refusal
+                await socket.send_json({"op": "drive_result", "id": asked["id"], "result": not refusal, **refusal})
             if asked["op"] == "call_service":
                 answer = {"op": "service_response", "id": asked.get("id"), "service": asked["service"]}
                 await socket.send_json({**answer, "values": {"time": {"secs": 0, "nsecs": 0}}, "result": True})

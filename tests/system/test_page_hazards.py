@@ -321,6 +321,23 @@ async def test_a_robot_whose_device_cannot_receive_says_so(scene: Scene) -> None
     await expect_page(scene.tab.page.locator("#drive[data-state=refused]")).to_be_visible()
 
 
+async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(scene: Scene) -> None:
+    """Events may be late or lost; the answer to a command is not."""
+    page, state = scene.tab.page, fleet("robot_0")
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    state.drive_refusal = {"kind": "RobotHeld", "reason": "robot_0: locked", "is_locked": True}
+    scene.server.show(state)
+    await scene.stands()
+    scene.server.show(fleet("robot_0"))
+    await asyncio.sleep(SENT_AGAIN_S)
+    await scene.stands()
+    await page.keyboard.up("KeyW")
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    await page.keyboard.up("KeyW")
+
+
 async def test_two_who_hold_the_stick_at_once_are_told_so(scene: Scene) -> None:
     """The daemon obeys the newest command of one priority: each of two tabs would show that it drives."""
     await scene.tab.page.keyboard.down("KeyW")

@@ -32,6 +32,7 @@ export interface DriveAnswer {
   result: boolean;
   kind?: string;
   reason?: string;
+  is_locked?: boolean;
   is_limited?: boolean;
 }
 

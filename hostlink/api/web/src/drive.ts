@@ -60,7 +60,7 @@ export class Drive {
   answered(answer: DriveAnswer): void {
     this.unanswered.shift();
     if (answer.result) return;
-    if (answer.kind !== "RobotHeld") this.driving.releaseAll();
+    if (answer.kind !== "RobotHeld" || answer.is_locked) this.driving.releaseAll();
     this.refusal = answer.reason ?? "";
     this.refusedAt = performance.now();
     this.show();
