@@ -252,19 +252,22 @@ class Host:
         self._topics.raise_refusals()
 
     async def stop_driven(self) -> None:
-        """Stop what this connection drives; a robot that cannot be stopped keeps no other from it.
+        """Stop what this connection drives, all at once: a robot whose stop is not answered delays no other's.
 
         It waits a second at most: nothing is repeated then, and the daemon stops whoever is left.
         """
         names = self._driver.robots
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S), asyncio.TaskGroup() as tasks:
                 for name in names:
-                    # RuntimeError: at the end of a program no name is resolved; then the end of the connection stops it
-                    with contextlib.suppress(HostlinkError, RuntimeError):  # of one; the others are stopped
-                        await self.robot(name).stop()
+                    tasks.create_task(self._stop(name), name=f"stop {name}")
         for name in names:
             self._driver.stop_repeating(name)
+
+    async def _stop(self, name: str) -> None:
+        # RuntimeError: at the end of a program no name is resolved; then the end of the connection stops it
+        with contextlib.suppress(HostlinkError, RuntimeError):  # of one; the others are stopped
+            await self.robot(name).stop()
 
     async def _round_trip(self) -> None:
         self._topics.is_settled = True  # nothing that is published from now on

@@ -12,11 +12,14 @@ from aiohttp import web
 
 from hostlink.client import Host, Refusal, connect
 from hostlink.client.connection import waits
+from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import HostlinkError
+from hostlink.hub.remote_robot import Elsewhere
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
+from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
@@ -27,6 +30,13 @@ TRIGGER = [
     topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
     topic(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/trigger", "std_srvs/Trigger"),
 ]
+
+
+class Unanswered(Elsewhere):
+    """Another daemon, which answers nothing."""
+
+    async def settled(self) -> None:
+        await asyncio.Event().wait()
 
 
 async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2) -> str:
@@ -99,6 +109,25 @@ async def test_two_robots_are_driven_at_once() -> None:
         for _ in range(5):
             assert await first.velocity_other_than(ZERO) == (0.2, 0.0)
             assert await second.velocity_other_than(ZERO) == (0.1, 0.0)
+
+
+async def test_a_stop_that_is_not_answered_delays_none_of_another_robot() -> None:
+    """The daemon answers when other daemons have: one of them may have gone."""
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics("robot_0")),
+        fake_device(host.tcp, robot_topics("robot_1")),
+        connect(host.url) as me,
+    ):
+        for name in ("robot_0", "robot_1"):
+            await me.robot(name).drive(0.2, 0.0)
+        gates = [host.hub.robots.find(name).gate for name in ("robot_0", "robot_1")]
+        host.hub.gates.elsewhere = Unanswered()
+        async with meanwhile(me.stop_driven()):
+            await expect(lambda: all(gate.owner_name is None for gate in gates), timeout_s=CLOSE_TIMEOUT_S / 2)
+            assert not me.robot("robot_0").is_driven
+            assert not me.robot("robot_1").is_driven
+        host.hub.gates.elsewhere = None
 
 
 async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> None:
