@@ -83,9 +83,11 @@ class Driver:
         except KeyError as missing:
             self.stop_repeating(robot)
             raise HostlinkError(f"hostlink is of another version than this one: its answer has no {missing}") from None
-        except BaseException:  # a cancellation too: what nobody waits for is not repeated
+        except BaseException as ended:  # a cancellation too: what nobody waits for is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.stop_repeating(robot)
+                if not isinstance(ended, HostlinkError):  # it may be on its way, and hold for a lease
+                    await self.send_zero(robot, priority)
             raise
         return driven
 

@@ -271,6 +271,18 @@ async def test_a_drive_that_is_cancelled_is_not_repeated() -> None:
         assert not me.robot("robot_0").is_driven
 
 
+async def test_a_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
+    """Its command may be on its way: a person who ends a script does not wait for the end of a lease."""
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, connect(host.url) as me:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0):
+                await me.robot("robot_0").drive(0.2, 0.0)
+        gate = host.hub.robots.find("robot_0").gate
+        await expect(lambda: gate.counts.commands == 2)
+        assert gate.current.is_zero
+        assert await device.velocity_other_than((0.2, 0.0)) == ZERO
+
+
 @pytest.mark.parametrize(
     ("fields", "complaint"),
     [
