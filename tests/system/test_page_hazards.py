@@ -292,6 +292,45 @@ async def test_a_later_stop_takes_nothing_from_an_earlier_one(scene: Scene) -> N
     await scene.tab.shows("#notice", "stopped")
 
 
+async def test_the_stop_works_when_it_is_pressed_and_waits_for_no_release(scene: Scene) -> None:
+    """Who presses in a hurry slides off it, or scrolls: then no click comes."""
+    page, lock = scene.tab.page, ("POST", "/api/robots/robot_0/lock")
+    await page.locator("#stop").hover()
+    await page.mouse.down()
+    await expect(lambda: scene.server.requests == [lock])
+    await page.mouse.move(10, 10)
+    await page.mouse.up()
+    await page.locator("#stop").press("Enter")
+    await expect(lambda: scene.server.requests == [lock] * 2)
+    await page.locator("#stop").click()
+    await expect(lambda: len(scene.server.requests) >= 3)
+    await asyncio.sleep(SENT_AGAIN_S)
+    assert scene.server.requests == [lock] * 3
+
+
+async def test_the_stop_works_beside_a_finger_on_the_stick(browser: Browser) -> None:
+    """A browser makes no click of a second finger."""
+    async with page_server() as server, visit(browser, server.url, has_touch=True) as tab:
+        scene = Scene(server, tab)
+        server.show(fleet("robot_0"))
+        await tab.shows("#drive-state", "nobody drives")
+        x, y = await tab.stick()
+        box = await tab.page.locator("#stop").bounding_box()
+        assert box is not None
+        touch = await tab.page.context.new_cdp_session(tab.page)
+        stick = {"x": x, "y": y - 50, "id": 1}
+        stop = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2, "id": 2}
+        for kind, points in (
+            ("touchStart", [{**stick, "y": y}]),
+            ("touchMove", [stick]),
+            ("touchStart", [stick, stop]),
+            ("touchMove", [stick]),  # the second one is let go
+        ):
+            await touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        await expect(lambda: server.requests == [("POST", "/api/robots/robot_0/lock")])
+        await scene.stands()
+
+
 async def test_a_stop_that_the_daemon_cannot_pass_on_now_is_tried_again(scene: Scene) -> None:
     state = fleet("robot_0")
     state.refusal, state.refusal_status = "bench-2 has not answered", HTTPStatus.SERVICE_UNAVAILABLE

@@ -24,8 +24,8 @@ export class Stop {
     private readonly fleet: Fleet,
     private readonly driving: Driving,
   ) {
-    this.button.addEventListener("click", () => this.press());
-    find("#stop-all").addEventListener("click", () => this.stopAll());
+    onPress(this.button, () => this.press());
+    onPress(find("#stop-all"), () => this.stopAll());
     find("#lock-all").addEventListener("click", () => this.lockAll());
     find("#unlock").addEventListener("click", () => void this.unlock());
     confirmed(this.unlockAllButton, "Really unlock?", () => {
@@ -125,6 +125,19 @@ export class Stop {
     if (failures.length > 0) notice("refused", `Not unlocked: ${failures.join("; ")}`, 6000);
     else notice("done", `${locked.length} ${locked.length === 1 ? "robot" : "robots"} may be driven again.`, 2500);
   }
+}
+
+/** As soon as it is pressed: who slides off, scrolls, or has another finger on the stick gives no click. */
+function onPress(button: HTMLElement, act: () => void): void {
+  let isDone = false; // by the pointer that came down
+  button.addEventListener("pointerdown", () => {
+    isDone = true;
+    act();
+  });
+  button.addEventListener("click", ({ detail }) => {
+    if (detail === 0 || !isDone) act(); // by a key, or by what helps people who have no pointer
+    isDone = false;
+  });
 }
 
 interface StopRequest {
