@@ -86,7 +86,7 @@ class Driver:
         except BaseException as ended:  # a cancellation too: what nobody waits for is not repeated
             if self._repeated.get(robot, repeated) is repeated:  # or it was broken off, which is raised here
                 self.stop_repeating(robot)
-                if not isinstance(ended, HostlinkError):  # it may be on its way, and hold for a lease
+                if not isinstance(ended, HostlinkError | GeneratorExit):  # it may be on its way, and hold for a lease
                     await self.send_zero(robot, priority)
             raise
         return driven
