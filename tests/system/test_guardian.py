@@ -126,13 +126,17 @@ async def test_a_link_that_the_daemon_ends_is_closed_at_once_also_with_a_stopped
     ):
         await daemon.logged("robot.appeared")
         await expect(lambda: guarded_by(guardian_of(daemon)) == 1)
-        os.kill(guardian_of(daemon), signal.SIGSTOP)
-        await daemon.logged("link.closed")
-        closed_s = time.monotonic()
-        await robot.ended()
-        assert robot.ended_at_s is not None
-        assert robot.ended_at_s < closed_s + 0.1
-        assert guarded_by(guardian_of(daemon)) == 1  # it still does
+        guardian = guardian_of(daemon)
+        os.kill(guardian, signal.SIGSTOP)
+        try:
+            await daemon.logged("link.closed")
+            closed_s = time.monotonic()
+            await robot.ended()
+            assert robot.ended_at_s is not None
+            assert robot.ended_at_s < closed_s + 0.1
+            assert guarded_by(guardian) == 1  # it still does
+        finally:
+            os.kill(guardian, signal.SIGCONT)  # it ends behind its daemon
 
 
 @contextlib.contextmanager
