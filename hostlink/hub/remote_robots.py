@@ -15,11 +15,9 @@ from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
 from hostlink.hub.robots import Robots
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
 
 log = structlog.get_logger()
-
-TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 
 
 class RemoteRobots:

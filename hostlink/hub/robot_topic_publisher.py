@@ -20,13 +20,12 @@ from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
 
 log = structlog.get_logger()
 
 TF_TOPIC = "/tf"
 ODOMETRY_TYPE, TF_TYPE = "nav_msgs/Odometry", "tf2_msgs/TFMessage"
-TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 _NS_PER_S = 1_000_000_000
 
 

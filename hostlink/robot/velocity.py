@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from hostlink.errors import BadPayload
 
 TWIST_TYPE = "geometry_msgs/Twist"
+TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 _TWIST = struct.Struct("<6d")
 
 

@@ -26,7 +26,7 @@ from hostlink.graphs.zenoh.rmw_token import OWN_ENCLAVE, SPACE, EndpointToken, K
 from hostlink.graphs.zenoh.session import Session, Token
 from hostlink.hub.graph import GraphService, GraphTopic
 from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 MAX_CALLED_SERVICES: Final = 256
 TROUBLE_INTERVAL_S: Final = 10.0
@@ -37,7 +37,6 @@ TROUBLE: Final = frozenset(  # counts of what was lost, by cause
         "malformed_from_ros2", "malformed_to_ros2", "malformed_tokens", "other_type", "unidentified", "unsigned",
     }
 )  # fmt: skip
-STAMPED_TYPE: Final = "geometry_msgs/TwistStamped"
 OWN_PACKAGES: Final = ("rcl_interfaces/", "type_description_interfaces/")  # services that every node of ROS 2 has
 
 log = structlog.get_logger()
@@ -143,7 +142,7 @@ class RmwBridge:
         """The hub's graph has changed: declare what is new, withdraw what is gone."""
         graph = self._participant.graph()
         topics = [(topic, type_) for topic in graph.topics if (type_ := self._type(topic)) is not None]
-        stamped = {each.name for each in graph.topics if each.is_velocity and each.type_name == STAMPED_TYPE}
+        stamped = {each.name for each in graph.topics if each.is_velocity and each.type_name == TWIST_STAMPED_TYPE}
         self._subscriptions.follow(
             each for topic, type_ in topics if topic.is_subscribed for each in self._wanted(topic, type_, stamped)
         )
@@ -176,7 +175,7 @@ class RmwBridge:
             )
             return [Wanted(topic.name, type_, topic.name, has_history=has_history)]
         wanted = [Wanted(topic.name, type_, topic.name, is_velocity=True)]
-        stamped = self._node.types.message(STAMPED_TYPE)
+        stamped = self._node.types.message(TWIST_STAMPED_TYPE)
         if topic.type_name == TWIST_TYPE and stamped is not None:
             beside = f"{topic.name}_stamped"  # the robot's own topic of that type, which checks the age of commands
             is_there = beside in stamped_topics
