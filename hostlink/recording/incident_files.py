@@ -7,11 +7,11 @@ from typing import cast
 
 from mcap.exceptions import McapError
 from mcap.records import Metadata
-from mcap.stream_reader import StreamReader
 
 from hostlink.recording.disk_budget import StoredFile
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Cause, Incident
+from hostlink.recording.reader import stored_records
 
 _FIRST_RECORDS = 2  # the header, and what the file says of itself
 MAX_LISTED = 1000
@@ -52,7 +52,7 @@ def read_incident(path: Path) -> Incident | None:
     """What a file says of itself; None: it is no incident's."""
     try:
         with path.open("rb") as file:
-            for record in islice(StreamReader(file, emit_chunks=True).records, _FIRST_RECORDS):
+            for record in islice(stored_records(file), _FIRST_RECORDS):
                 if isinstance(record, Metadata) and "cause" in record.metadata:
                     facts = record.metadata
                     cause = cast("Cause", facts["cause"])

@@ -71,10 +71,9 @@ class Reader:
 
     def _records(self, file: IO[bytes]) -> Iterator[McapRecord]:
         """What is in the file and in its chunks. A chunk that is damaged is left out, with what it contains."""
-        records = StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
         is_begun = False
         try:
-            for record in records:
+            for record in stored_records(file):
                 is_begun = True
                 yield from self._of_chunk(record) if isinstance(record, Chunk) else [record]
         except _DAMAGES as error:
@@ -88,10 +87,9 @@ class Reader:
         if not self._has_read_summary:
             self._has_read_summary = True
             with self.path.open("rb") as file, contextlib.suppress(*_DAMAGES):
-                for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
-                    if isinstance(record, Schema) or (
-                        isinstance(record, McapChannel) and record.id not in self._channels
-                    ):
+                for record in stored_records(file):
+                    is_missing = isinstance(record, McapChannel) and record.id not in self._channels
+                    if isinstance(record, Schema) or is_missing:
                         self._note(record)
         return channel_id in self._channels
 
@@ -125,6 +123,15 @@ class Reader:
                     f"its definitions have more than {MAX_DEFINITIONS_BYTES} bytes: the rest is left out"
                 )
         return self._definitions_left_bytes >= 0
+
+
+def stored_records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """The records of a file, its chunks as they are stored.
+
+    Raises:
+        McapError: it is no MCAP file, or damaged.
+    """
+    yield from StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
 
 
 def _unpacked(chunk: Chunk) -> bytes:
