@@ -201,8 +201,7 @@ class ApiServer:
         route = self._by_handler.get(request.match_info.handler)
         if route is None or route.request is None:
             return
-        is_there = request.content.is_eof() and request.content.total_bytes <= self._config.max_message_bytes
-        if route.on_head is not None and not is_there:
+        if route.on_head is not None and not self._is_body_there(request):
             route.on_head(request)
         timeout_s = self._config.request_timeout_s
         try:
@@ -213,6 +212,9 @@ class ApiServer:
             raise web.HTTPRequestTimeout(reason=f"the body did not come within {timeout_s:g} s") from None
         except (OSError, web.RequestPayloadError, HttpProcessingError) as error:
             raise web.HTTPBadRequest(reason="the body broke off, or is not what its head announces") from error
+
+    def _is_body_there(self, request: web.Request) -> bool:
+        return request.content.is_eof() and request.content.total_bytes <= self._config.max_message_bytes
 
     async def _root(self, request: web.Request) -> web.StreamResponse:
         return await (self._serve_client(request) if _is_websocket(request) else page_file(request))
