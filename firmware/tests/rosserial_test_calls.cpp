@@ -118,6 +118,15 @@ void test_parameters() {
   CHECK(!node.getParam("~text", few) && strcmp(few, "none") == 0);
 }
 
+void answer_number(TestLink& link, int32_t value) {
+  uint8_t answer[16] = {};
+  ros::Writer out(answer, sizeof answer);
+  out.put(static_cast<uint32_t>(1));
+  out.put(value);
+  out.put(static_cast<uint64_t>(0));
+  link.put_frame(6, answer, out.size());
+}
+
 void test_parameters_with_defaults() {
   TestLink link;
   TestNode node(link);
@@ -144,11 +153,7 @@ void test_parameters_with_defaults() {
   CHECK(radius == 0.05f && !radius.is_from_host());
   CHECK(link.sent_id(0) == 7);  // the refusal
   CHECK(link.sent(1, payload, size) == 6 && size == 9);
-  ros::Writer count_answer(answer, sizeof answer);
-  count_answer.put(static_cast<uint32_t>(1));
-  count_answer.put(static_cast<int32_t>(5));
-  count_answer.put(static_cast<uint64_t>(0));
-  link.put_frame(6, answer, count_answer.size());
+  answer_number(link, 5);
   node.spinOnce();
   CHECK(count == 5 && count.is_from_host() && parameters.is_done());
 }
@@ -163,13 +168,8 @@ void test_a_parameter_that_is_given_up_takes_no_answer_from_another() {
   parameters.add(count);
   node.attach(parameters);
   connect(link, node);
-  uint8_t answer[20] = {};
-  ros::Writer out(answer, sizeof answer);
-  out.put(static_cast<uint32_t>(1));
-  out.put(static_cast<int32_t>(5));
-  out.put(static_cast<uint64_t>(0));
   node.spinOnce();
-  link.put_frame(6, answer, out.size());
+  answer_number(link, 5);
   node.spinOnce();
   CHECK(count == 5 && parameters.is_done());
   link.put_frame(11, nullptr, 0);
@@ -177,8 +177,7 @@ void test_a_parameter_that_is_given_up_takes_no_answer_from_another() {
   int missing = 1;
   CHECK(!node.getParam("~missing", &missing, 1, 200) && missing == 1);
   CHECK(node.connected() && !parameters.is_done());
-  answer[4] = 6;
-  link.put_frame(6, answer, out.size());
+  answer_number(link, 6);
   node.spinOnce();
   node.spinOnce();
   CHECK(count == 6 && parameters.is_done());

@@ -5,7 +5,7 @@ import contextlib
 import random
 import struct
 import tracemalloc
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from typing import Any
 
 import pytest
@@ -25,6 +25,7 @@ from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.ros_lib_device import (
     REQUESTS,
     RESPONSES,
+    Connected,
     GivenUp,
     clients,
     response_type,
@@ -282,15 +283,22 @@ def test_a_device_whose_topics_were_requested_meanwhile_receives_the_answer_to_i
     assert run_virtual(run()) == {"success": True, "message": "answer 2"}
 
 
+@contextlib.asynccontextmanager
+async def in_a_call_without_an_answer() -> AsyncIterator[tuple[Hub, Connected]]:
+    """A device that has called half a second ago."""
+    async with (
+        running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
+        ros_lib_device(hub, trigger(), TRIGGER_RESPONSE) as connected,
+    ):
+        hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", never))
+        await connected.device.send(REQUESTS, b"")
+        await asyncio.sleep(0.5)
+        yield hub, connected
+
+
 def test_a_call_that_is_given_up_as_its_deadline_comes_ends_no_link() -> None:
     async def run() -> LinkEnd | None:
-        async with (
-            running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
-            ros_lib_device(hub, trigger(), TRIGGER_RESPONSE) as connected,
-        ):
-            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", never))
-            await connected.device.send(REQUESTS, b"")
-            await asyncio.sleep(0.5)
+        async with in_a_call_without_an_answer() as (hub, connected):
             await connected.device.announce()
             loop, accepted = asyncio.get_running_loop(), asyncio.Event()
             first = next(iter(hub.device_calls._calls[connected.link.number].values()))[0]
@@ -311,13 +319,7 @@ def test_a_board_that_restarts_with_other_topics_in_a_call_keeps_its_link() -> N
     """Behind a passthrough that keeps the connection; its program of now waits for no answer."""
 
     async def run() -> LinkEnd | None:
-        async with (
-            running_hub(Hub(Config(), CATALOG, reraises=True)) as hub,
-            ros_lib_device(hub, trigger(), TRIGGER_RESPONSE) as connected,
-        ):
-            hub.services.provide(Provider("/go", "std_srvs/Trigger", "it", never))
-            await connected.device.send(REQUESTS, b"")
-            await asyncio.sleep(0.5)
+        async with in_a_call_without_an_answer() as (_, connected):
             connected.device.topics = robot_topics()
             await connected.device.announce()
             for _ in range(5):
