@@ -103,7 +103,7 @@ class MinimumJerk:
         if target == self.target:
             return
         rest = target - self.value
-        goes_on = rest * (self.target - self.value) > 0.0
+        goes_on = rest * (self.target - self._from) > 0.0  # by the whole way: rounding decides what is left at its end
         s = self._rising_phase() if goes_on else 0.0
         # The slope of each curve is 30 s^2 (1-s)^2 / S_PER_TICK_S, whatever its way.
         way = rest / (1.0 - travelled(1.0, s))

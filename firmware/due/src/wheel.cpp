@@ -19,7 +19,7 @@ float travelled(float way, float s) { return way * s * s * s * (10.0f + s * (-15
 void MinimumJerk::aim(float target) {
   if (target == target_) return;
   const float rest = target - value_;
-  const bool goes_on = rest * (target_ - value_) > 0.0f;
+  const bool goes_on = rest * (target_ - from_) > 0.0f;  // by the whole way: rounding decides what is left at its end
   const float s = goes_on ? rising_phase() : 0.0f;
   const float way = rest / (1.0f - travelled(1.0f, s));
   from_ = value_ - travelled(way, s);
