@@ -61,7 +61,7 @@ class Batteries:
         for topic in topics[:1]:
             self._forget(name)
             self._subscribers[name] = self._hub.join_daemon(group=OBSERVERS)
-            self._subscribers[name].subscribe(self._hub.shown_name(link, topic), receive, type_name=BATTERY_TYPE)
+            self._subscribers[name].subscribe(self._hub.links.shown_name(link, topic), receive, type_name=BATTERY_TYPE)
 
 
 def _voltage(type_: MessageType, payload: bytes) -> float:

@@ -13,6 +13,7 @@ import structlog
 from hostlink.acceptor import Acceptor
 from hostlink.api.connections import Connection, Connections
 from hostlink.forwarding_protocol import ForwardingProtocol
+from hostlink.hub.spawn import Spawn
 from hostlink.logs import printable
 
 log = structlog.get_logger()
@@ -21,7 +22,6 @@ SWEEP_INTERVAL_S = 1.0  # how much longer than its time a connection may wait
 LOG_INTERVAL_S = 10.0
 UNAVAILABLE = b"HTTP/1.1 503 Too many connections\r\nConnection: close\r\nRetry-After: 1\r\nContent-Length: 0\r\n\r\n"
 
-Spawn = Callable[..., None]  # Hub.spawn
 MakeProtocol = Callable[[], asyncio.Protocol]
 
 

@@ -92,14 +92,16 @@ class _Graph(Collector):
 
     def collect(self) -> Iterator[Metric]:
         yield InfoMetricFamily("hostlink", "This daemon", value={"version": version("hostlink")})
-        yield GaugeMetricFamily("hostlink_links", "Live connections of devices", value=len(self._hub.links()))
+        yield GaugeMetricFamily("hostlink_links", "Live connections of devices", value=len(self._hub.links.all()))
         yield CounterMetricFamily(
             "hostlink_link_crashes",
             "Connections that a fault of hostlink ended",
             value=self._hub.isolation.crashes["link"],
         )
         yield CounterMetricFamily(
-            "hostlink_messages_unheard", "Messages of devices that were not known in time", value=self._hub.undelivered
+            "hostlink_messages_unheard",
+            "Messages of devices that were not known in time",
+            value=self._hub.links.undelivered,
         )
         crashes = CounterMetricFamily("hostlink_crashes", "Faults of hostlink, by what they ended", labels=["what"])
         for what, count in self._hub.isolation.crashes.items():
@@ -108,12 +110,12 @@ class _Graph(Collector):
         yield CounterMetricFamily(
             "hostlink_device_calls_refused",
             "Calls of services by devices that were over a bound",
-            value=self._hub.device_calls.refused,
+            value=self._hub.links.calls.refused,
         )
         yield CounterMetricFamily(
             "hostlink_service_late_answers",
             "Answers of devices' services that nobody waited for any more",
-            value=self._hub.late_answers,
+            value=self._hub.links.late_answers,
         )
         yield CounterMetricFamily(
             "hostlink_messages_out_of_order",
@@ -127,11 +129,11 @@ class _Graph(Collector):
             "hostlink_log_lines_left_out", "Lines over the budget of who caused them", value=logs.budget.left_out
         )
         refused = CounterMetricFamily("hostlink_connections_refused", "Devices turned away, by cause", labels=["cause"])
-        for cause, count in self._hub.refused.items():
+        for cause, count in self._hub.counts.refused.items():
             refused.add_metric([cause], count)
         yield refused
         dropped = CounterMetricFamily("hostlink_datagrams_dropped", "Of UDP, either way, by cause", labels=["cause"])
-        for cause, count in self._hub.datagrams_dropped.items():
+        for cause, count in self._hub.counts.datagrams_dropped.items():
             dropped.add_metric([cause], count)
         yield dropped
         yield from self._graphs()
@@ -143,7 +145,7 @@ class _Graph(Collector):
 
     def _graphs(self) -> Iterator[Metric]:
         events = CounterMetricFamily("hostlink_graph_events", "What of a graph has happened", labels=["graph", "what"])
-        for graph, counts in self._hub.graph_counts.items():
+        for graph, counts in self._hub.counts.graphs.items():
             for what, count in counts().items():
                 events.add_metric([graph, what], count)
         yield events
@@ -232,7 +234,7 @@ class _Graph(Collector):
         latency = HistogramMetricFamily(
             "hostlink_command_to_device_seconds", "From a velocity's command to the device's socket", labels=names
         )
-        for link in self._hub.links():
+        for link in self._hub.links.all():
             labels = [link.address, robots.get(link, "")]
             facts = link.facts()
             for name, counter in counters.items():

@@ -281,7 +281,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
         "topics": topic_info_views(hub, diagnosis),
         "parameters": {
             name: [*answer.ints, *answer.floats, *answer.strings]
-            for name, answer in hub.answered_parameters(link).items()
+            for name, answer in hub.links.answered_parameters(link).items()
         },
         "seconds": round(facts.seconds, 3),
         "frames_from_device": counts.frames_from_device,
@@ -313,7 +313,7 @@ def link_view(hub: Hub, diagnosis: Diagnosis) -> LinkView:
 
 def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
     """The topics of one device, under the graph's names and its own."""
-    shown_name = functools.partial(hub.shown_name, diagnosis.link)
+    shown_name = functools.partial(hub.links.shown_name, diagnosis.link)
     return [
         {
             "kind": info.kind.name.lower(),
@@ -330,7 +330,7 @@ def topic_info_views(hub: Hub, diagnosis: Diagnosis) -> list[TopicInfoView]:
 
 def link_views(hub: Hub) -> Iterator[LinkView]:
     """Every live connection, each as it is when the iteration reaches it."""
-    for link in hub.links():
+    for link in hub.links.all():
         diagnosis = hub.diagnoses.find(link.number)
         if diagnosis is not None:
             yield link_view(hub, diagnosis)
@@ -349,7 +349,7 @@ def link_history_view(hub: Hub) -> LinkHistoryView:
         "ended": ended_views(hub),
         "ports": [{"name": name, "diagnosis": finding_views([each])} for name, each in hub.diagnoses.ports.items()],
         "crashes": hub.isolation.crashes.total(),
-        "refused": dict(hub.refused),
+        "refused": dict(hub.counts.refused),
     }
 
 

@@ -43,7 +43,7 @@ async def probe_network(host: str, port: int, seconds: float, folders: tuple[Pat
     config = Config(tcp=TcpConfig(host=host, port=port), api=_NO_API, message_folders=folders)
     async with running(config) as (hub, _):
         for left_s in range(round(seconds), 0, -1):
-            show(f"listening on {source}, {left_s} s left, {len(hub.links())} connected")
+            show(f"listening on {source}, {left_s} s left, {len(hub.links.all())} connected")
             await asyncio.sleep(_POLL_S)
         report = await _report_of(hub, source)
     if not report["links"]:
@@ -63,10 +63,10 @@ async def probe_port(port: SerialConfig, folders: tuple[Path, ...], show: Show) 
             await asyncio.sleep(_POLL_S)
             if hub.diagnoses.ports or found_for_s >= SETTLE_S:
                 break
-            diagnosed |= {each.code: each for link in hub.links() for each in hub.diagnoses.of(link)}
+            diagnosed |= {each.code: each for link in hub.links.all() for each in hub.diagnoses.of(link)}
             baud = _present_baud(hub)
             show(f"{port.name} at {baud or bauds[0]} baud")
-            if any(link.topics for link in hub.links()):
+            if any(link.topics for link in hub.links.all()):
                 found_for_s += _POLL_S
         report = await _report_of(hub, port.name)
         baud = _present_baud(hub)
@@ -120,7 +120,7 @@ async def _report_of(hub: Hub, source: str) -> Report:
 
 
 def _present_baud(hub: Hub) -> int | None:
-    diagnoses = (hub.diagnoses.find(link.number) for link in hub.links())
+    diagnoses = (hub.diagnoses.find(link.number) for link in hub.links.all())
     return next((diagnosis.baud for diagnosis in diagnoses if diagnosis is not None), None)
 
 

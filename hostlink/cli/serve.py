@@ -78,7 +78,7 @@ async def running(
     reloader = Reloader(hub, read)
     try:
         async with (
-            complaints_logged(hub.refused),
+            complaints_logged(hub.counts.refused),
             _hub_running(hub),
             _recordings(hub) as recordings,
             _graphs(hub, config, on_graph_end),
@@ -148,7 +148,7 @@ async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[
         yield None
         return
     acceptor = UdpAcceptor(hub, config)
-    async with serve_udp(config, hub.datagrams_dropped, acceptor.receive) as ports, asyncio.TaskGroup() as tasks:
+    async with serve_udp(config, hub.counts.datagrams_dropped, acceptor.receive) as ports, asyncio.TaskGroup() as tasks:
         inviting = tasks.create_task(acceptor.invite(ports), name="invitations over UDP")
         try:
             yield ports[0].address[:2]
@@ -315,7 +315,7 @@ async def serve(config: Config, *, ends_with_graph: bool = False, read: Read | N
 
 def _status(hub: Hub) -> str:
     connected = [robot.name for robot in hub.robots.here() if robot.link is not None]
-    return f"{len(hub.links())} devices; robots: {', '.join(connected) or 'none'}"
+    return f"{len(hub.links.all())} devices; robots: {', '.join(connected) or 'none'}"
 
 
 def allow_origins(config: Config, origins: list[str] | None) -> Config:

@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import structlog
 
@@ -25,6 +25,7 @@ from hostlink.errors import (
     WrongType,
 )
 from hostlink.hub.services import DEVICE_TIMEOUT_S, Services
+from hostlink.hub.spawn import Spawn
 from hostlink.link.fair_share import Turns
 from hostlink.link.link import Link
 from hostlink.logs import printable
@@ -46,12 +47,6 @@ MAX_REASON = 256  # characters of a reason in the log; names of devices stand in
 LAST_S = 1.0  # for an answer that is late already to find room in the queue of the replies
 
 _Outcome = Mapping[str, object] | bytes | HostlinkError
-
-
-class Spawn(Protocol):
-    """Run something for a device beside everything else."""
-
-    def __call__(self, work: Coroutine[Any, Any, object], *, name: str) -> None: ...
 
 
 class _Call:

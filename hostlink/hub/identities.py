@@ -3,8 +3,8 @@
 import asyncio
 import contextlib
 import dataclasses
-from collections.abc import Callable, Coroutine, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import structlog
 
@@ -17,6 +17,7 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.shown_names import ShownNames
+from hostlink.hub.spawn import Spawn
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
@@ -44,9 +45,7 @@ class Affected(NamedTuple):
 class Identities:
     """Owns the devices of the live links. The Directory decides, this does what was decided."""
 
-    def __init__(
-        self, affected: Affected, directory: Directory, *, spawn: Callable[[Coroutine[Any, Any, object], str], None]
-    ) -> None:
+    def __init__(self, affected: Affected, directory: Directory, *, spawn: Spawn) -> None:
         self.devices: dict[int, Device] = {}
         self.undelivered = 0  # messages of devices that left before it was known who they are, or had too many
         self._affected, self._directory = affected, directory
@@ -136,7 +135,7 @@ class Identities:
             device.is_undecided = True
             self._leave_graph(device)
             device.stand()
-            self._spawn(self._decide(device), f"identity of link {device.link.number}")
+            self._spawn(self._decide(device), name=f"identity of link {device.link.number}")
 
     async def _decide(self, device: Device) -> None:
         while device.is_undecided:
@@ -215,7 +214,7 @@ class Identities:
         is_moving = robot is not None and robot.gate.may_move
         self.forget(old.link)
         if is_moving:
-            self._spawn(_end_replaced(old.link), f"end of link {number}")
+            self._spawn(_end_replaced(old.link), name=f"end of link {number}")
         else:
             old.link.end(LinkEnd.REPLACED)
 

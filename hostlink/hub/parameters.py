@@ -9,6 +9,7 @@ import structlog
 
 from hostlink.config import ParameterValue
 from hostlink.errors import HostlinkError, WrongType
+from hostlink.hub.spawn import Spawn
 from hostlink.hub.topic_graph import resolve
 from hostlink.link.link import Link
 from hostlink.logs import printable
@@ -37,7 +38,7 @@ class ParameterAnswers:
         self,
         settings: Mapping[str, ParameterValue],
         source: Callable[[], ParameterSource | None] = lambda: None,
-        spawn: Callable[..., None] | None = None,
+        spawn: Spawn | None = None,
     ) -> None:
         """`settings` may change at any time; `source` has what is not among them, and `spawn` waits for it."""
         self._settings = settings

@@ -35,7 +35,7 @@ class Refusals:
 
     def count(self, cause: str, peer: str) -> None:
         """Count it; log the first, then at most one in LOG_INTERVAL_S, with what came since."""
-        self._hub.refused[cause] += 1
+        self._hub.counts.refused[cause] += 1
         self._unlogged[cause] += 1
         now_s = _now_s()
         if now_s >= self._log_at_s:

@@ -37,11 +37,11 @@ async def _serve_once(hub: Hub, config: SerialConfig) -> str:
         hub.diagnoses.observe_port(config.name, error)
         return error.strerror or str(error)
     hub.diagnoses.observe_port(config.name, None)
-    link = hub.open(transport, _link_config(hub, config))
+    link = hub.links.open(transport, _link_config(hub, config))
     hub.diagnoses.observe_baud(link, config.bauds[0])
     async with asyncio.TaskGroup() as tasks:
         trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
-        await hub.serve(link)
+        await hub.links.serve(link)
         trying.cancel()
     return ""
 

@@ -40,7 +40,7 @@ class TcpAcceptor:
             leaving = self._links.pop(verdict.evicts)
             self._refusals.count(LinkEnd.EVICTED.value, leaving.peer)
             leaving.end(LinkEnd.EVICTED)
-        link = self._hub.open(transport)
+        link = self._hub.links.open(transport)
         self._links[link.number] = link
         self._hub.spawn(self._serve(link, self._authentication(transport)), name=f"link to {transport.peer}")
 
@@ -52,7 +52,7 @@ class TcpAcceptor:
 
     async def _serve(self, link: Link, authenticate: Authenticate) -> None:
         try:
-            if await self._hub.serve(link, authenticate) is LinkEnd.REFUSED:
+            if await self._hub.links.serve(link, authenticate) is LinkEnd.REFUSED:
                 self._refusals.pause(link.address)
         finally:
             self._links.pop(link.number, None)

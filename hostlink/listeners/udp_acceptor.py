@@ -70,7 +70,7 @@ class UdpAcceptor:
             return False
         if self._is_greeting(datagram):
             return self._open(port, datagram)
-        self._hub.datagrams_dropped["not_rosserial"] += 1
+        self._hub.counts.datagrams_dropped["not_rosserial"] += 1
         return False
 
     async def invite(self, ports: Sequence[UdpPort]) -> None:
@@ -105,11 +105,11 @@ class UdpAcceptor:
             connection,
             datagram,
             is_verified=is_verified,
-            dropped=self._hub.datagrams_dropped,
+            dropped=self._hub.counts.datagrams_dropped,
             on_other=lambda other: self.receive(port, other),
             on_limited=lambda: self._refusals.count("unverified", peer),
         )
-        session = _Session(self._hub.open(transport), transport)
+        session = _Session(self._hub.links.open(transport), transport)
         self._sessions[datagram.source[:2]] = session
         self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")
         return True
@@ -150,7 +150,7 @@ class UdpAcceptor:
 
     async def _serve(self, session: _Session, source: tuple[str, int]) -> None:
         try:
-            if await self._hub.serve(session.link, self._authentication(session.transport)) is LinkEnd.REFUSED:
+            if await self._hub.links.serve(session.link, self._authentication(session.transport)) is LinkEnd.REFUSED:
                 self._refusals.pause(session.link.peer)
         finally:
             if self._sessions.get(source) is session:

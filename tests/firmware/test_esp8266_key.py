@@ -130,9 +130,9 @@ async def test_the_sketch_and_the_daemon(tmp_path: Path, key: bytes, refused: se
             reader, writer = await asyncio.open_connection("127.0.0.1", sketch.uart_port)
             robot = tasks.create_task(run_over_streams(SimulatedRobot("robot_0", Catalog()), reader, writer))
             if refused:
-                await expect(lambda: host.hub.refused["wrong_key"] > 1)  # it comes again
+                await expect(lambda: host.hub.counts.refused["wrong_key"] > 1)  # it comes again
                 assert not host.hub.robots.all()
             else:
                 await expect(lambda: host.hub.robots.find("robot_0").odometry.snapshot(0.0), timeout_s=15)
-            assert set(host.hub.refused) == set(refused)
+            assert set(host.hub.counts.refused) == set(refused)
             robot.cancel()

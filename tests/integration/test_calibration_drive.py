@@ -132,7 +132,7 @@ async def test_the_numbers_of_the_robot_are_the_parameters_with_which_it_connect
             await drives.set_parameters({"/robot_0/wheel_radius": "[0.04, 0.041]"})
             with pytest.raises(HostlinkError, match=r"given 0\.03, 0\.031 as wheel_radius .* 0\.04, 0\.041 now: reset"):
                 await drives.nominal()
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         async with simulated_robot(host.tcp):
             await expect(lambda: len(answered(host)) == 3)
             assert await drives.nominal() == (0.04, 0.041, 0.15)
@@ -151,7 +151,7 @@ async def test_a_parameter_of_any_kind_that_came_after_the_connection_is_found(v
 
 def answered(host: Daemon) -> list[str]:
     """The parameters that the robots have been answered."""
-    return [name for link in host.hub.links() for name in host.hub.answered_parameters(link)]
+    return [name for link in host.hub.links.all() for name in host.hub.links.answered_parameters(link)]
 
 
 async def test_a_robot_with_a_setting_of_its_separation_believes_in_that() -> None:

@@ -48,7 +48,7 @@ async def test_a_link_that_ended_can_still_be_saved(tmp_path: Path) -> None:
         async with fake_device(host.tcp, robot_topics()) as device:
             await device.send(pose(1.0))
             assert await device.velocity() == (0.0, 0.0)  # closing what was not read is a reset
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         ended = (await host.get("/api/links"))["ended"]
         reads = [msgspec.json.decode(line, type=Read) for line in (await capture(host)).splitlines()]
         assert inspected(await capture(host), tmp_path)["messages"]["/robot_0/odometry"]["count"] == 1
@@ -62,7 +62,7 @@ async def capture_without_beginning(host: Daemon, device: FakeDevice) -> bytes:
     count = 2 * CAPTURE_BYTES // len(pose(0.0))
     await device.send(pose(1.0, 2.0, 0.5) * count)
     await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == count)
-    (link,) = host.hub.links()
+    (link,) = host.hub.links.all()
     link.opened_at_s -= 702.0
     return await capture(host)
 
@@ -152,7 +152,7 @@ async def test_only_the_last_links_are_kept() -> None:
         for _ in range(20):
             async with fake_device(host.tcp, []):
                 pass
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         ended = (await host.get("/api/links"))["ended"]
     assert [each["number"] for each in ended] == list(range(20, 4, -1))
 
@@ -163,7 +163,7 @@ async def test_a_topic_with_another_md5_is_diagnosed_in_api_and_log_in_the_same_
         async with daemon() as host:
             for _ in range(2):  # the second time within a minute is not told again
                 async with fake_device(host.tcp, [*robot_topics(), wrong]):
-                    await expect(lambda: host.hub.links() and host.hub.diagnoses.of(host.hub.links()[-1]))
+                    await expect(lambda: host.hub.links.all() and host.hub.diagnoses.of(host.hub.links.all()[-1]))
                     diagnosis = (await host.get("/api/links"))["links"][-1]["diagnosis"]
     assert [each["code"] for each in diagnosis] == ["wrong_md5"]
     assert diagnosis[0]["detail"].startswith("/odd: wanted std_msgs/Bool")

@@ -20,7 +20,7 @@ TIME = encode(Id.TIME, bytes(8))
 
 async def connected(hub: Hub, number: int, tasks: asyncio.TaskGroup) -> MemoryTransport:
     host, device = memory_pair()
-    tasks.create_task(hub.serve(hub.open(host)))
+    tasks.create_task(hub.links.serve(hub.links.open(host)))
     infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in robot_topics(f"robot_{number}"))
     await device.send(TIME + infos + TIME)
     return device
@@ -44,7 +44,7 @@ def test_links_that_end_at_once_leave_the_graph_one_in_a_turn() -> None:
             while len(ended_in) < CROWD and turn < 100 * CROWD:
                 await asyncio.sleep(0)
                 turn += 1
-            assert not hub.links()
+            assert not hub.links.all()
         return max(map(ended_in.count, ended_in)), len(ended_in)
 
     with capture_logs():

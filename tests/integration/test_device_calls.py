@@ -301,10 +301,10 @@ def test_a_call_that_is_given_up_as_its_deadline_comes_ends_no_link() -> None:
         async with in_a_call_without_an_answer() as (hub, connected):
             await connected.device.announce()
             loop, accepted = asyncio.get_running_loop(), asyncio.Event()
-            first = next(iter(hub.device_calls._calls[connected.link.number].values()))[0]
+            first = next(iter(hub.links.calls._calls[connected.link.number].values()))[0]
 
             def accept() -> None:
-                hub.device_calls.accept(connected.link, ServiceRequested(first.endpoint, b""))
+                hub.links.calls.accept(connected.link, ServiceRequested(first.endpoint, b""))
                 accepted.set()
 
             loop.call_at(first.deadline_s + SAME_TURN_S, accept)
@@ -375,8 +375,8 @@ def test_a_flood_of_calls_costs_no_memory_and_the_device_receives_an_answer() ->
                 tracemalloc.stop()
                 await connected.device.send(Id.PARAMETER, struct.pack("<I", 2) + b"/p")
                 assert await reading > 0
-                assert hub.device_calls.refused == calls - MAX_WAITING - 1
-                return tasks_now, grown, len(hub.links())
+                assert hub.links.calls.refused == calls - MAX_WAITING - 1
+                return tasks_now, grown, len(hub.links.all())
 
     tasks_now, grown, links = run_virtual(run())
     assert (tasks_now, links) == (1, 1)
@@ -439,7 +439,7 @@ def test_the_calls_of_one_device_are_bounded_and_each_is_answered() -> None:
                     if frame.topic_id >= RESPONSES:
                         answered.add(frame.topic_id)
                 assert asyncio.get_running_loop().time() < LATEST_S + 2
-                return hub.device_calls.refused
+                return hub.links.calls.refused
 
     assert run_virtual(run()) == count - MAX_CALLS
 

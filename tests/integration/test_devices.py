@@ -195,5 +195,5 @@ async def test_connections_that_are_reset_at_once_disturb_nobody() -> None:
                 visitor.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-        await expect(lambda: len(host.hub.links()) == 1)
+        await expect(lambda: len(host.hub.links.all()) == 1)
         assert not host.hub.isolation.crashes

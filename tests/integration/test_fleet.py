@@ -194,7 +194,7 @@ async def test_what_the_old_link_was_driven_by_drives_the_new_one_no_more() -> N
         async with asyncio.TaskGroup() as tasks:
 
             async def drive() -> None:
-                robot, first = host.hub.robots.find("robot_0"), host.hub.links()[0]
+                robot, first = host.hub.robots.find("robot_0"), host.hub.links.all()[0]
                 while robot.link is first:
                     host.hub.gates.command(robot, SLOW, owner="test")
                     await asyncio.sleep(0.02)
@@ -251,7 +251,7 @@ async def test_what_a_device_sends_before_it_is_identified_is_delivered_later() 
         async with fake_device(host.tcp, robot_topics()) as back:
             await back.send(b"".join(pose(x / 10) for x in range(5)))
             await expect(lambda: len(heard) == 5)
-            assert host.hub.undelivered == 0
+            assert host.hub.links.undelivered == 0
     assert heard == [0.0, 0.1, 0.2, 0.3, 0.4]
 
 
@@ -267,7 +267,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, asyncio.TaskGroup() as tasks:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         driving = tasks.create_task(drive())
-        link = host.hub.links()[0]
+        link = host.hub.links.all()[0]
         link.session.request_topics("test")
         link.wake()
         await device.announce(robot_topics()[1:])
@@ -305,7 +305,7 @@ async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:
             host.hub.gates.command(host.hub.robots.find(name), velocity, owner="test")
         await expect(lambda: all(robot.odometry.count > 10 for robot in host.hub.robots.all()))
         assert [robot.link for robot in host.hub.robots.all()] == links
-        findings = {each.code for link in host.hub.links() for each in host.hub.diagnoses.of(link)}
+        findings = {each.code for link in host.hub.links.all() for each in host.hub.diagnoses.of(link)}
         assert "reboots" not in findings
         assert "flashed_alike" in findings
         for fleet in fleets:

@@ -22,13 +22,13 @@ async def come_and_go(host: Daemon, number: int) -> "tuple[weakref.ref[object], 
     await expect(lambda: host.hub.robots.has(f"robot_{number}"))
     name = f"/robot_{number}/odometry"
     await expect(lambda: len(host.hub.topics.find(name).subscribers) > 1)  # the black box is one
-    (link,) = host.hub.links()
+    (link,) = host.hub.links.all()
     found = tuple(weakref.ref(each) for each in (link, link.session, host.hub.topics.find(name)))
     del link
     writer.write_eof()
     await reader.read()  # all of it: a reset is an error, whose traceback keeps what it passed
     writer.close()
-    await expect(lambda: not host.hub.links())
+    await expect(lambda: not host.hub.links.all())
     return found
 
 

@@ -61,7 +61,7 @@ async def test_a_crash_in_a_link_stops_its_robot_and_no_other(
     ):
         await expect(lambda: len([robot for robot in host.hub.robots.all() if robot.link]) == 2)
         await is_driven(host, "a", one)
-        host.hub._device_events._reactions[events.DeviceLogged] = crash
+        host.hub.links._device_events._reactions[events.DeviceLogged] = crash
         await one.send(encode(Id.LOG, b"\x01\x02\x00\x00\x00hi"))
         await receives_zero_and_is_cut(one)
         await is_driven(host, "b", other)
@@ -119,7 +119,7 @@ async def test_a_crash_in_the_gate_of_a_device_without_poses_leaves_the_clock_of
     ):
         await expect(lambda: host.hub.topics.find("/cart/cmd_vel").devices)
         publish(host.hub, "/cart/cmd_vel", {"linear": {"x": 0.2}}, source="test")
-        session = next(link for link in host.hub.links() if link.address != OTHER).session
+        session = next(link for link in host.hub.links.all() if link.address != OTHER).session
         session.publish = crash  # type: ignore[method-assign]
         await expect(lambda: host.hub.isolation.crashes["robot"] > 0)
         await is_driven(host, "a", robot)
@@ -159,7 +159,7 @@ async def test_without_a_free_descriptor_a_sick_device_is_diagnosed_and_a_robot_
                     opened.append(os.open("/dev/null", os.O_RDONLY))
             assert opened
             await silent.send(b"nonsense" * 100)
-            await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links()), timeout_s=15)
+            await expect(lambda: any(host.hub.diagnoses.of(link) for link in host.hub.links.all()), timeout_s=15)
             await is_driven(host, "robot_0", device)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, usual)
@@ -174,7 +174,7 @@ async def test_a_link_that_ends_from_here_leaves_a_standing_robot(cause: str) ->
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         await expect(lambda: host.hub.robots.find("robot_0").link)
         await is_driven(host, "robot_0", device)
-        link = host.hub.links()[0]
+        link = host.hub.links.all()[0]
         if cause == "idle":
             link.received_at_s -= 60.0
             link.wake()
@@ -189,8 +189,8 @@ async def test_names_requested_in_vain_are_not_kept(logged: list[dict[str, objec
         for number in range(2000):
             name = f"/{number}/{'x' * 200}".encode()
             await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))
-        await expect(lambda: host.hub.links()[0].session.counts.frames_from_device > 2000)
-        assert len(host.hub._device_events._receivers.parameters._unknown) == 256
+        await expect(lambda: host.hub.links.all()[0].session.counts.frames_from_device > 2000)
+        assert len(host.hub.links._device_events._receivers.parameters._unknown) == 256
         host.hub.parameters["/there"] = 3
         name = b"/there"
         await device.send(encode(Id.PARAMETER, len(name).to_bytes(4, "little") + name))

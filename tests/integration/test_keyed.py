@@ -45,7 +45,7 @@ async def test_a_device_with_the_key_comes_in_and_knows_that_the_host_has_it(con
         await device.announce(robot_topics())
         await device.send(pose(1.0))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-        assert not host.hub.refused
+        assert not host.hub.counts.refused
 
 
 async def test_a_device_with_another_key_is_closed_and_counted(config: Config) -> None:
@@ -54,8 +54,8 @@ async def test_a_device_with_another_key_is_closed_and_counted(config: Config) -
             with pytest.raises(asyncio.IncompleteReadError) as end:
                 await prove_key(reader, writer, b"another key, as long as it is")
             assert end.value.partial == b""  # not even the host's proof
-            await expect(lambda: not host.hub.links())
-            assert host.hub.refused == {"wrong_key": 1}
+            await expect(lambda: not host.hub.links.all())
+            assert host.hub.counts.refused == {"wrong_key": 1}
     assert [line["cause"] for line in lines if line["event"] == "connection.refused"] == ["wrong_key"]
     assert [line["reason"] for line in lines if line["event"] == "link.closed"] == ["unauthenticated"]
 
@@ -69,7 +69,7 @@ async def test_whoever_sends_something_else_is_closed(config: Config, sent_bytes
     async with daemon(config) as host, connection(host.tcp) as (reader, writer):
         writer.write(sent_bytes)
         assert len(await reader.read()) == 20  # the challenge, and no request for topics
-        assert host.hub.refused == {"no_key": 1}
+        assert host.hub.counts.refused == {"no_key": 1}
 
 
 async def test_an_address_that_needs_no_key_talks_rosserial_at_once(config: Config) -> None:

@@ -156,7 +156,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
 
 def test_the_first_robot_has_the_plain_frames_and_another_only_when_it_is_forgotten() -> None:
     def frame(hub: Hub, name: str) -> str:
-        return hub._identities._affected.robot_topics._frames[name].odom
+        return hub.links._identities._affected.robot_topics._frames[name].odom
 
     async def check(hub: Hub) -> None:
         other = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.9")

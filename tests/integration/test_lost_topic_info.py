@@ -52,14 +52,14 @@ async def test_a_stop_still_reaches_it_and_its_topics_are_requested_again(
 ) -> None:
     async with daemon() as host, fake_device(host.tcp, infos) as device:
         driven = await moving(host, device, topic_id)
-        topic_requests = host.hub.links()[0].session.counts.topic_requests
+        topic_requests = host.hub.links.all()[0].session.counts.topic_requests
         await device.send(without_velocity(infos))
-        await expect(lambda: host.hub.links()[0].session.counts.negotiations == 2)
+        await expect(lambda: host.hub.links.all()[0].session.counts.negotiations == 2)
         assert (await host.rest("POST", "/api/stop"))[0] == 200
         assert await velocity(device, topic_id, other_than=driven) == bytes(48)
-        await expect(lambda: host.hub.links()[0].session.counts.topic_requests > topic_requests)
+        await expect(lambda: host.hub.links.all()[0].session.counts.topic_requests > topic_requests)
         await device.send(announced(infos))
-        await expect(lambda: host.hub.links()[0].session.counts.negotiations == 3)
+        await expect(lambda: host.hub.links.all()[0].session.counts.negotiations == 3)
         assert await moving(host, device, topic_id) == driven
 
 
@@ -74,7 +74,7 @@ async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_r
                 host.hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
             )
             await device.send(without_velocity(infos))
-            await expect(lambda count=count: host.hub.links()[0].session.counts.negotiations == count)  # type: ignore[misc]
+            await expect(lambda count=count: host.hub.links.all()[0].session.counts.negotiations == count)  # type: ignore[misc]
         assert host.hub.robots.find("robot_0").link is None
         async with asyncio.timeout(5):
             assert await velocity(device, topic_id, other_than=driven) == bytes(48)

@@ -80,7 +80,7 @@ async def test_late_answers_of_services() -> None:
         for count in (1, 2):  # of devices that are gone, too
             async with fake_device(host.tcp, infos) as device:
                 await device.send(encode(125, b"\x01" + bytes(4)))
-                await expect(lambda count=count: host.hub.late_answers == count)
+                await expect(lambda count=count: host.hub.links.late_answers == count)
         assert (await metrics(host))["hostlink_service_late_answers_total[]"] == 2
 
 
@@ -129,7 +129,7 @@ async def test_the_dashboard_and_the_alerts_name_metrics_that_exist() -> None:
     async with daemon() as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
         await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5) + battery(7.5))
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
-        host.hub.refused["test"] += 1
+        host.hub.counts.refused["test"] += 1
         host.hub.isolation.crashes["test"] += 1
         observed = {name.partition("[")[0] for name in await metrics(host)}
     assert len(shown) > 10

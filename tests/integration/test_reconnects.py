@@ -57,9 +57,9 @@ async def test_a_thousand_reconnects_leave_nothing_behind() -> None:
         for turn in range(RECONNECTS):
             await come_and_vanish(host, turn)
             if turn % SAMPLE_EVERY == 0:
-                await expect(lambda: not host.hub.links())
+                await expect(lambda: not host.hub.links.all())
                 samples.append((in_use(), resident_bytes()))
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         assert not host.hub.isolation.crashes
         assert [topic.name for topic in host.hub.topics.all()] == ["/diagnostics", "/rosout"]
         assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("link")]

@@ -79,7 +79,7 @@ async def test_a_fault_that_ends_the_connection_ends_it_at_both_ends(kind: Kind)
         await expect(lambda: host.hub.robots.find("robot_0").link)
         relay.inflict(Fault(kind, 0.0, None))
         assert await is_gone(device)
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         async with fake_device(address, robot_topics()) as again:
             await again.send(pose(1.0))
             await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
@@ -96,9 +96,9 @@ async def test_a_half_open_link_stays_open_for_the_host_until_the_robot_is_back(
         old = host.hub.robots.find("robot_0").link
         relay.inflict(Fault(Kind.HALF_OPEN, 0.0, None))
         assert await is_gone(device)
-        assert host.hub.links() == [old]
+        assert host.hub.links.all() == [old]
         async with fake_device(address, robot_topics()):
-            await expect(lambda: host.hub.links() not in ([], [old]) and old not in host.hub.links())
+            await expect(lambda: host.hub.links.all() not in ([], [old]) and old not in host.hub.links.all())
 
 
 async def test_the_program_reports_what_it_did() -> None:

@@ -85,7 +85,7 @@ async def test_a_robot_that_left_is_known_and_cannot_be_driven() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()):
             assert (await host.rest("GET", "/readyz"))[0] == 200
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         status, error = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0}')
         assert (status, error["error"]["kind"]) == (503, "DeviceGone")
         assert (await host.get("/api/robots/robot_0"))["connected"] is False

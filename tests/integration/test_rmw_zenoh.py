@@ -109,7 +109,7 @@ async def test_a_robot_that_leaves_is_not_listed_any_more() -> None:
     async with bridged() as world, ros2_peer(world.address) as peer:
         async with fake_device(world.daemon.tcp, robot_topics()):
             await lists(peer, {"/robot_0/odom": ODOMETRY})
-        await expect(lambda: world.daemon.hub.links() == [])
+        await expect(lambda: world.daemon.hub.links.all() == [])
         async with asyncio.timeout(5):
             while "/robot_0/odom" in await peer.request("topics", "topics"):
                 pass

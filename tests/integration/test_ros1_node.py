@@ -265,7 +265,7 @@ async def test_a_program_of_ros_that_calls_and_leaves_ends_its_call(made: Scene)
 async def test_sim_time_is_wanted_as_nodes_of_ros_read_it(made: Scene, value: object) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     await made.master.call("paramUpdate", "/master", "/use_sim_time", value)
-    assert made.daemon.hub.wall_ns() == 0  # before the first message of /clock
+    assert made.daemon.hub.links.wall_ns() == 0  # before the first message of /clock
     for other in (False, 0, "", {}):
         await made.master.call("paramUpdate", "/master", "/use_sim_time", other)
-        assert made.daemon.hub.wall_ns() > 0
+        assert made.daemon.hub.links.wall_ns() > 0

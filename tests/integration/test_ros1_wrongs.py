@@ -92,7 +92,7 @@ async def test_whoever_sends_no_header_keeps_no_subscriber_out() -> None:
     async with fake_master() as master, scene(master, max_connections=4) as made, contextlib.AsyncExitStack() as stack:
         address = await made.tcpros()
         silent = [await stack.enter_async_context(connection(address)) for _ in range(4)]
-        await expect(lambda: len(made.daemon.hub.links()) == 1)
+        await expect(lambda: len(made.daemon.hub.links.all()) == 1)
         for _ in range(3):
             subscriber = await stack.enter_async_context(connection(address, **SUBSCRIBER))
             assert "error" not in await subscriber.read_header()
@@ -260,7 +260,7 @@ async def test_a_list_of_a_thousand_publishers_fits(made: Scene) -> None:
 
 async def test_updates_of_parameters_cost_a_bounded_memory(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
-    source = made.daemon.hub.parameter_source
+    source = made.daemon.hub.links.parameter_source
     assert source is not None
     for number in range(20):
         assert decode_answer(await made.master.call("paramUpdate", "/x", f"/hostlink/k{number}/", "A" * 10_000)) == 0
@@ -316,7 +316,7 @@ async def test_a_registration_that_was_lost_alone_is_made_again(made: Scene) -> 
 async def test_another_node_that_the_master_has_under_this_name_ends_this_one(made: Scene) -> None:
     await made.master.knows("Publisher", ODOMETRY)
     made.master.node_uri = made.master.other_uri = "http://127.0.0.1:1/"
-    await expect(lambda: made.daemon.hub.parameter_source is None)
+    await expect(lambda: made.daemon.hub.links.parameter_source is None)
     assert made.daemon.hub.robots.find("robot_0").link is not None
 
 

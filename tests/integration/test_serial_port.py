@@ -81,10 +81,10 @@ async def test_a_board_that_comes_back_under_another_name_is_found_again(tmp_pat
                 board = Board()
                 by_id.symlink_to(board.path)
                 await expect(is_connected(host.hub))
-                assert host.hub.links()[0].address == str(tmp_path / "usb-Arduino_*")
+                assert host.hub.links.all()[0].address == str(tmp_path / "usb-Arduino_*")
                 by_id.unlink()
                 board.unplug()
-                await expect(lambda: not host.hub.links())
+                await expect(lambda: not host.hub.links.all())
     waiting = next(line["reason"] for line in lines if line["event"] == "serial.waiting")
     assert "[Errno" not in waiting
     assert "no such port; there are:" in waiting
@@ -96,7 +96,7 @@ async def test_the_rates_are_tried_until_frames_come() -> None:
     with capture_logs() as lines:
         async with served(config) as host:
             await expect(is_connected(host.hub))
-            assert [link.number for link in host.hub.links()] == [1]  # the port was opened once
+            assert [link.number for link in host.hub.links.all()] == [1]  # the port was opened once
             await expect(lambda: any(line["event"] == "serial.baud_found" for line in lines))
     assert board.speeds_set == [termios.B57600, termios.B115200]
     assert next(line["baud"] for line in lines if line["event"] == "serial.baud_found") == 115200
@@ -125,7 +125,7 @@ async def test_a_port_that_vanishes_again_and_again_leaves_nothing_behind(tmp_pa
             await expect(is_connected(host.hub))
             path.unlink()
             board.unplug()
-            await expect(lambda: not host.hub.links())
+            await expect(lambda: not host.hub.links.all())
             if turn >= 10:  # the pool of threads has grown to its size
                 observed.append(in_use())
     for counts in zip(*observed, strict=True):

@@ -92,7 +92,7 @@ async def test_a_device_that_leaves_fails_its_calls_at_once() -> None:
             tasks.create_task(call())
             await device.frame(100)
             device.hang_up()
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         with pytest.raises(UnknownTopic, match="no service named /set_led"):
             await host.hub.services.call("/set_led", {"data": True})
 
@@ -152,16 +152,16 @@ async def test_of_two_devices_with_one_service_the_newest_is_called_as_long_as_i
 
     async with daemon() as host, fake_device(host.tcp, SET_LED) as first:
         async with fake_device(host.tcp, SET_LED, local_host="127.0.0.2") as second:
-            await expect(lambda: len(host.hub.links()) == 2)
+            await expect(lambda: len(host.hub.links.all()) == 2)
             assert await called(second, "second") == "second"
-        await expect(lambda: len(host.hub.links()) == 1)
+        await expect(lambda: len(host.hub.links.all()) == 1)
         assert await called(first, "first") == "first"
 
 
 async def test_a_device_cannot_replace_hostlinks_own_services() -> None:
     lock = [info._replace(name="/robot_0/lock", type="std_srvs/SetBool") for info in SET_LED]
     async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, lock) as thief:
-        await expect(lambda: len([link for link in host.hub.links() if link.session.counts.negotiations]) == 2)
+        await expect(lambda: len([link for link in host.hub.links.all() if link.session.counts.negotiations]) == 2)
         assert host.hub.services.of_device("/robot_0/lock") is None
         await host.hub.services.call("/robot_0/lock", {})
         assert host.hub.robots.find("robot_0").gate.lock_reason is not None
@@ -229,4 +229,4 @@ async def test_a_device_whose_call_fails_gets_an_answer_instead_of_waiting_for_e
 async def test_an_answer_without_a_call_is_counted_and_harmless() -> None:
     async with daemon() as host, fake_device(host.tcp, SET_LED) as device:
         await device.send(encode(125, answer("unasked")))
-        await expect(lambda: host.hub.late_answers == 1)
+        await expect(lambda: host.hub.links.late_answers == 1)

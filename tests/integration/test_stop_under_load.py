@@ -289,7 +289,7 @@ def test_a_device_with_hundreds_of_velocities_leaves_each_turn_of_the_loop_to_ot
     async def run() -> list[int]:
         async with running_hub(Hub(Config(), CATALOG, reraises=True)) as hub:
             host_end, device_end = memory_pair()
-            hub.spawn(hub.serve(hub.open(host_end)), name="link")
+            hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
             twist = robot_topics()[1]
             topics = [twist._replace(topic_id=100 + each, name=f"/{each}/cmd_vel") for each in range(256)]
             infos = b"".join(encode(info.kind, encode_topic_info(info)) for info in topics)
@@ -339,7 +339,7 @@ async def deaf(room_bytes: int, write_timeout_s: float = 5.0) -> AsyncIterator[D
         await hub.is_running.wait()
         host_end, device_end = memory_pair(room_bytes=room_bytes)
         device = Deaf(hub, device_end)
-        hub.spawn(hub.serve(hub.open(host_end)), name="link")
+        hub.spawn(hub.links.serve(hub.links.open(host_end)), name="link")
         await device.announce()
         assert await device.velocities(3) == [STOP] * 3
         yield device

@@ -44,14 +44,14 @@ async def test_a_silent_crowd_does_not_keep_a_robot_out() -> None:
     config = Config(tcp=TcpConfig(max_connections=20, max_connections_per_address=15))
     with capture_logs() as lines:
         async with daemon(config) as host, silent_connections(host.tcp, 300, local_host=CROWD):
-            await expect(lambda: host.hub.refused["too_many_of_address"] == 285)
+            await expect(lambda: host.hub.counts.refused["too_many_of_address"] == 285)
             async with silent_connections(host.tcp, 15, local_host="127.0.0.4"):
-                await expect(lambda: host.hub.refused["too_many"] == 5)
+                await expect(lambda: host.hub.counts.refused["too_many"] == 5)
                 async with fake_device(host.tcp, robot_topics(), local_host=ROBOT) as device:
                     await device.send(pose(1.0))
                     await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-                    await expect(lambda: len(host.hub.links()) == 20)
-                    assert host.hub.refused == {"too_many_of_address": 285, "too_many": 5, "evicted": 6}
+                    await expect(lambda: len(host.hub.links.all()) == 20)
+                    assert host.hub.counts.refused == {"too_many_of_address": 285, "too_many": 5, "evicted": 6}
                     assert host.hub.robots.find("robot_0").link is not None
     reported = [line for line in lines if line["event"] == "connection.refused"]
     assert len(reported) == 1  # not one for each
@@ -71,4 +71,4 @@ async def test_a_device_that_announced_its_topics_is_not_evicted_for_another() -
         await second.send(pose(1.0))
         for name in ("/a/odometry", "/b/odometry"):
             await expect(lambda name=name: host.hub.topics.find(name).messages == 1)
-        assert host.hub.refused == {"too_many": 1}
+        assert host.hub.counts.refused == {"too_many": 1}

@@ -90,7 +90,7 @@ class TestSession:
             await second.send(pose(2.0))
             for name in ("a", "b"):
                 await expect(lambda name=name: host.hub.topics.find(f"/{name}/odometry").messages == 1)
-            assert len(host.hub.links()) == 2
+            assert len(host.hub.links.all()) == 2
 
     async def test_silence_ends_the_session_after_a_last_zero_and_the_next_frame_begins_another(self) -> None:
         link = LinkConfig(silence_timeout_s=0.3, idle_timeout_s=0.3)
@@ -104,7 +104,7 @@ class TestSession:
             assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
             status, _ = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}')
             assert status == 503
-            await expect(lambda: not host.hub.links())
+            await expect(lambda: not host.hub.links.all())
             await device.send(pose(1.0))
             await device.announce(robot_topics())
             await expect(lambda: robot.link is not None)
@@ -114,7 +114,7 @@ class TestSession:
             async with udp_device(host.udp, robot_topics(), local=(ROBOT, 0)) as before:
                 await before.send(pose(1.0))
             async with udp_device(host.udp, robot_topics(), local=(ROBOT, 0)):
-                await expect(lambda: len(host.hub.links()) == 1, timeout_s=8)
+                await expect(lambda: len(host.hub.links.all()) == 1, timeout_s=8)
                 assert [robot.name for robot in host.hub.robots.all()] == ["robot_0"]
 
     async def test_a_frame_is_a_datagram_and_a_longer_one_is_several(self) -> None:
@@ -153,7 +153,7 @@ class TestSession:
             await device.send(b"")
             await device.send(pose(1.0))
             await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 1)
-            assert host.hub.datagrams_dropped == {"too_large": 1}
+            assert host.hub.counts.datagrams_dropped == {"too_large": 1}
 
     async def test_a_device_on_tcp_and_one_on_udp_are_two_robots(self) -> None:
         async with (
@@ -221,10 +221,10 @@ class TestStrangers:
                 for sender in senders:
                     for data in (b"x", dice.randbytes(1000), GREETING[:-1], b"\xff\xfe" * 100, HELLO):
                         sender.send(data)
-                await expect(lambda: host.hub.datagrams_dropped["not_rosserial"] == 100)
+                await expect(lambda: host.hub.counts.datagrams_dropped["not_rosserial"] == 100)
                 await asyncio.sleep(A_WHILE_S)
                 assert [came_back(sender) for sender in senders] == [0] * 20
-            assert not host.hub.links()
+            assert not host.hub.links.all()
             text = (await (await host.session.get(host.url + "/metrics")).read()).decode()
             assert 'hostlink_datagrams_dropped_total{cause="not_rosserial"} 100.0' in text
 
@@ -296,8 +296,8 @@ class TestStrangers:
                     sender.send(GREETING + infos)
                     sender.send(GREETING)
                     await works.send(pose(0.0))
-                await expect(lambda: host.hub.refused.total() >= 1)
-                assert len(host.hub.links()) <= 1 + 4
+                await expect(lambda: host.hub.counts.refused.total() >= 1)
+                assert len(host.hub.links.all()) <= 1 + 4
                 async with udp_device(host.udp, robot_topics("late"), local=(ROBOT, 0)) as late:
                     await late.send(pose(0.0))
                     await expect(lambda: host.hub.robots.find("late").link is not None)
@@ -322,14 +322,14 @@ class TestStrangers:
             with blind_sockets(64, host.udp) as senders:
                 for sender in senders:
                     sender.send(GREETING)
-                await expect(lambda: host.hub.refused["too_fast"] > 0)
-                assert len(host.hub.links()) <= OPENED_A_SECOND + 5
+                await expect(lambda: host.hub.counts.refused["too_fast"] > 0)
+                assert len(host.hub.links.all()) <= OPENED_A_SECOND + 5
 
     async def test_an_address_that_is_not_allowed_gets_nothing(self) -> None:
         async with host_of(UdpConfig(allow=(f"{ROBOT}/32",))) as host:
             with blind_sockets(1, host.udp, local_host=OTHER) as (refused,):
                 refused.send(GREETING)
-                await expect(lambda: host.hub.refused == {"not_allowed": 1})
+                await expect(lambda: host.hub.counts.refused == {"not_allowed": 1})
                 async with udp_device(host.udp, robot_topics(), local=(ROBOT, 0)):
                     await expect(host.hub.robots.all)
                 assert came_back(refused) == 0
@@ -344,7 +344,7 @@ class TestInvitation:
         async with host_of(udp) as host, udp_device(host.udp, local=local) as device:
             await device.announce(robot_topics())
             await expect(host.hub.robots.all)
-            assert host.hub.links()[0].peer == "{}:{}".format(*local)
+            assert host.hub.links.all()[0].peer == "{}:{}".format(*local)
 
     @pytest.mark.parametrize("text", ["192.168.4.2", "robot:11411", "192.168.4.2:0", "192.168.4.2:65536", ":11411"])
     def test_what_is_no_address_is_refused(self, text: str) -> None:
@@ -371,17 +371,17 @@ class TestKey:
             assert await loop.sock_recv(device.socket, 100) == proof(KEY, b"host", theirs, ours)
             await device.announce(robot_topics())
             await expect(host.hub.robots.all)
-            assert not host.hub.refused
+            assert not host.hub.counts.refused
 
     async def test_a_device_without_it_is_sent_nothing_and_counted(self, keyed: UdpConfig) -> None:
         async with host_of(keyed) as host, udp_device(host.udp) as device:
             await device.greet()
-            await expect(lambda: host.hub.datagrams_dropped == {"not_rosserial": 1})
+            await expect(lambda: host.hub.counts.datagrams_dropped == {"not_rosserial": 1})
             await device.send(HELLO)
             await asyncio.get_running_loop().sock_recv(device.socket, 100)
             await device.send(MAGIC + bytes(range(RANDOM_BYTES)) + bytes(32))
-            await expect(lambda: host.hub.refused == {"wrong_key": 1})
-            await expect(lambda: not host.hub.links())
+            await expect(lambda: host.hub.counts.refused == {"wrong_key": 1})
+            await expect(lambda: not host.hub.links.all())
             assert device.read_waiting() == []
 
     async def test_a_key_that_cannot_be_read_is_refused_by_name(self, tmp_path: Path) -> None:
@@ -394,7 +394,7 @@ async def test_a_port_in_use_is_named_and_no_second_host_shares_it() -> None:
     async with host_of() as host:
         with pytest.raises(ConfigError, match=r"^UDP 127.0.0.1:\d+: is in use: .*--udp HOST:PORT"):
             async with serve_udp(
-                UdpConfig(host="127.0.0.1", port=host.udp[1]), host.hub.datagrams_dropped, lambda _port, _: False
+                UdpConfig(host="127.0.0.1", port=host.udp[1]), host.hub.counts.datagrams_dropped, lambda _port, _: False
             ):
                 raise AssertionError("two hosts on one port")
 
@@ -408,4 +408,4 @@ async def test_a_device_over_ipv6_is_served() -> None:
             device.send(GREETING)
             loop = asyncio.get_running_loop()
             assert await loop.sock_recv(device, 100) == TOPICS_REQUEST
-            assert [link.peer for link in host.hub.links()] == [f"[::1]:{device.getsockname()[1]}"]
+            assert [link.peer for link in host.hub.links.all()] == [f"[::1]:{device.getsockname()[1]}"]

@@ -98,5 +98,5 @@ async def test_a_robot_comes_in_beside_a_flood_of_greetings() -> None:
                 for _ in range(20):
                     await device.greet()
                     await asyncio.sleep(0.01)
-                if host.hub.links() and any(link.address == ROBOT for link in host.hub.links()):
+                if host.hub.links.all() and any(link.address == ROBOT for link in host.hub.links.all()):
                     break

@@ -46,7 +46,7 @@ async def test_it_is_driven_and_stops_when_its_driver_leaves(trusted: tuple[str,
         stood_m = x_m(host.hub)
         await asyncio.sleep(0.5)
         assert x_m(host.hub) == pytest.approx(stood_m, abs=0.002)
-        link = host.hub.links()[0]
+        link = host.hub.links.all()[0]
         assert link.session.counts.skipped_bytes == 0
         assert link.session.counts.negotiations == 1
 

@@ -57,7 +57,7 @@ async def test_a_device_that_resets_in_the_middle_of_a_frame() -> None:
             device.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         await other.send(pose(2.0))
         await expect(lambda: host.hub.topics.find("/other/odometry").messages == 1)
-        await expect(lambda: len(host.hub.links()) == 1)
+        await expect(lambda: len(host.hub.links.all()) == 1)
         assert await works(host)
 
 
@@ -66,7 +66,7 @@ async def test_a_device_with_a_service_client_disconnects() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, SERVICE_CLIENT) as device:
             await device.send(encode(125, b"\x01"))
-        await expect(lambda: not host.hub.links())
+        await expect(lambda: not host.hub.links.all())
         assert await works(host)
 
 
@@ -177,7 +177,7 @@ async def test_a_device_that_never_reads() -> None:
     """A queue without limit | its messages can stop too. Here: 16 wait, newer ones replace, its messages go on."""
     text = [topic(Id.SUBSCRIBER, 101, "/text", "std_msgs/String", buffer_bytes=60_000)]
     async with daemon() as host, fake_device(host.tcp, robot_topics()[:1] + text) as device:
-        link = host.hub.links()[0]
+        link = host.hub.links.all()[0]
         sent = 0
         while not link.session.replaced:
             publish(host.hub, "/text", {"data": "x" * 50_000}, source="test")
@@ -213,7 +213,7 @@ async def test_each_reconnect() -> None:
         for _ in range(50):
             async with fake_device(host.tcp, robot_topics()):
                 pass
-            await expect(lambda: not host.hub.links())
+            await expect(lambda: not host.hub.links.all())
             before = before or in_use()
         assert in_use() <= before
 

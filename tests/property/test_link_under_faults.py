@@ -132,8 +132,8 @@ class Faults(RuleBasedStateMachine):
         more, less = delivered - intact, intact - delivered
         assert more.total() == invented  # a damaged frame that passes the checksum: measured, not excluded
         waiting = (
-            sum(len(device.early) for device in self.world.hub._identities.devices.values())
-            + self.world.hub.undelivered
+            sum(len(device.early) for device in self.world.hub.links._identities.devices.values())
+            + self.world.hub.links.undelivered
         )
         assert less.total() <= unknown + invented + waiting  # and what such a frame reaches into
         if not self.is_dirty:

@@ -396,7 +396,7 @@ class Scene:
         caller = self.hub.join("asker")
         assert (await caller.call("/neighbour", {}))["message"] == "here"
         caller.leave()
-        assert len(self.hub.links()) == 2
+        assert len(self.hub.links.all()) == 2
         assert self.hub.isolation.crashes.keys() <= {"participant"}
 
     def speeds(self) -> list[float]:

@@ -164,11 +164,11 @@ class Connected:
 async def ros_lib_device(hub: Hub, topics: list[TopicInfo], response: MessageType) -> AsyncIterator[Connected]:
     """A device that has announced its topics to a running hub."""
     host_end, device_end = memory_pair()
-    link = hub.open(host_end)
+    link = hub.links.open(host_end)
     made = Connected(RosLibDevice(device_end, topics, response), link)
 
     async def serve() -> None:
-        made.end = await hub.serve(link)
+        made.end = await hub.links.serve(link)
 
     hub.spawn(serve(), name="link of a test")
     while (await made.device.next()).topic_id != Id.PUBLISHER:

@@ -21,9 +21,9 @@ class ScriptedDevice:
             host_end.peer = peer
         self.infos = list(infos)
         self.heard: list[tuple[float, Frame]] = []
-        self.link: Link = hub.open(host_end)
+        self.link: Link = hub.links.open(host_end)
         self._stream = FrameStream()
-        hub.spawn(hub.serve(self.link), name=f"link of {address}")
+        hub.spawn(hub.links.serve(self.link), name=f"link of {address}")
         self.task = asyncio.get_running_loop().create_task(self._listen(), name=f"device at {address}")
 
     def payloads(self, topic_id: int) -> list[bytes]:

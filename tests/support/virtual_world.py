@@ -71,7 +71,7 @@ class World:
 
     def is_working(self) -> bool:
         """Whether the host knows the robot, on a connection that is the device's newest."""
-        links = {link.peer for link in self.hub.links()}
+        links = {link.peer for link in self.hub.links.all()}
         with contextlib.suppress(HostlinkError):
             robot = self.hub.robots.find("robot_0")
             return robot.link is not None and robot.link.peer == self.taps[-1].peer in links
@@ -103,9 +103,9 @@ async def world(
             host_end, relay_end = memory_pair()
             tap = Tap(host_end, number=len(taps))
             taps.append(tap)
-            link = hub.open(tap)
+            link = hub.links.open(tap)
             tap.session = link.session
-            hub.spawn(hub.serve(link), name=f"link to {tap.peer}")
+            hub.spawn(hub.links.serve(link), name=f"link to {tap.peer}")
             return relay_end
 
         async def reach_relay() -> MemoryTransport:

@@ -76,7 +76,7 @@ async def test_a_recording_is_printable(tmp_path: Path) -> None:
     log = encode(Id.LOG, bytes([3]) + struct.pack("<I", len(HOSTILE.encode())) + HOSTILE.encode())
     async with daemon() as host, fake_device(host.tcp, TOPICS) as device:
         await device.send(log)
-        await expect(lambda: host.hub.links()[0].session.counts.frames_from_device >= 7)
+        await expect(lambda: host.hub.links.all()[0].session.counts.frames_from_device >= 7)
         assert (await run("capture", "1", "-o", str(file), "--url", host.url))[0] == 0
     for command in ("inspect", "doctor"):
         _, out, err = await run(command, str(file))

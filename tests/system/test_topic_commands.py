@@ -122,7 +122,7 @@ async def test_topics_with_rates_and_lists_of_services_robots_links_and_clients(
 
 
 def peer(host: Daemon) -> str:
-    return host.hub.links()[0].peer.rpartition(":")[2]
+    return host.hub.links.all()[0].peer.rpartition(":")[2]
 
 
 async def test_an_empty_daemon_says_what_to_do() -> None:

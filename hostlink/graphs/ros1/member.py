@@ -49,12 +49,12 @@ class Member:
         hub = self._parts.hub
         watcher = hub.join(GROUP, group=GROUP, on_end=lambda: self.shut_down(CRASHED))
         watcher.watch_graph(lambda: self._update(watcher.graph()))
-        hub.parameter_source = self._parameters
-        hub.graph_counts[GROUP] = lambda: counting.of(self._parts.counts)
+        hub.links.parameter_source = self._parameters
+        hub.counts.graphs[GROUP] = lambda: counting.of(self._parts.counts)
         try:
             yield
         finally:
-            hub.parameter_source = None
+            hub.links.parameter_source = None
             self._sim_time.update(is_wanted=False)
             watcher.leave()
             self._services.close()
@@ -89,8 +89,8 @@ class Member:
         self._registrar.note_change()
 
     def _name_map(self) -> NameMap:
-        hub = self._parts.hub
-        announced = [(info.name, hub.shown_name(link, info.name)) for link in hub.links() for info in link.topics]
+        links = self._parts.hub.links
+        announced = [(info.name, links.shown_name(link, info.name)) for link in links.all() for info in link.topics]
         return NameMap(self._names, announced)
 
     def _follow_parameters(self) -> None:

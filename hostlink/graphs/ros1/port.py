@@ -16,8 +16,7 @@ from typing import Any, Protocol
 
 from hostlink.acceptor import Acceptor, bind, close_all
 from hostlink.graphs.ros1.counts import Counts
-
-Spawn = Callable[..., object]
+from hostlink.hub.spawn import Spawn
 
 
 class Admitted(Protocol):

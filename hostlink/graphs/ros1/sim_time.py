@@ -27,12 +27,12 @@ class SimTime:
         if self._participant is not None:
             self._participant.leave()
             self._participant = None
-            self._hub.wall_ns = time.time_ns
+            self._hub.links.wall_ns = time.time_ns
             return
         self._now_ns = 0
         self._participant = self._hub.join("ros1 clock")
         self._participant.subscribe(CLOCK, self._receive, type_name=CLOCK_TYPE)
-        self._hub.wall_ns = self._read_ns
+        self._hub.links.wall_ns = self._read_ns
 
     def _read_ns(self) -> int:
         return self._now_ns

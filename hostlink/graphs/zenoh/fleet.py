@@ -43,7 +43,7 @@ class Fleet:
 
     def __init__(self, hub: Hub, session: Session, config: ZenohConfig) -> None:
         counts: Counter[str] = Counter()
-        hub.graph_counts["fleet"] = lambda: counts
+        hub.counts.graphs["fleet"] = lambda: counts
         me = Sender(config.name or _host_name(), session.zid)
         self._hub, self._post = hub, Post(session, Keys(config.fleet_name), me, counts, config.drivers)
         self._roster = Roster(counts, forget_after_s=hub.config.link.forget_robot_after_s)

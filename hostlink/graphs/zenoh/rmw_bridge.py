@@ -225,7 +225,7 @@ async def ros2_bridged(hub: Hub, session: Session, config: ZenohConfig) -> Async
     name = re.sub(r"\W", "_", config.name or socket.gethostname(), flags=re.ASCII)
     token = NodeToken(config.ros_domain_id, session.zid, 0, "/", f"hostlink_{name}", OWN_ENCLAVE)
     bridge = RmwBridge(hub, session, types, token)
-    hub.graph_counts["ros2"] = lambda: bridge.counts
+    hub.counts.graphs["ros2"] = lambda: bridge.counts
     log.info("ros2.joined", node=token.full_name, domain=token.domain, distribution=config.ros_distribution)
     try:
         async with asyncio.TaskGroup() as tasks:

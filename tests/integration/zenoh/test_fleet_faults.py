@@ -51,7 +51,7 @@ async def test_a_network_that_is_cut_ends_the_lease_where_the_robot_is_and_shows
         line.break_off()
         await expect(lambda: b.hub.robots.remote["robot_7"].link, timeout_s=20.0)
         assert b.hub.robots.remote["robot_7"].link != before  # whoever drove must drive again
-        await expect(lambda: a.hub.graph_counts["fleet"]()["met"] == 2)
+        await expect(lambda: a.hub.counts.graphs["fleet"]()["met"] == 2)
         assert (await drive(b, "robot_7", 0.1))[0] == 200
 
 
@@ -67,9 +67,9 @@ async def test_commands_that_were_held_up_move_nobody() -> None:
         await asyncio.sleep(
             0.2
         )  # so that it is over a lease late; Zenoh gives the connection up a second after the stall
-        refused = a.hub.graph_counts["fleet"]()["refused"]
+        refused = a.hub.counts.graphs["fleet"]()["refused"]
         line.set_line(Line.WORKS)
-        await expect(lambda: a.hub.graph_counts["fleet"]()["refused"] > refused)
+        await expect(lambda: a.hub.counts.graphs["fleet"]()["refused"] > refused)
         assert a.hub.robots.find_here("robot_7").gate.owner is None
 
 
@@ -81,7 +81,7 @@ async def test_a_first_command_that_was_held_up_moves_nobody() -> None:
         b.hub.join("driver").drive(found, Velocity(linear_x_m_s=0.3))
         await asyncio.sleep(0.7)
         line.set_line(Line.WORKS)
-        await expect(lambda: a.hub.graph_counts["fleet"]()["refused"])
+        await expect(lambda: a.hub.counts.graphs["fleet"]()["refused"])
         assert a.hub.robots.find_here("robot_7").gate.counts.commands == 0
 
 
@@ -173,15 +173,15 @@ async def test_a_robot_s_topics_stay_below_its_name() -> None:
         await expect(lambda: a.hub.topics.find_or_none("/robot_66/odom"))
         assert a.hub.topics.find_or_none("/tf") is None
         assert a.hub.topics.find_or_none("/robot_7/cmd_vel") is None
-        assert a.hub.graph_counts["fleet"]()["foreign_topics"] >= 2
-        assert a.hub.graph_counts["fleet"]()["refused_topics"] >= 1
+        assert a.hub.counts.graphs["fleet"]()["foreign_topics"] >= 2
+        assert a.hub.counts.graphs["fleet"]()["refused_topics"] >= 1
 
 
 @pytest.mark.parametrize("payload", [b"", b"{", b'{"robots":1}', b"[" * 1000, b"x" * 1000, b'{"type":"drive"}'])
 async def test_what_is_malformed_is_counted_and_costs_nothing(payload: bytes) -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
-        counts, me = b.hub.graph_counts["fleet"](), _zid_of(a, "robot_7")
+        counts, me = b.hub.counts.graphs["fleet"](), _zid_of(a, "robot_7")
         await _until_heard(b, liar, "robot_66")
         before = counts["malformed"]
         for verb in ("state", "stop"):
@@ -201,7 +201,7 @@ async def test_what_is_too_large_is_dropped() -> None:
     async with lied_to() as (a, b, liar), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
         await _until_heard(b, liar, "robot_66")
-        counts = b.hub.graph_counts["zenoh"]()
+        counts = b.hub.counts.graphs["zenoh"]()
         for verb, size_bytes, to in (("state", 300 * 1024, ""), ("drive", 8192, _zid_of(a, "robot_7"))):
             before = counts["oversized"]
 
@@ -238,7 +238,7 @@ async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
         async with asyncio.TaskGroup() as tasks:
             pouring = tasks.create_task(asyncio.to_thread(pour))
             try:
-                await expect(lambda: b.hub.graph_counts["zenoh"]()["dropped"] > 100)
+                await expect(lambda: b.hub.counts.graphs["zenoh"]()["dropped"] > 100)
                 participant = a.hub.join("driver")
                 participant.drive(found, Velocity(linear_x_m_s=0.2))
                 assert await device.velocity_other_than(STILL) == MOVING
@@ -288,7 +288,7 @@ async def test_many_drivers_of_one_peer_are_bounded() -> None:
             )
             liar.put("drive", encode(request), to=_zid_of(a, "robot_7"))
             await asyncio.sleep(0.002)  # 64 of them wait at the most
-        await expect(lambda: b.hub.graph_counts["fleet"]()["excess_drivers"] > 10)
+        await expect(lambda: b.hub.counts.graphs["fleet"]()["excess_drivers"] > 10)
         holder = b.hub.robots.find_here("robot_7").gate.owner_name
         assert holder is not None
         assert holder.isprintable()

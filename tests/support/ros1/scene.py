@@ -33,7 +33,7 @@ class Scene:
 
     @property
     def counts(self) -> dict[str, int]:
-        return dict(self.daemon.hub.graph_counts["ros1"]())
+        return dict(self.daemon.hub.counts.graphs["ros1"]())
 
     async def tcpros(self) -> tuple[str, int]:
         """Where the daemon's topics are."""

@@ -24,7 +24,7 @@ def crowd(hub: Hub) -> None:
     ]
     announced = b"".join(encode(info.kind, encode_topic_info(info)) for info in infos)
     for _ in range(LINKS):
-        session = hub.open(memory_pair()[0]).session
+        session = hub.links.open(memory_pair()[0]).session
         session.open(now_s=0.0)
         session.receive(announced, now_s=0.0)
         session.tick(now_s=1.0)

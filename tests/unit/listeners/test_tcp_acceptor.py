@@ -31,13 +31,13 @@ async def come(acceptor: TcpAcceptor, address: str, name: str) -> MemoryTranspor
     try:
         await device.send(announcement(name))
     except ConnectionResetError:
-        assert acceptor._hub.refused  # it was not let in
+        assert acceptor._hub.counts.refused  # it was not let in
     await asyncio.sleep(0.1)
     return device
 
 
 def connected(hub: Hub) -> list[str]:
-    return [link.address for link in hub.links()]
+    return [link.address for link in hub.links.all()]
 
 
 async def one_too_many() -> Hub:
@@ -65,6 +65,6 @@ async def one_too_many() -> Hub:
 def test_a_robot_for_which_there_is_no_room_waits_before_it_may_try_again() -> None:
     with capture_logs() as lines:
         hub = run_virtual(one_too_many())
-    assert hub.refused == {"too_many_robots": 9}
+    assert hub.counts.refused == {"too_many_robots": 9}
     reported = [line["event"] for line in lines]
     assert (reported.count("link.refused"), reported.count("connection.refused")) == (1, 1)
