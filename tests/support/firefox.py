@@ -15,6 +15,7 @@ import aiohttp
 START_TIMEOUT_S = 60.0
 COMMAND_TIMEOUT_S = 20.0
 LISTENING = re.compile(rb"WebDriver BiDi listening on (ws://\S+)")
+LEFT, MIDDLE, RIGHT = range(3)  # the buttons of a mouse
 NO_PROXY = {"capabilities": {"alwaysMatch": {"acceptInsecureCerts": False}}}
 
 
@@ -30,7 +31,7 @@ class Tab:
         """Begin a session, and load the page."""
         await self._call("session.new", NO_PROXY)
         self._context = (await self._call("browsingContext.getTree", {}))["contexts"][0]["context"]
-        await self._call("browsingContext.navigate", {"context": self._context, "url": url, "wait": "complete"})
+        await self._navigate(url)
 
     async def evaluate(self, expression: str) -> Any:
         """The value of an expression of JavaScript: a text, a number, or whether it is so."""
@@ -58,28 +59,28 @@ class Tab:
         await self._actions("key", [{"type": "keyUp", "value": key}])
 
     async def click(self, selector: str) -> None:
-        """Press the mouse's button in the middle of an element."""
-        x, y = await self.middle(selector)
-        steps = [
-            {"type": "pointerMove", "x": x, "y": y},
-            {"type": "pointerDown", "button": 0},
-            {"type": "pointerUp", "button": 0},
-        ]
-        await self._actions("pointer", steps)
+        """Press the mouse's left button in the middle of an element."""
+        await self.hold(selector)
+        await self.let_go()
 
-    async def hold(self, selector: str, *, up_px: int) -> None:
-        """Press the mouse's button in the middle of an element, and pull it upwards."""
+    async def hold(self, selector: str, *, up_px: int = 0, button: int = LEFT, finger: str | None = None) -> None:
+        """Press a button of the mouse, or a finger, in the middle of an element, and pull it upwards."""
         x, y = await self.middle(selector)
-        steps = [
+        steps: list[dict[str, Any]] = [
             {"type": "pointerMove", "x": x, "y": y},
-            {"type": "pointerDown", "button": 0},
-            {"type": "pointerMove", "x": x, "y": y - up_px, "duration": 50},
+            {"type": "pointerDown", "button": button},
         ]
-        await self._actions("pointer", steps)
+        if up_px:
+            steps.append({"type": "pointerMove", "x": x, "y": y - up_px, "duration": 50})
+        await self._point(steps, finger)
 
-    async def let_go(self) -> None:
-        """Release the mouse's button."""
-        await self._actions("pointer", [{"type": "pointerUp", "button": 0}])
+    async def let_go(self, *, button: int = LEFT, finger: str | None = None) -> None:
+        """Release it."""
+        await self._point([{"type": "pointerUp", "button": button}], finger)
+
+    async def leave(self) -> None:
+        """Go to another page."""
+        await self._navigate("about:blank")
 
     async def middle(self, selector: str) -> tuple[int, int]:
         """Where an element is in the window."""
@@ -88,8 +89,15 @@ class Tab:
         x, y = map(float, text.split())
         return round(x), round(y)
 
-    async def _actions(self, kind: str, steps: list[dict[str, Any]]) -> None:
-        source = {"type": kind, "id": kind, "actions": steps}
+    async def _navigate(self, url: str) -> None:
+        await self._call("browsingContext.navigate", {"context": self._context, "url": url, "wait": "complete"})
+
+    async def _point(self, steps: list[dict[str, Any]], finger: str | None) -> None:
+        pointer = {"id": finger or "mouse", "parameters": {"pointerType": "touch" if finger else "mouse"}}
+        await self._actions("pointer", steps, **pointer)
+
+    async def _actions(self, kind: str, steps: list[dict[str, Any]], **more: Any) -> None:
+        source = {"type": kind, "id": kind, "actions": steps, **more}
         await self._call("input.performActions", {"context": self._context, "actions": [source]})
 
     async def _call(self, method: str, params: dict[str, Any]) -> Any:
