@@ -14,8 +14,8 @@ class TopicTable:
     """The topics of the last complete negotiation, and those that the present one has announced so far.
 
     One that announces only a part of what was announced before, and nothing else, has most likely lost a TopicInfo on
-    the way: a topic to the device that it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose
-    velocity topic went at once could not be stopped any more.
+    the way: what it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose velocity topic went at
+    once could not be stopped any more; one whose odometry went would stop.
 
     `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have. What is over
     `max_topics` is not added: `excess` counts it, in the present negotiation.
@@ -72,9 +72,8 @@ class TopicTable:
 
     def finish(self, *, refused: Container[int] = ()) -> None:
         """The device has announced all: what is not among it is gone, or lost for now; `refused` is never used."""
-        usable = [each for each, info in self._complete.items() if info.kind is Id.SUBSCRIBER and each not in refused]
-        lacked = [each for each in usable if not self._others and each not in self._announced]
-        self._missed = Counter({each: self._missed[each] + 1 for each in lacked})
+        lacked = () if self._others else self._complete.keys() - self._announced.keys()
+        self._missed = Counter({each: self._missed[each] + 1 for each in lacked if each not in refused})
         kept = {each: self._complete[each] for each in self.missing}
         for gone in self._topics.keys() - self._announced.keys() - kept.keys():
             self.fixed_bytes.pop(gone, None)

@@ -29,8 +29,12 @@ def announced(infos: list[TopicInfo]) -> bytes:
     )
 
 
+def without(type_name: str, infos: list[TopicInfo]) -> bytes:
+    return announced([info for info in infos if info.type != type_name])
+
+
 def without_velocity(infos: list[TopicInfo]) -> bytes:
-    return announced([info for info in infos if info.type != "geometry_msgs/Twist"])
+    return without("geometry_msgs/Twist", infos)
 
 
 async def velocity(device: FakeDevice, topic_id: int, *, other_than: bytes) -> bytes:
@@ -78,3 +82,18 @@ async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_r
         assert host.hub.robots.find("robot_0").link is None
         async with asyncio.timeout(5):
             assert await velocity(device, topic_id, other_than=driven) == bytes(48)
+
+
+async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_requested_again() -> None:
+    async with daemon() as host, fake_device(host.tcp, VELOCITY_FIRST) as device:
+        await moving(host, device, 100)
+        robot, session = host.hub.robots.find("robot_0"), host.hub.links()[0].session
+        topic_requests = session.counts.topic_requests
+        await device.send(without("geometry_msgs/Pose2D", VELOCITY_FIRST))
+        await expect(lambda: session.counts.negotiations == 2)
+        assert robot.link is not None
+        assert robot.gate.may_move
+        await expect(lambda: session.counts.topic_requests > topic_requests)
+        await device.send(announced(VELOCITY_FIRST))
+        await expect(lambda: session.counts.negotiations == 3)
+        assert robot.link is not None

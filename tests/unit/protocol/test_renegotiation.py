@@ -9,11 +9,14 @@ from hostlink.protocol import events
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.outbox import MAX_REPLIES
+from hostlink.protocol.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 
 MOTOR = LED._replace(name="/motor", type="std_msgs/Int32")
 SERVICE = TopicInfo(Id.SERVICE_SERVER_SUBSCRIBER, 101, "/set", "std_srvs/SetBool", "m", 512)
 WRONG_LED = LED._replace(md5="wrong")
+CLIENT = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "std_srvs/SetBool", "m", 512)
+ANSWER = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 102, "/ask", "std_srvs/SetBool", "m", 512)
 BIG = TopicInfo(Id.PUBLISHER, 126, "/image", "sensor_msgs/Image", "m", 5000)
 
 
@@ -36,8 +39,27 @@ def test_a_call_never_meets_the_new_meaning_of_its_id() -> None:
 def test_a_call_for_a_service_that_is_gone_is_forgotten() -> None:
     host = Host(ODOMETRY, LED, SERVICE)
     host.session.call("/set", b"\x01")
-    host.receive(wire(ODOMETRY, LED) + TIME)
+    for _ in range(MAX_MISSED):
+        host.receive(wire(ODOMETRY, LED) + TIME)
     assert [frame.topic_id for frame in host.sent()] == [Id.TIME]
+
+
+@pytest.mark.parametrize("lost", [ODOMETRY, LED, SERVICE, CLIENT, ANSWER])
+def test_what_a_negotiation_lacks_stays_until_three_in_a_row_lack_it_and_is_requested(lost: TopicInfo) -> None:
+    topics = [ODOMETRY, CLIENT, LED, SERVICE, ANSWER]
+    rest = [info for info in topics if info is not lost]
+    host = Host(*topics)
+    for requested in (2, 4):
+        for _ in range(MAX_MISSED - 1):
+            host.receive(TIME + wire(*rest) + TIME)
+            assert lost in host.session.topics
+            host.wait(1.1)
+        host.receive(TIME + wire(*topics) + TIME)
+        host.wait(1.1)
+        assert host.session.counts.topic_requests == 1 + requested
+    for _ in range(MAX_MISSED):
+        host.receive(TIME + wire(*rest) + TIME)
+    assert sorted(host.session.topics) == sorted(rest)
 
 
 def test_an_endpoint_is_had_as_long_as_its_id_means_the_same() -> None:
@@ -117,7 +139,8 @@ def test_a_buffer_lets_larger_frames_in_from_the_next_frame_on_and_no_longer_tha
     host = Host()
     picture = encode(126, bytes(4000))
     assert events.MessageReceived(BIG, bytes(4000)) in host.receive(wire(ODOMETRY, BIG) + picture)
-    host.receive(wire(ODOMETRY) + TIME)
+    for _ in range(MAX_MISSED):
+        host.receive(wire(ODOMETRY) + TIME)
     assert host.receive(picture) == []
     assert host.session.rejected == {"too_long": 1}
 
