@@ -85,6 +85,7 @@ class Links:
             check=lambda info: check_type(self._around.parts.catalog, info),
             uart_bytes_s=self._uart_bytes_s(transport, config),
             max_topics=config.max_topics,
+            is_lossy=transport.kind == "udp",
         )
         link = Link(
             transport,

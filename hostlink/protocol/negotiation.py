@@ -7,6 +7,7 @@ from typing import Final
 REQUEST_INTERVAL_S = 1.0  # docs/protocol.md#topic-negotiation: at most one request for topics a second
 ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
 NEGOTIATION_QUIET_S = 0.5  # a device sends its TopicInfos without a pause; WiFi may put one in
+CONFIRM_S = 2.0  # behind the last TopicInfo: what a device does when it is connected is over by then
 SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
 QUIET_S = 3.5  # not a byte, one time request missed: a device that restarted behind its radio waits for a request
 TIME_PERIOD_S = (1.0, 4.0)  # between two time requests: 2.5 s, a slow loop later, never two at once as in a negotiation
@@ -54,14 +55,14 @@ class NegotiationScheduler:
     | REQUESTING  | at once after `open`, then after every 2 s without an answer                                      |
     | NEGOTIATING | never                                                                                             |
     | READY       | unknown id, gap or damage (3 times each); no time request for 5 s, or not a byte for 3.5 s from a |
-    |             | device that requests the time                                                                     |
+    |             | device that requests the time; 2 s after other topics than before, where frames are lost whole    |
 
     A request waits until the last one is REQUEST_INTERVAL_S old.
     """
 
     __slots__ = (
-        "_is_damaged", "_last_time_request_s", "_parts", "_pending", "_requested_at_s", "_same_requests",
-        "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s", "state",
+        "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_pending", "_requested_at_s",
+        "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s", "state",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -69,6 +70,7 @@ class NegotiationScheduler:
         self.received_at_s = 0.0  # the last byte
         self.is_regular = False  # it requests the time at the usual period
         self._is_damaged = False  # bytes were skipped in this negotiation
+        self._is_unconfirmed = False  # the last negotiation, one more is to say the same
         self._topic_info_at_s = 0.0
         self._parts = 1  # of this negotiation, each with messages behind it
         self._time_requested_at_s = 0.0  # or a request for topics took its place
@@ -120,10 +122,11 @@ class NegotiationScheduler:
         """The topics are others now: count anew."""
         self._same_requests.clear()
 
-    def finish(self, gap_at: int | None, *, is_short: bool = False) -> None:
+    def finish(self, gap_at: int | None, *, is_short: bool = False, is_unconfirmed: bool = False) -> None:
         """The negotiation ended: it grants earlier requests, and what was lost in it is the cause of a new one."""
         self._step(Step.FINISHED)
         self._pending = None
+        self._is_unconfirmed = is_unconfirmed
         if gap_at is not None:
             self.request_about("loss", "gap")
         elif self._is_damaged:
@@ -150,6 +153,9 @@ class NegotiationScheduler:
         """Request the topics of a device that does not answer, or is silent."""
         if self.state is SessionState.REQUESTING and now_s >= self._requested_at_s + ANSWER_TIMEOUT_S:
             self.request("no_answer")
+        elif self.state is SessionState.READY and self._is_unconfirmed and now_s >= self._topic_info_at_s + CONFIRM_S:
+            self._is_unconfirmed = False
+            self.request("unconfirmed")
         elif self.state is SessionState.READY and now_s >= self._silent_at_s():
             self._time_requested_at_s = now_s
             self.request("no_time_requests")
@@ -173,6 +179,8 @@ class NegotiationScheduler:
             return self._requested_at_s + REQUEST_INTERVAL_S
         if self.state is SessionState.REQUESTING:
             return self._requested_at_s + ANSWER_TIMEOUT_S
+        if self._is_unconfirmed:
+            return min(self._topic_info_at_s + CONFIRM_S, self._silent_at_s())
         return self._silent_at_s()
 
     def _step(self, step: Step) -> None:

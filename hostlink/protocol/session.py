@@ -53,8 +53,12 @@ class Session(MessagesToDevice):
         check: Callable[[TopicInfo], int | None],
         uart_bytes_s: int | None = None,
         max_topics: int = MAX_TOPICS,
+        is_lossy: bool = False,
     ) -> None:
-        """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic."""
+        """`check` gives the fixed payload size of a topic's type, None if it varies; it raises to refuse the topic.
+
+        `is_lossy`: frames may be lost whole on the way, as datagrams are, so that nothing shows it.
+        """
         super().__init__(TopicTable(max_topics), Outbox(uart_bytes_s=uart_bytes_s))
         self.counts = SessionCounts()
         self.device_clock = DeviceClock()
@@ -62,6 +66,7 @@ class Session(MessagesToDevice):
         self._check = check
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._negotiation = NegotiationScheduler()
+        self._is_lossy = is_lossy
         self._has_dropped = False  # what waited, in this negotiation
 
     # -- what the link reports ----------------------------------------------------------------------------------------
@@ -269,7 +274,8 @@ class Session(MessagesToDevice):
         self._known = known
         has_dropped, self._has_dropped = self._has_dropped, False
         gap_at = self._topics.gap()
-        self._negotiation.finish(gap_at, is_short=bool(self._topics.missing))
+        is_unconfirmed = self._is_lossy and is_changed
+        self._negotiation.finish(gap_at, is_short=bool(self._topics.missing), is_unconfirmed=is_unconfirmed)
         return events.TopicsNegotiated(known, is_changed or has_dropped, gap_at)
 
     def _request_if_due(self, now_s: float, found: list[events.Event]) -> None:

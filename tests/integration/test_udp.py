@@ -22,7 +22,7 @@ from hostlink.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
 from hostlink.transport.udp import MAX_DATAGRAM_BYTES
 from hostlink.transport.udp_port import serve_udp
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.fake_device import fake_device, pose, repeating, robot_topics, topic
 from tests.support.udp_device import GREETING, udp_device
 from tests.support.waiting import expect
 
@@ -74,6 +74,13 @@ class TestSession:
             assert status == 200
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.1)
             assert await device.velocity_other_than((0.2, 0.1)) == (0.0, 0.0)  # the lease has ended
+
+    async def test_a_velocity_topic_whose_announcement_was_lost_whole_is_requested(self) -> None:
+        """The last id of a row leaves no gap."""
+        topics = robot_topics()[:2]
+        async with host_of() as host, udp_device(host.udp, topics[:1]) as device, repeating(device, pose(0.0)):
+            await device.announce(topics)
+            await expect(lambda: host.hub.robots.find("robot_0").link)
 
     async def test_the_api_shows_that_it_is_over_udp(self) -> None:
         async with host_of() as host, udp_device(host.udp, robot_topics()) as device:

@@ -30,7 +30,7 @@ lines = st.lists(st.one_of(noise, frames.map(wire_of), infos, controls, st.just(
 
 @given(st.lists(st.tuples(lines, st.floats(0.0, 3.0)), max_size=15), st.data())
 def test_any_bytes_at_any_time(story: list[tuple[bytes, float]], data: st.DataObject) -> None:
-    session = Session(check=lambda info: SIZES.get(info.type))
+    session = Session(check=lambda info: SIZES.get(info.type), is_lossy=data.draw(st.booleans()))
     now_s = 0.0
     requested_at_s = [now_s for event in session.open(now_s=now_s) if isinstance(event, events.TopicsRequested)]
     for line, pause_s in story:

@@ -27,8 +27,8 @@ def check(info: TopicInfo) -> int | None:
 class Host:
     """A session and its clock."""
 
-    def __init__(self, *infos: TopicInfo) -> None:
-        self.session = Session(check=check)
+    def __init__(self, *infos: TopicInfo, is_lossy: bool = False) -> None:
+        self.session = Session(check=check, is_lossy=is_lossy)
         self.now_s = 100.0
         self.events = self.session.open(now_s=self.now_s)
         if infos:

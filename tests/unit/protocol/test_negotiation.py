@@ -5,7 +5,7 @@ import itertools
 import pytest
 
 from hostlink.protocol.frame import encode
-from hostlink.protocol.negotiation import TRANSITIONS, NegotiationScheduler, SessionState, Step
+from hostlink.protocol.negotiation import CONFIRM_S, TRANSITIONS, NegotiationScheduler, SessionState, Step
 from tests.support.session_host import LED, ODOMETRY, TIME, Host, wire
 
 
@@ -111,3 +111,45 @@ def test_topics_that_are_missing_are_requested_again() -> None:
     scheduler.topic_info_received(1.0)
     scheduler.finish(None, is_short=True)
     assert scheduler.pop_request(now_s=10.0) == "missing"
+
+
+def requests_while_it_publishes(host: Host, seconds: float) -> list[str]:
+    """Of a device that requests the time, too, so that its silence is no cause."""
+    found = []
+    for tenth in range(round(seconds * 10)):
+        host.receive(TIME if tenth % 25 == 24 else encode(125, bytes(24)), after_s=0.0)
+        found += host.requests()
+        host.wait(0.1)
+        found += host.requests()
+    return found
+
+
+def test_topics_that_came_where_frames_are_lost_whole_are_requested_once_more() -> None:
+    """The last of a row leaves no gap."""
+    host = Host(ODOMETRY, is_lossy=True)
+    assert requests_while_it_publishes(host, CONFIRM_S - 0.2) == []
+    assert requests_while_it_publishes(host, 0.4) == ["unconfirmed"]
+    host.receive(TIME + wire(ODOMETRY, LED) + TIME)
+    assert host.session.topics == (LED, ODOMETRY)
+    assert requests_while_it_publishes(host, CONFIRM_S + 0.2) == ["unconfirmed"]
+    host.receive(TIME + wire(ODOMETRY, LED) + TIME)
+    assert requests_while_it_publishes(host, 10.0) == []
+
+
+def test_what_is_lost_of_an_answer_that_confirms_is_requested_as_ever() -> None:
+    host = Host(ODOMETRY, LED, is_lossy=True)
+    host.receive(wire(LED) + TIME)
+    assert requests_while_it_publishes(host, 1.5) == ["missing"]
+    assert host.session.topics == (LED, ODOMETRY)
+
+
+def test_a_request_for_another_cause_confirms_the_topics() -> None:
+    host = Host(ODOMETRY, LED, is_lossy=True)
+    host.session.request_topics("claimed_twice")
+    assert requests_while_it_publishes(host, 1.5) == ["claimed_twice"]
+    host.receive(TIME + wire(ODOMETRY, LED) + TIME)
+    assert requests_while_it_publishes(host, 10.0) == []
+
+
+def test_topics_on_a_line_need_no_confirmation() -> None:
+    assert requests_while_it_publishes(Host(ODOMETRY, LED), 10.0) == []
