@@ -183,6 +183,73 @@ void test_a_parameter_that_is_given_up_takes_no_answer_from_another() {
   CHECK(count == 6 && parameters.is_done());
 }
 
+// The number of the first frame with this id that was sent; -1: there is none.
+int first_sent(const TestLink& link, int id) {
+  for (int number = 0; link.sent_id(static_cast<size_t>(number)) >= 0; ++number) {
+    if (link.sent_id(static_cast<size_t>(number)) == id) return number;
+  }
+  return -1;
+}
+
+// On a UART nothing tells that it is another one but its request for topics.
+void test_a_host_that_was_killed_and_started_again_is_asked_for_the_parameters() {
+  TestLink link;
+  TestNode node(link);
+  Number number;
+  ros::Publisher first("first", &number), second("second", &number);
+  node.advertise(first);
+  node.advertise(second);
+  ros::Parameter<int> count("count", 3);
+  ros::Parameters parameters;
+  parameters.add(count);
+  node.attach(parameters);
+  for (int host = 0; host < 300; ++host) {
+    link.clear();
+    link.from_host_at = link.from_host_size = 0;
+    link.request_topics();
+    for (int turn = 0; turn < 40; ++turn) {  // of a slow line: the topics do not fit into one turn
+      link.room = 20;
+      node.spinOnce();
+      CHECK(host == 0 || (node.connected() && parameters.is_done()));  // what applied goes on
+    }
+    CHECK(first_sent(link, 6) == 3);  // behind the time and both topics
+    answer_number(link, host);
+    node.spinOnce();
+    CHECK(count == host && parameters.is_done());
+  }
+}
+
+void test_a_host_that_is_killed_while_a_parameter_is_awaited() {
+  TestLink link;
+  TestNode node(link);
+  ros::Parameter<int> first("first", 1), second("second", 2);
+  ros::Parameters parameters;
+  parameters.add(first);
+  parameters.add(second);
+  node.attach(parameters);
+  connect(link, node);
+  answer_number(link, 5);
+  node.spinOnce();  // the second is requested
+  link.clear();
+  link.request_topics();
+  node.spinOnce();
+  CHECK(first_sent(link, 10) == 0 && first_sent(link, 6) < 0);  // the answer of before may still come
+  link.now_ms += 1001;
+  node.spinOnce();
+  CHECK(first_sent(link, 6) > 0 && !parameters.is_done());
+  answer_number(link, 7);
+  node.spinOnce();
+  CHECK(first == 7 && second == 2 && !parameters.is_done());
+  answer_number(link, 8);
+  node.spinOnce();
+  CHECK(second == 8 && parameters.is_done());
+  connect(link, node);
+  connect(link, node);
+  answer_number(link, 9);  // the same host's, whose request came between: nobody's
+  node.spinOnce();
+  CHECK(first == 7 && first_sent(link, 6) == 0);
+}
+
 int nested = 0;
 ros::NodeApi* nested_node = nullptr;
 void spin_again(const Number&) {
@@ -215,5 +282,7 @@ void run_calls_tests() {
   RUN(test_parameters);
   RUN(test_parameters_with_defaults);
   RUN(test_a_parameter_that_is_given_up_takes_no_answer_from_another);
+  RUN(test_a_host_that_was_killed_and_started_again_is_asked_for_the_parameters);
+  RUN(test_a_host_that_is_killed_while_a_parameter_is_awaited);
   RUN(test_a_callback_that_spins);
 }

@@ -179,7 +179,7 @@ bool Node::act_on_frame() {
       if (!is_configured_) emptied_at_ms_ = began_ms_;  // what comes behind it is for this board of now
       request_time();
       announcing_ = senders_ != nullptr ? senders_ : receivers_;
-      if (announcing_ == nullptr) is_configured_ = true;
+      if (announcing_ == nullptr) end_announcement();
       announce();
       time_requested_ms_ = time_received_ms_ = began_ms_;
       return true;
@@ -321,7 +321,12 @@ void Node::announce() {
     }
     announcing_ = next.next_ == nullptr && to_host ? receivers_ : next.next_;
   }
+  end_announcement();
+}
+
+void Node::end_announcement() {
   is_configured_ = true;
+  ++announcements_;
 }
 
 // A frame goes into the queue whole, or not at all.

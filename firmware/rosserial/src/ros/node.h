@@ -44,6 +44,8 @@ class Node : private Topics {
   bool can_wait() const { return !is_calling_ && awaited_ == nullptr; }  // a callback cannot
 
   bool is_configured() const { return is_configured_; }
+  // How often the host has been sent the topics, modulo 256: where nothing tells of a new host, it has asked for them.
+  uint8_t announcements() const { return announcements_; }
   // In a callback: how long its message may have waited for this turn, at most; since then the link was not empty.
   uint32_t waited_ms() { return is_calling_ ? link_.milliseconds() - emptied_at_ms_ : 0; }
   // The bytes of the payload. -1: dropped and counted; 0: the host has not asked for topics. One that is queued may
@@ -106,6 +108,7 @@ class Node : private Topics {
   void receive_parameter(uint8_t* payload, size_t size);
   void request_time();
   void announce();
+  void end_announcement();
   int send(uint16_t id, const void* message, Serialize serialize);
   bool send_counted(uint16_t id, const void* message, Serialize serialize);
 
@@ -115,6 +118,7 @@ class Node : private Topics {
   bool is_spinning_ = false;  // also while the clause of the paper waits
   bool is_retrying_ = false;
   bool is_calling_ = false;  // a callback
+  uint8_t announcements_ = 0;
   uint16_t receivers_max_;
   uint16_t senders_max_;
   FrameReader reader_;

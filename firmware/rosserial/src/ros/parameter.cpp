@@ -19,11 +19,14 @@ void Parameters::add(ParameterBase& parameter) {
 
 void Parameters::spin(Node& node) {
   const bool is_configured = node.is_configured();
-  if (is_configured != was_configured_) {
+  const bool is_new = is_configured != was_configured_;
+  if (is_new || node.announcements() != announcements_) {
     was_configured_ = is_configured;
+    announcements_ = node.announcements();
     requested_ = is_configured ? first_ : nullptr;
     is_requested_ = false;
-    is_done_ = requested_ == nullptr && (is_done_ || is_configured);
+    node.forget_parameter(this);
+    if (is_new) is_done_ = requested_ == nullptr && (is_done_ || is_configured);
   }
   if (requested_ == nullptr) return;
   if (is_requested_) {
@@ -32,8 +35,10 @@ void Parameters::spin(Node& node) {
     if (!is_answered_) node.forget_parameter(this);
     is_requested_ = false;
     requested_ = requested_->next_;
-    is_done_ = requested_ == nullptr;
-    if (is_done_) return;
+    if (requested_ == nullptr) {
+      is_done_ = true;
+      return;
+    }
   }
   is_answered_ = false;
   is_requested_ = node.request_parameter(requested_->name_, &Parameters::receive, this);

@@ -82,9 +82,12 @@ class TextParameter : public ParameterBase {
   attach() it to the node after add() of each parameter.
 
   state      event                                                next
-  idle       the host has asked for the topics                    the first is requested
+  any        the host has asked for the topics                    the first is requested
   requested  the answer came, or none for a second                the next one, when it may be requested; or is_done()
   any        the host is gone                                     idle
+
+  On a UART a host that asks for the topics again may be another one. Until its answers come, what applied does, and
+  is_done() stays.
 */
 class Parameters : public Task {
  public:
@@ -99,6 +102,7 @@ class Parameters : public Task {
   ParameterBase* first_ = nullptr;
   ParameterBase* requested_ = nullptr;
   uint32_t requested_at_ms_ = 0;
+  uint8_t announcements_ = 0;
   bool is_requested_ = false;  // of the host, else it is to be
   bool was_configured_ = false;
   bool is_answered_ = false;
