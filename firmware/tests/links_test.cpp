@@ -206,6 +206,8 @@ void test_boards_of_a_fleet_do_not_come_back_in_step() {
 struct TestUdp {
   static bool is_like_esp32;  // whose parsePacket() finds nothing before all is read
   static uint32_t foreign;    // how many of others come before the host's next one
+  static IPAddress host;
+  static uint16_t port;
   static uint8_t bytes[64];
   static size_t size;
   static uint32_t written;
@@ -235,7 +237,8 @@ struct TestUdp {
     for (; i < count && left > 0; ++i) to[i] = static_cast<uint8_t>(read());
     return static_cast<int>(i);
   }
-  IPAddress remoteIP() { return is_foreign ? IPAddress(6, 6, 6, 6) : IPAddress(10, 0, 0, 1); }
+  IPAddress remoteIP() { return is_foreign ? IPAddress(6, 6, 6, 6) : host; }
+  uint16_t remotePort() { return port; }
   int beginPacket(IPAddress, uint16_t) { return 1; }
   size_t write(const uint8_t*, size_t count) {
     written += 1;
@@ -249,19 +252,37 @@ struct TestUdp {
 };
 bool TestUdp::is_like_esp32 = false;
 uint32_t TestUdp::foreign = 0;
+IPAddress TestUdp::host;
+uint16_t TestUdp::port = 0;
 uint8_t TestUdp::bytes[64];
 size_t TestUdp::size = 0;
 uint32_t TestUdp::written = 0;
 
-void test_datagrams_of_others_do_not_delay_the_host_s() {
-  for (bool is_like_esp32 : {false, true}) {
+const IPAddress kUdpHost(10, 0, 0, 1);
+
+struct UdpRobot : public TestRobot<hostlink::UdpHardware<TestUdp>> {
+  explicit UdpRobot(bool is_like_esp32) {
     reset();
     TestUdp::is_like_esp32 = is_like_esp32;
-    TestRobot<hostlink::UdpHardware<TestUdp>> robot;
-    robot.node.getHardware()->setConnection(IPAddress(10, 0, 0, 1));
+    TestUdp::host = kUdpHost;
+    TestUdp::port = 11411;
+    node.getHardware()->setConnection(kUdpHost);
+  }
+  void drive() {
     TestUdp::put(kTopicsRequest, sizeof kTopicsRequest);
-    robot.turn(5);
-    CHECK(robot.node.connected());
+    turn(5);
+    CHECK(node.connected());
+    TestUdp::put(kDrive, sizeof kDrive);
+    turn(10);
+    CHECK(speed == 5);
+  }
+};
+
+void test_datagrams_of_others_do_not_delay_the_host_s() {
+  for (bool is_like_esp32 : {false, true}) {
+    UdpRobot robot(is_like_esp32);
+    robot.drive();
+    robot.speed = 0;
     TestUdp::foreign = 100;
     TestUdp::put(kDrive, sizeof kDrive);
     robot.turn(10);
@@ -270,6 +291,47 @@ void test_datagrams_of_others_do_not_delay_the_host_s() {
     robot.turn(600);
     CHECK(robot.speed == 0);
     TestUdp::foreign = 0;
+  }
+}
+
+// A second daemon of the host's computer, say.
+void test_another_port_of_the_host_is_nobody() {
+  for (bool is_like_esp32 : {false, true}) {
+    UdpRobot robot(is_like_esp32);
+    TestUdp::port = 11412;
+    TestUdp::put(kTopicsRequest, sizeof kTopicsRequest);
+    robot.turn(5);
+    CHECK(!robot.node.connected());
+    TestUdp::port = 11411;
+    robot.drive();
+  }
+}
+
+// What it did and heard last was of the old one; the address that it has already is none.
+void test_a_board_that_is_given_another_host_stops_and_begins_anew() {
+  const IPAddress other(10, 0, 0, 2);
+  for (bool is_like_esp32 : {false, true}) {
+    UdpRobot robot(is_like_esp32);
+    robot.drive();
+    robot.node.getHardware()->setConnection(kUdpHost);
+    robot.turn(1);
+    CHECK(robot.speed == 5 && robot.node.connected());
+    uint8_t both[sizeof kTopicsRequest + sizeof kDrive];  // the request ends the turn
+    memcpy(both, kTopicsRequest, sizeof kTopicsRequest);
+    memcpy(both + sizeof kTopicsRequest, kDrive, sizeof kDrive);
+    TestUdp::put(both, sizeof both);
+    robot.turn(1);
+    robot.node.getHardware()->setConnection(other);
+    robot.turn(1);
+    CHECK(robot.speed == 0 && !robot.node.connected());
+    TestUdp::written = 0;
+    robot.turn(1000);
+    CHECK(robot.speed == 0 && TestUdp::written > 0);  // it greets
+    TestUdp::put(kTopicsRequest, sizeof kTopicsRequest);
+    robot.turn(5);
+    CHECK(!robot.node.connected());
+    TestUdp::host = other;
+    robot.drive();
   }
 }
 
@@ -308,6 +370,8 @@ int main() {
   RUN(test_wifi_that_flaps);
   RUN(test_boards_of_a_fleet_do_not_come_back_in_step);
   RUN(test_datagrams_of_others_do_not_delay_the_host_s);
+  RUN(test_another_port_of_the_host_is_nobody);
+  RUN(test_a_board_that_is_given_another_host_stops_and_begins_anew);
   RUN(test_a_host_without_the_key_gets_no_byte_and_drives_nothing);
   return test::report();
 }

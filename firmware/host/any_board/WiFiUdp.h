@@ -18,6 +18,7 @@ class WiFiUDP {
     return static_cast<int>(count);
   }
   IPAddress remoteIP() { return from_; }
+  uint16_t remotePort() { return port_; }
 
  private:
   int descriptor_ = -1;
@@ -28,4 +29,5 @@ class WiFiUDP {
   size_t out_size_ = 0;
   IPAddress to_;
   IPAddress from_;
+  uint16_t port_ = 0;
 };

@@ -15,8 +15,9 @@ uint8_t WiFiUDP::begin(uint16_t) {
   return ::connect(descriptor_, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0 ? 1 : 0;
 }
 
-int WiFiUDP::beginPacket(IPAddress host, uint16_t) {
+int WiFiUDP::beginPacket(IPAddress host, uint16_t port) {
   to_ = host;
+  port_ = port;
   out_size_ = 0;
   return 1;
 }

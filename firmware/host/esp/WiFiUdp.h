@@ -15,4 +15,5 @@ class WiFiUDP : public Stream {
   int read() override;
   int read(unsigned char* bytes, size_t size);
   IPAddress remoteIP();
+  uint16_t remotePort();
 };

@@ -12,7 +12,9 @@ namespace hostlink {
 template <class Udp>
 class UdpHardware : public ros::Link {
  public:
+  // Also later: to another host the node is a new board.
   void setConnection(IPAddress host, uint16_t port = 11411, uint16_t own_port = 11411) {
+    is_lost_ = is_lost_ || (has_begun_ && !(host == host_ && port == port_));
     host_ = host;
     port_ = port;
     own_port_ = own_port;
@@ -24,12 +26,13 @@ class UdpHardware : public ros::Link {
 
   int read() override {
     if (!begin()) return kNothing;
+    if (is_lost_) return lose();
     for (uint8_t count = 0; udp_.available() <= 0; ++count) {
       if (count == kForeignDatagrams || udp_.parsePacket() <= 0) {
         greet();
         return kNothing;
       }
-      if (udp_.remoteIP() == host_) {
+      if (udp_.remoteIP() == host_ && udp_.remotePort() == port_) {
         heard_at_ms_ = now_ms();
       } else {
         drop_datagram();  // anybody can send one
@@ -66,6 +69,13 @@ class UdpHardware : public ros::Link {
     return has_begun_ && is_up;
   }
 
+  int lose() {
+    is_lost_ = false;
+    heard_at_ms_ = 0;
+    drop_datagram();
+    return kRestarted;
+  }
+
   // parsePacket() of an ESP32 finds no other one before it is read.
   void drop_datagram() {
     uint8_t bytes[64];
@@ -87,6 +97,7 @@ class UdpHardware : public ros::Link {
   uint16_t own_port_ = 11411;
   bool (*is_up_)() = nullptr;
   bool has_begun_ = false;
+  bool is_lost_ = false;
   uint32_t heard_at_ms_ = 0;
   uint32_t greeted_at_ms_ = 0;
 };
