@@ -5,11 +5,13 @@ What is broken off is never resumed.
 
 import asyncio
 import contextlib
+import contextvars
 import itertools
 import math
+import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from hostlink.client.connection import Connection, Message
@@ -21,6 +23,7 @@ _COMMAND = "command:"
 LEASE_S = 0.5  # after it without a command the daemon has stopped the robot
 ANSWER_TIMEOUT_S = 1.0
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while the computer sleeps, where there is one
+calling_thread: contextvars.ContextVar[threading.Thread | None] = contextvars.ContextVar("calling_thread", default=None)
 
 
 @dataclass(slots=True)
@@ -31,6 +34,7 @@ class _Repeated:
     is_yielding: bool
     link: int | None = None  # of the device that accepted it; None: not answered yet
     stops: int | None = None  # of the robot, as that answer counts them; None: it does not
+    thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
 
 
 class Driver:
@@ -56,6 +60,12 @@ class Driver:
     def robots(self) -> tuple[str, ...]:
         """The names of the robots that are driven."""
         return tuple(self._repeated)
+
+    @property
+    def robots_of_ended_threads(self) -> tuple[str, ...]:
+        """Those of them whose newest `drive` came from a thread that is over."""
+        threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
+        return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
     async def drive(
         self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int, *, is_yielding: bool = False

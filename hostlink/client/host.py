@@ -251,12 +251,13 @@ class Host:
         await self._round_trip()
         self._topics.raise_refusals()
 
-    async def stop_driven(self) -> None:
+    async def stop_driven(self, *, of_ended_threads: bool = False) -> None:
         """Stop what this connection drives, all at once: a robot whose stop is not answered delays no other's.
 
-        It waits a second at most: nothing is repeated then, and the daemon stops whoever is left.
+        It waits a second at most: nothing is repeated then, and the daemon stops whoever is left. `of_ended_threads`:
+        only what threads drove that are over.
         """
-        names = self._driver.robots
+        names = self._driver.robots_of_ended_threads if of_ended_threads else self._driver.robots
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT_S), asyncio.TaskGroup() as tasks:
                 for name in names:

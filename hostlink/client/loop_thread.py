@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from hostlink.client import program_end
 from hostlink.client.connecting import Connecting
+from hostlink.client.driver import calling_thread
 from hostlink.client.host import Host
 from hostlink.errors import HostlinkError
 
@@ -57,6 +58,7 @@ class LoopThread:
         if os.getpid() != self._process:
             work.close()
             raise HostlinkError("this connection belongs to the process that forked this one: connect here, too")
+        calling_thread.set(threading.current_thread())  # `work` begins with a copy of this context
         call = self._life.begin(work)
         try:
             return _result(call)
@@ -168,11 +170,11 @@ class _Life:
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._ending.set)
 
-    def begin_stop(self) -> "concurrent.futures.Future[None] | None":
+    def begin_stop(self, *, of_ended_threads: bool = False) -> "concurrent.futures.Future[None] | None":
         """Stop what is driven, and stay connected; None: there is no connection."""
         if self.ended.done() or not self.opened.done() or self.opened.exception() is not None:
             return None
-        return self.begin(self.opened.result().stop_driven())
+        return self.begin(self.opened.result().stop_driven(of_ended_threads=of_ended_threads))
 
     def finish(self) -> None:
         """End, and wait until it has."""

@@ -46,7 +46,7 @@ async def test_the_end_of_a_program_stops_what_it_drives(line: str, status: int)
         (signal.SIGINT, "time.sleep(60)"),
         (signal.SIGINT, "for pose in robot.odometry(): pass"),
         (signal.SIGKILL, "time.sleep(60)"),
-        (signal.SIGHUP, "threading.Thread(target=time.sleep, args=(60,)).start()"),
+        (signal.SIGHUP, "threading.Thread(target=lambda: (robot.drive(0.2, 0.0), time.sleep(60))).start()"),
     ],
 )
 async def test_a_signal_that_ends_a_program_stops_what_it_drives(number: signal.Signals, line: str) -> None:
@@ -66,6 +66,26 @@ async def test_an_error_in_a_thread_stops_what_is_driven_though_the_program_live
         await robot.moves()
         await robot.stands()
         assert child.returncode is None
+
+
+async def test_the_end_of_the_main_thread_stops_what_it_drives_though_another_thread_lives() -> None:
+    ended = "thread = threading.Thread(target=robot.drive, args=(0.1, 0.0))\nthread.start()\nthread.join()"
+    hangs = "threading.Thread(target=time.sleep, args=(60,)).start()"
+    async with robot_to_drive() as robot:
+        for lines in ([], [ended]):
+            async with script(robot.host.url, *lines, hangs, "time.sleep(0.5)") as child:
+                await robot.moves()
+                await robot.stands()
+                assert child.returncode is None
+
+
+async def test_what_another_thread_drives_goes_on_behind_the_end_of_the_main_thread() -> None:
+    control = "def control():\n    robot.drive(0.1, 0.0)\n    print(threading.main_thread().join(), flush=True)"
+    lives = "    time.sleep(60)\nthread = threading.Thread(target=control)\nthread.start()"
+    async with robot_to_drive() as robot, script(robot.host.url, control, lives) as child:
+        assert child.stdout is not None
+        assert await child.stdout.readline() == b"None\n"
+        await expect_never(lambda: not robot.is_held, for_s=0.5)
 
 
 async def test_a_program_that_stands_still_drives_for_a_lease_and_not_again_when_it_goes_on() -> None:

@@ -1,6 +1,7 @@
 """What ends the drives of a program: without connections, by what they are asked to do."""
 
 import concurrent.futures
+import threading
 import time
 
 from hostlink.client import program_end
@@ -12,8 +13,8 @@ class SilentConnection:
     def __init__(self, order: list[str]) -> None:
         self._order = order
 
-    def begin_stop(self) -> concurrent.futures.Future[None]:
-        self._order.append("stop")
+    def begin_stop(self, *, of_ended_threads: bool = False) -> concurrent.futures.Future[None]:
+        self._order.append("stop what ended threads drove" if of_ended_threads else "stop")
         return concurrent.futures.Future()
 
     def end(self) -> None:
@@ -34,3 +35,14 @@ def test_a_daemon_that_does_not_answer_delays_no_stop_at_another() -> None:
     assert order == ["stop"] * 3
     program_end._finish_all()
     assert order[3:] == ["end"] * 3 + ["finished"] * 3
+
+
+def test_the_end_of_the_main_thread_stops_only_what_ended_threads_drove() -> None:
+    order: list[str] = []
+    connection = SilentConnection(order)
+    program_end._watched.add(connection)
+    thread = threading.Thread(target=time.sleep, args=(0.01,))
+    thread.start()
+    program_end._stop_behind(thread)
+    program_end._watched.discard(connection)
+    assert order == ["stop what ended threads drove"]
