@@ -8,6 +8,7 @@ import msgspec
 from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadRequest, HostlinkError, RobotHeld
+from hostlink.hub.gates import check_stream
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.participant import Participant
 from hostlink.hub.remote_robot import RemoteRobot
@@ -19,7 +20,7 @@ MAX_ANSWERS = 64  # that one client waits for
 
 
 class DriveRequest(msgspec.Struct):
-    """m/s, rad/s counter-clockwise. `link`, `sent_s` and `stops` are for commands that a program sends by itself."""
+    """m/s, rad/s counter-clockwise. All from `link` on is for commands that a program sends by itself."""
 
     robot: str
     linear: float
@@ -28,6 +29,7 @@ class DriveRequest(msgspec.Struct):
     link: int | None = None  # the connection of the device for which it is meant; None: whichever there is
     sent_s: float | None = None  # when, by the client's own clock
     stops: int | None = None  # of the robot, as the answer before counted them; None: however often it was stopped
+    is_stream: bool = False  # its sender goes on without waiting for answers
 
 
 class Drive:
@@ -99,6 +101,8 @@ class Drive:
             raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
         robot = self._robots.find(wanted.robot)
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
+        if wanted.is_stream:
+            check_stream(robot, velocity, self._participant)
         limited = self._participant.drive(
             robot, velocity, priority=wanted.priority, link=wanted.link, sent_s=wanted.sent_s, stops=wanted.stops
         )

@@ -123,7 +123,7 @@ class Driver:
             HostlinkError: the numbers are not finite, or there is no connection.
         """
         self._sent_s[robot] = _now_s()
-        request = {"id": f"{_COMMAND}{robot}", "sent_s": self._sent_s[robot], "link": link}
+        request = {"id": f"{_COMMAND}{robot}", "sent_s": self._sent_s[robot], "link": link, "is_stream": True}
         await self._connection.send(_request(robot, *velocity, priority) | request)
 
     def stop_repeating(self, robot: str) -> None:

@@ -95,12 +95,13 @@ class Gates:
         Raises:
             HostlinkError: as `command`.
             WrongType: it is none.
-            BadRequest: it arrived a lease ago or earlier, and means nothing any more.
+            BadRequest: it arrived a lease ago or earlier, and means nothing any more; or a lock has interrupted it.
         """
         if message.type_name != TWIST_TYPE:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
         check_age(drivable, message)
         velocity = Velocity.decode(message.payload)
+        check_stream(drivable, velocity, message.source)
         self.command(drivable, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
 
     def command(
@@ -374,6 +375,24 @@ def check_age(drivable: Drivable | RemoteRobot, message: Message) -> None:
     """
     if _now_s() >= message.at_s + drivable.gate.lease_s:
         raise BadRequest(f"{drivable.name}: the command waited longer than it holds")
+
+
+def check_stream(drivable: Drivable | RemoteRobot, velocity: Velocity, owner: Hashable) -> None:
+    """Whether a velocity may be obeyed whose source goes on without waiting for answers.
+
+    Raises:
+        BadRequest: it went on through a lock, and its source may not know; while that holds, `command` says so.
+    """
+    gate = drivable.gate
+    is_locked = gate.lock_reason is not None
+    is_admitted = drivable.streams.admit(
+        owner, is_zero=velocity.is_zero, is_locked=is_locked, now_s=_now_s(), lease_s=gate.lease_s
+    )
+    if not (is_admitted or is_locked):
+        raise BadRequest(
+            f"{drivable.name}: it was locked while this stream of velocities went on, which drives again after a zero, "
+            f"or {gate.lease_s:g} s without velocities"
+        )
 
 
 def _now_s() -> float:

@@ -10,6 +10,7 @@ from hostlink.errors import DeviceGone, RobotHeld
 from hostlink.hub.message import Message
 from hostlink.hub.refusals import Refusals
 from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.locked_streams import LockedStreams
 from hostlink.robot.odometry_estimator import OdometrySnapshot
 from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.robot.velocity_gate import LEASE_S
@@ -102,6 +103,7 @@ class RemoteRobot:
     elsewhere: Elsewhere
     link: RemoteLink | None = None
     also_at: tuple[str, ...] = ()  # other daemons that have a robot of this name; then it is not driven from here
+    streams: LockedStreams = field(default_factory=LockedStreams)
     gate: RemoteGate = field(default_factory=RemoteGate)
     odometry: RemoteOdometry = field(default_factory=RemoteOdometry)
     refusals: Refusals = field(default_factory=Refusals)

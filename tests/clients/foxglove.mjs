@@ -128,6 +128,7 @@ for (let number = 0; number < 3; number += 1) velocity.publish(forward);
 await until(() => player.statuses.length > 0);
 seen.unlock = await player.call("/robot_0/unlock", {}, 2);
 seen.refused = player.statuses;
+velocity.publish({ ...forward, linear: { x: 0, y: 0, z: 0 } }); // a stream that met a lock begins anew with a zero
 velocity.publish(forward);
 await until(() => player.removed.length > 0);
 seen.removed = player.removed;

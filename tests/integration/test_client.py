@@ -263,6 +263,23 @@ async def test_a_lock_drops_what_another_script_repeats_and_the_unlock_moves_not
         await robot.drive(0.2, 0.0)
 
 
+async def test_single_commands_that_went_on_through_a_lock_move_nothing_after_the_unlock() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        await robot.lock("somebody stands there")
+        for _ in range(2):
+            await robot.command(0.2, 0.0)
+            await me.settle()
+            assert robot.refusal is not None
+            assert robot.refusal.is_locked is (host.hub.robots.find("robot_0").gate.lock_reason is not None)
+            await robot.unlock()
+        assert "drives again after a zero" in robot.refusal.reason
+        await robot.command(0.0, 0.0)
+        await robot.command(0.2, 0.0)
+        await me.settle()
+        assert robot.refusal is None
+
+
 async def test_a_drive_that_is_cancelled_is_not_repeated() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         with pytest.raises(TimeoutError):

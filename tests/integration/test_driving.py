@@ -237,6 +237,29 @@ async def test_a_lock_is_zero_past_every_ramp_and_refuses_everybody_until_it_is_
         assert await device.velocity_other_than(ZERO) == CURVE
 
 
+@pytest.mark.parametrize("topic", ["/robot_0/cmd_vel", "/robot_0/velocity_commands", "/robot_0/cmd_vel_stamped"])
+async def test_a_stream_that_went_on_through_a_lock_drives_after_a_zero_and_not_before(topic: str) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await greeted(device)
+        stream = host.hub.join("navigation")
+        forward, still = Velocity(0.2).encode(), Velocity().encode()
+        header = bytes(16) if topic.endswith("stamped") else b""  # without a stamp and a frame
+        stream.publish(topic, header + forward)
+        assert await device.velocity() == (0.2, 0.0)
+        await locked(host)
+        with pytest.raises(RobotHeld, match="locked: emergency stop"):
+            stream.publish(topic, header + forward)
+        assert (await host.rest("POST", "/api/robots/robot_0/unlock"))[0] == 200
+        for _ in range(8):
+            with pytest.raises(BadRequest, match=r"drives again after a zero, or 0\.5 s without velocities"):
+                stream.publish(topic, header + forward)
+            await asyncio.sleep(0.1)
+        assert host.hub.robots.find("robot_0").gate.owner_name is None
+        stream.publish(topic, header + still)
+        stream.publish(topic, header + forward)
+        assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
+
+
 @pytest.mark.parametrize("announced_bytes", [20, 10**9])
 async def test_a_lock_waits_for_no_body_and_holds_without_it(announced_bytes: int) -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:

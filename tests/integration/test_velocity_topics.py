@@ -234,6 +234,7 @@ async def test_the_lock_applies_to_a_second_topic_that_comes_later_and_ends_with
         with pytest.raises(RobotHeld, match="locked"):
             publish(host.hub, "/robot_0/arm_vel", {"linear": {"x": 0.3}})
         assert (await host.rest("POST", "/api/robots/robot_0/unlock"))[0] == 200
+        publish(host.hub, "/robot_0/arm_vel", {})  # a stream that met a lock begins anew with a zero
         await driven(host, device, 102, "/robot_0/arm_vel")
 
 

@@ -153,6 +153,23 @@ async def test_a_lock_holds_everywhere_until_it_is_released_from_anywhere() -> N
         assert (await drive(b, "robot_7", 0.3))[0] == 200
 
 
+async def test_a_stream_from_elsewhere_that_went_on_through_a_lock_does_not_drive_behind_it() -> None:
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
+        robot = await shown(a, "robot_7")
+        await expect(lambda: a.hub.topics.find_or_none("/robot_7/cmd_vel"))
+        stream = a.hub.join("navigation")
+        await b.rest("POST", "/api/robots/robot_7/lock")
+        await expect(lambda: robot.gate.lock_reason)
+        for is_locked in (True, False):
+            with pytest.raises(HostlinkError, match="locked: " if is_locked else "drives again after a zero"):
+                stream.publish("/robot_7/cmd_vel", Velocity(0.2).encode())
+            await b.rest("POST", "/api/robots/robot_7/unlock")
+            await expect(lambda: robot.gate.lock_reason is None)
+        stream.publish("/robot_7/cmd_vel", Velocity().encode())
+        stream.publish("/robot_7/cmd_vel", Velocity(0.2).encode())
+        await expect(lambda: b.hub.robots.find_here("robot_7").gate.owner_name == "navigation at a")
+
+
 @pytest.mark.quiet
 async def test_a_lock_goes_with_a_robot_that_connects_to_another_daemon() -> None:
     async with fleet("a", "b") as (a, b):

@@ -251,3 +251,21 @@ async def test_a_locked_robot_is_not_driven_and_the_reason_is_reported_once(envi
         await expect(lambda: world.bridge.has_reported("a person is near"))
         await asyncio.sleep(0.5)
         assert len([line for line in world.bridge.reports if "a person is near" in line]) == 1
+
+
+async def test_a_stream_that_went_on_through_a_lock_drives_after_a_zero_and_not_before(
+    environment: dict[str, str],
+) -> None:
+    async with driven(environment) as world:
+        robot = world.server.hub.robots.find("robot_0")
+        world.server.hub.emergency_stop.stop(robot, "a person is near")
+        await expect(lambda: world.bridge.has_reported("a person is near"))
+        world.server.hub.emergency_stop.release(robot)
+        await expect(lambda: world.bridge.has_reported("drives again after a zero"))
+        await expect_never(lambda: world.gate.owner is not None, for_s=1.0)
+        await world.driver.do("silence", topic=CMD_VEL)
+        await drive(world.driver, linear_m_s=0.0)
+        await asyncio.sleep(0.2)
+        await world.driver.do("silence", topic=CMD_VEL)
+        await drive(world.driver)
+        await expect(lambda: world.gate.owner is not None and not world.gate._target.is_zero)
