@@ -85,7 +85,7 @@ class BlackBox:
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         """Keep a message."""
-        self.rings.add(robot, channel, stamp_ns, payload)
+        self.rings.add(robot, Entry(channel, stamp_ns, payload, time.monotonic()))
 
     def save(self, robot: str, reason: str) -> Incident:
         """Save a robot's last minutes because somebody wants it.
@@ -97,7 +97,7 @@ class BlackBox:
         found = self._hub.robots.find_here(robot.strip("/"))
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
-        incident = Incident(found.name, "wish", reason[:MAX_DETAIL], time.time_ns())
+        incident = Incident(found.name, "wish", reason[:MAX_DETAIL], time.time_ns(), time.monotonic())
         wishes = sum(each.cause == "wish" for each in self.pending)
         if wishes >= MAX_WISHES or not self._begin(incident):
             raise RecordingBusy(f"{wishes} wishes are being saved; try again in {self._config.after_s:g} s")
@@ -181,16 +181,16 @@ def write_incident(
         "detail": incident.detail,
         "stamp_ns": str(incident.stamp_ns),
     }
-    first_ns = incident.stamp_ns - int(before_s * 1e9)
+    first_s = incident.at_s - before_s
     beside = path.with_suffix(".part")
     beside.unlink(missing_ok=True)
     writer = McapWriter(beside, metadata=metadata)
     try:
         for channel in channels:
             writer.announce(channel)
-        wanted = (entry for entry in itertools.chain(*entries) if entry.stamp_ns >= first_ns)
+        wanted = (entry for entry in itertools.chain(*entries) if entry.at_s >= first_s)
         for number, entry in enumerate(sorted(wanted, key=lambda entry: entry.stamp_ns)):
-            writer.write(*entry)
+            writer.write(*entry[:3])
             if number % BURST == BURST - 1:
                 rest()
         writer.close()

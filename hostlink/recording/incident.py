@@ -24,6 +24,7 @@ class Incident:
     cause: Cause
     detail: str
     stamp_ns: int
+    at_s: float = 0.0  # loop time, which nobody sets; 0: it is of a file
 
 
 class IncidentRules:
@@ -47,7 +48,7 @@ class IncidentRules:
         if event.at_s < of_robot.get(cause, float("-inf")) + AGAIN_S:
             return None
         of_robot[cause] = event.at_s
-        return Incident(event.robot, cause, detail, event.stamp_ns)
+        return Incident(event.robot, cause, detail, event.stamp_ns, event.at_s)
 
     def forget(self, robot: str) -> None:
         """The robot is forgotten."""

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from hostlink.recording.black_box import BURST, write_incident
 from hostlink.recording.channel import EVENTS, LOG
 from hostlink.recording.folder import Folder
@@ -14,10 +16,10 @@ COUNT = 10 * BURST
 
 
 def test_an_incident_is_written_by_time_with_a_rest_after_each_burst(tmp_path: Path) -> None:
-    robot = [Entry(EVENTS, (100 + number) * SECOND_NS, b"{}") for number in range(COUNT // 2)]
-    nobody = [Entry(LOG, (100 + number) * SECOND_NS + 1, b"{}") for number in range(COUNT // 2)]
-    old = Entry(LOG, 1 * SECOND_NS, b"{}")
-    incident = Incident("robot_0", "gone", "its link ended", (100 + COUNT) * SECOND_NS)
+    robot = [Entry(EVENTS, (100 + number) * SECOND_NS, b"{}", 100 + number) for number in range(COUNT // 2)]
+    nobody = [Entry(LOG, (100 + number) * SECOND_NS + 1, b"{}", 100 + number) for number in range(COUNT // 2)]
+    old = Entry(LOG, 1 * SECOND_NS, b"{}", 1)
+    incident = Incident("robot_0", "gone", "its link ended", (100 + COUNT) * SECOND_NS, 100 + COUNT)
     rests: list[None] = []
     path = write_incident(
         Folder(tmp_path, max_disk_mb=100, min_free_disk_mb=0),
@@ -30,3 +32,18 @@ def test_an_incident_is_written_by_time_with_a_rest_after_each_burst(tmp_path: P
     stamps = [message.stamp_ns for message in Reader(path).messages()]
     assert stamps == sorted(entry.stamp_ns for entry in robot + nobody)
     assert len(rests) == COUNT // BURST
+
+
+@pytest.mark.parametrize("jump_s", [-100_000, 100_000])
+def test_a_clock_that_is_set_changes_nothing_of_what_is_in_an_incident(tmp_path: Path, jump_s: int) -> None:
+    stamps_ns = [(1_000_000 + second + (second >= 40) * jump_s) * SECOND_NS for second in range(50)]
+    entries = [Entry(EVENTS, stamp_ns, b"{}", second) for second, stamp_ns in enumerate(stamps_ns)]
+    path = write_incident(
+        Folder(tmp_path, max_disk_mb=100, min_free_disk_mb=0),
+        Incident("robot_0", "locked", "", stamps_ns[45], 45.0),
+        [EVENTS],
+        [entries],
+        before_s=20.0,
+        rest=lambda: None,
+    )
+    assert [message.stamp_ns for message in Reader(path).messages()] == sorted(stamps_ns[25:])
