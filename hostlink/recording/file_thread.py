@@ -72,6 +72,7 @@ class FileThread:
         self._announced: dict[Channel, None] = {}
         self._put_bytes = self._taken_bytes = 0
         self._ending = threading.Event()
+        self._is_discarded = False
         self._ended = asyncio.Event()
         self._files_bytes = 0  # of those before the present one
         self._begun_s = self._chunk_due_s = 0.0
@@ -113,6 +114,11 @@ class FileThread:
         if not self._ended.is_set():
             self.failure = self.failure or f"the disk has taken nothing of the rest for {CLOSE_TIMEOUT_S:g} s"
 
+    def discard(self) -> None:
+        """End it, and remove what it has written, without waiting."""
+        self._is_discarded = True
+        self._ending.set()
+
     # -- in the thread ------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
@@ -121,6 +127,9 @@ class FileThread:
                 self._write_waiting()
             self._write_waiting()
             self._writer.close()
+            if self._is_discarded:
+                for path in self.paths:
+                    path.unlink(missing_ok=True)
         except Exception as error:  # noqa: BLE001 - whatever it is, it ends this recording and nothing else
             self.failure = _reason(error)
             self._writer.abandon()

@@ -175,8 +175,12 @@ class Recordings:
             on_end=lambda: self._note_end(name),
             on_file=self._make_room,
         )
+        opening = asyncio.get_running_loop().run_in_executor(None, make)
         try:
-            return await asyncio.to_thread(make)
+            return await asyncio.shield(opening)
+        except asyncio.CancelledError:
+            opening.add_done_callback(_discard)
+            raise
         except FileExistsError:
             raise RecordingBusy(f"there is a recording {name} already; choose another name") from None
         except OSError as error:
@@ -227,3 +231,9 @@ class Recordings:
             return self.folder.file(name, 0).exists()
         except OSError:  # the attempt to make it will say why
             return False
+
+
+def _discard(opening: "asyncio.Future[FileThread]") -> None:
+    """Nobody waits for it any more, and nobody could stop it."""
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().discard()

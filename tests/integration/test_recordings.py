@@ -6,9 +6,10 @@ import io
 import json
 import resource
 import shutil
+import threading
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,10 @@ from structlog.testing import capture_logs
 from hostlink import logs
 from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
 from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC
+from hostlink.recording.folder import Folder
 from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.recorder import Selection
+from hostlink.recording.recordings import Recordings
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon, driven
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
@@ -415,3 +419,28 @@ async def test_recordings_without_a_name_are_begun_again_and_again_within_a_seco
             names_.append((await start(host))["name"])
             await stop(host, names_[-1])
     assert len(set(names_)) == 12
+
+
+class HeldFolder(Folder):
+    """Its disk is slow: it makes no room before it may."""
+
+    may = threading.Event()
+
+    def make_room(self, is_open: Collection[Path]) -> list[str]:
+        self.may.wait(10.0)
+        return super().make_room(is_open)
+
+
+async def test_a_start_that_is_cancelled_leaves_neither_a_file_nor_a_thread(tmp_path: Path) -> None:
+    async with recorded(config(tmp_path)) as (host, _):
+        recordings = Recordings(host.hub)
+        recordings.folder = HeldFolder(tmp_path, max_disk_mb=100.0, min_free_disk_mb=0.0)
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.05):
+                await recordings.start(Selection(), name="run")
+        recordings.folder.may.set()
+        await recordings.start(Selection(), name="again")
+        assert [each.name for each in recordings.under_way()] == ["again"]
+        await recordings.aclose()
+        await expect(lambda: all(thread.name != "recording" for thread in threading.enumerate()))
+        assert names(tmp_path) == ["again.mcap"]
