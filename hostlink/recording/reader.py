@@ -24,6 +24,8 @@ from hostlink.recording.channel import Channel
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a length that damage has made is not read into memory
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; those of other writers have a few MB
 MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which are kept; a large one has a few kB
+MAX_NAMED = 10  # damaged chunks; of the others the number alone is told
+MAX_REASON = 200  # characters of a library's words for one
 _DAMAGES = (McapError, ValueError, OverflowError, MemoryError, struct.error)  # of a length that is none
 
 
@@ -40,7 +42,9 @@ class Reader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.damage: list[str] = []
+        self._damage: list[str] = []  # of the whole file
+        self._chunks: list[str] = []  # why those that are named are damaged
+        self._damaged_chunks = 0
         self.profile = ""
         self.metadata: dict[str, str] = {}
         self._schemas: dict[int, tuple[str, str]] = {}  # name, text
@@ -65,6 +69,12 @@ class Reader:
             raise RecordingFailed(f"{self.path}: {error.strerror}") from error
 
     @property
+    def damage(self) -> list[str]:
+        """What was wrong with what was read so far; empty: nothing."""
+        others = self._damaged_chunks - len(self._chunks)
+        return [*self._chunks, *([f"{others} other chunks of it are damaged"] if others else []), *self._damage]
+
+    @property
     def channels(self) -> list[Channel]:
         """Those that were met so far, also without a message."""
         return list(dict.fromkeys(self._channels.values()))
@@ -80,7 +90,7 @@ class Reader:
             if not is_begun:
                 raise RecordingFailed(f"{self.path} is no MCAP file") from error
             is_cut = isinstance(error, EndOfFile)
-            self.damage.append("it was never finished" if is_cut else f"unreadable from byte {file.tell()}: {error}")
+            self._damage.append("it was never finished" if is_cut else f"unreadable from byte {file.tell()}: {error}")
 
     def _finds_at_the_end(self, channel_id: int) -> bool:
         """Whether the summary has a channel whose definition was in a damaged chunk; a cut file has no summary."""
@@ -97,7 +107,9 @@ class Reader:
         try:
             yield from _records_in(_unpacked(chunk))
         except Exception as error:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes
-            self.damage.append(f"a chunk of it is damaged: {type(error).__name__}: {error}")
+            self._damaged_chunks += 1
+            if self._damaged_chunks <= MAX_NAMED:
+                self._chunks.append(f"a chunk of it is damaged: {type(error).__name__}: {error}"[:MAX_REASON])
 
     def _note(self, record: McapRecord) -> None:
         if isinstance(record, Schema):
@@ -119,7 +131,7 @@ class Reader:
         if self._definitions_left_bytes >= 0:
             self._definitions_left_bytes -= sum(map(len, texts))
             if self._definitions_left_bytes < 0:
-                self.damage.append(
+                self._damage.append(
                     f"its definitions have more than {MAX_DEFINITIONS_BYTES} bytes: the rest is left out"
                 )
         return self._definitions_left_bytes >= 0

@@ -13,7 +13,7 @@ import zstandard
 from hostlink.recording.contents import contents_of
 from hostlink.recording.export_csv import export_csv
 from hostlink.recording.export_ros import RosFormat, export_ros
-from hostlink.recording.reader import MAX_CHUNK_BYTES, Reader
+from hostlink.recording.reader import MAX_CHUNK_BYTES, MAX_NAMED, Reader
 from hostlink.recording.tables import MAX_COLUMNS, read
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -104,6 +104,17 @@ def test_a_chunk_that_is_not_what_it_claims_is_damage(tmp_path: Path, compressio
     reader = Reader(file(tmp_path, chunk(zstandard.compress(data), compression, len(data), crc)))
     assert list(reader.messages()) == []
     assert len(reader.damage) == 1
+
+
+def test_of_many_damaged_chunks_a_few_are_named_and_the_others_counted(tmp_path: Path) -> None:
+    good = schema(1, TEXT, "string data") + channel(1, "/x") + message(1, text("a"))
+    path = file(tmp_path, *[chunk(b"junk", "zstd", 100)] * 20_000, good)
+    reader = Reader(path)
+    assert [each.payload for each in reader.messages()] == [text("a")]
+    assert len(reader.damage) == MAX_NAMED + 1
+    assert reader.damage[0].startswith("a chunk of it is damaged: ")
+    assert reader.damage[-1] == f"{20_000 - MAX_NAMED} other chunks of it are damaged"
+    assert len(contents_of(path).damage) == MAX_NAMED + 1
 
 
 def test_a_chunk_of_nothing_but_messages_is_read_one_by_one(tmp_path: Path) -> None:
