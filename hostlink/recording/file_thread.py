@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hostlink.recording.channel import Channel
-from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.mcap_writer import MAX_CHANNELS, McapWriter
 
 MAX_WAITING_BYTES = 16 * 1024 * 1024  # of messages that the disk is too slow for; a new one is dropped over it
 MESSAGE_BYTES = 200  # that a waiting message takes beside its payload
 WRITE_INTERVAL_S = 0.05
 CHUNK_INTERVAL_S = 0.7  # with the intervals of writing and of poses, on a busy machine: under a second is lost
 MAX_ANNOUNCEMENTS = 16_384  # of topics that come and go; later channels begin with their first message
+MAX_EXPECTED = MAX_CHANNELS // 2  # channels with which a file begins, the newest: others must have room
+FULL_FILE_S = 60.0  # a file without room for a channel is ended no sooner: ten thousand topics at once are no end
 BURST = 64  # messages between two looks at the clock; the loop gets the interpreter within half a millisecond
 CLOSE_TIMEOUT_S = 2.0
 
@@ -63,6 +65,7 @@ class FileThread:
         self.messages = self.written_bytes = 0
         self._announcements = 0
         self._not_put = self._not_written = 0  # messages; each is counted by one thread
+        self.has_no_room = False  # for a channel: its messages are dropped until the next file
         self.paths: list[Path] = []
         self.failure: str | None = None
         self._path_of, self._splitting, self._metadata = path_of, splitting, dict(metadata)
@@ -87,7 +90,7 @@ class FileThread:
         return self._not_put + self._not_written
 
     def announce(self, channel: Channel) -> None:
-        """Every file has this channel from now on, also without a message, as far as there is room."""
+        """Every file has this channel from now on, also without a message, as long as it is among the newest."""
         self._announcements += 1
         if self._announcements <= MAX_ANNOUNCEMENTS:
             self._waiting.append(_Waiting(channel, 0, None))
@@ -149,15 +152,37 @@ class FileThread:
             for _ in range(min(BURST, len(self._waiting))):
                 channel, stamp_ns, payload = self._waiting.popleft()
                 if payload is None:
-                    if self._writer.announce(channel) is not None:
-                        self._announced[channel] = None
+                    self._expect(channel)
                 else:
                     self._taken_bytes += len(payload) + MESSAGE_BYTES
-                    is_written = self._writer.write(channel, stamp_ns, payload)
+                    is_written = self._write(channel, stamp_ns, payload)
                     self.messages += is_written
                     self._not_written += not is_written
             self._keep_time()
         self._keep_time()
+
+    def _expect(self, channel: Channel) -> None:
+        self._announced.pop(channel, None)
+        self._announced[channel] = None
+        if len(self._announced) > MAX_EXPECTED:
+            del self._announced[next(iter(self._announced))]
+        self._writer.announce(channel)
+
+    def _write(self, channel: Channel, stamp_ns: int, payload: bytes) -> bool:
+        """False: the file has no room for one more channel, and is too new to be ended."""
+        if self._writer.write(channel, stamp_ns, payload):
+            return True
+        if time.monotonic() < self._begun_s + FULL_FILE_S:
+            self.has_no_room = True
+            return False
+        self._begin_next()
+        return self._writer.write(channel, stamp_ns, payload)
+
+    def _begin_next(self) -> None:
+        self._writer.close()
+        self._files_bytes += self._writer.last_size_bytes
+        self._writer = self._open()
+        self.has_no_room = False
 
     def _keep_time(self) -> None:
         now_s = time.monotonic()
@@ -168,9 +193,7 @@ class FileThread:
         self.written_bytes = self._files_bytes + self._writer.last_size_bytes
         is_long = now_s > self._begun_s + self._splitting.max_file_s
         if is_long or self._writer.last_size_bytes > self._splitting.max_file_bytes or not self._writer.is_there:
-            self._writer.close()
-            self._files_bytes += self._writer.last_size_bytes
-            self._writer = self._open()
+            self._begin_next()
 
     def _open(self) -> McapWriter:
         self._on_file()

@@ -16,6 +16,7 @@ from hostlink.recording.black_box import BlackBox
 from hostlink.recording.drive_log import DriveLog
 from hostlink.recording.file_thread import FileThread, Splitting
 from hostlink.recording.folder import MEGABYTE, Folder, check_name, default_folder
+from hostlink.recording.mcap_writer import MAX_CHANNELS
 from hostlink.recording.recorder import Recorder, Selection
 
 log = structlog.get_logger()
@@ -193,8 +194,12 @@ class Recordings:
         self.changes += removed > 0
 
     async def _look_after(self, recording: Recording) -> None:
+        is_crowded = False
         while self._under_way.get(recording.name) is recording:
             recording.recorder.note_parameters(time.time_ns())
+            was_crowded, is_crowded = is_crowded, recording.thread.has_no_room
+            if is_crowded and not was_crowded:
+                log.warning("recording.crowded", recording=recording.name, max_channels=MAX_CHANNELS)
             await asyncio.sleep(LOOK_INTERVAL_S)
 
     def _note_end(self, name: str) -> None:

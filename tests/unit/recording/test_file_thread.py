@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.recording import file_thread
 from hostlink.recording.channel import EVENTS, Channel
-from hostlink.recording.file_thread import MAX_WAITING_BYTES, MESSAGE_BYTES, FileThread, Splitting
+from hostlink.recording.file_thread import MAX_EXPECTED, MAX_WAITING_BYTES, MESSAGE_BYTES, FileThread, Splitting
 from hostlink.recording.mcap_writer import MAX_CHANNELS
 from hostlink.recording.reader import Reader
 from tests.support.waiting import expect
@@ -106,7 +106,25 @@ async def test_more_channels_than_a_file_can_have_do_not_end_the_recording(tmp_p
     await thread.aclose()
     assert thread.failure is None
     assert thread.messages == MAX_CHANNELS + 1
+    assert thread.has_no_room
     assert [message.stamp_ns for message in Reader(tmp_path / "0.mcap").messages() if message.channel == EVENTS] == [
         1,
         2,
     ]
+
+
+async def test_a_file_without_room_for_a_channel_is_followed_by_another_that_has_the_newest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that makes a topic a minute has made 8192 in a week."""
+    monkeypatch.setattr(file_thread, "FULL_FILE_S", 0.0)
+    thread = FileThread(lambda number: tmp_path / f"{number}.mcap", WHOLE, loop=asyncio.get_running_loop(), metadata={})
+    channels = [Channel(f"/{number}", "json", "", "") for number in range(MAX_CHANNELS + 100)]
+    for number, channel in enumerate(channels):
+        thread.announce(channel)
+        thread.put(channel, number, b"")
+    await thread.aclose()
+    assert (thread.messages, thread.dropped, thread.has_no_room) == (len(channels), 0, False)
+    later = Reader(tmp_path / "1.mcap")
+    assert [message.channel for message in later.messages()] == channels[MAX_CHANNELS:]
+    assert set(channels[-MAX_EXPECTED:]) <= set(later.channels)
