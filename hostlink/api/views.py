@@ -61,10 +61,10 @@ class RobotView(TypedDict):
     """One robot: its topics, its driver, its velocity, its odometry.
 
     holder_address: from which who drives it is connected; null: nobody, a part of a daemon, or at another daemon.
-    unreachable: why its device could not receive the last velocity; null: it could. host: the daemon that has its link;
-    null: this one. also_at: other daemons that have a robot of this name. wheel_separation_m: as it is
-    configured. frames: how many its device has sent on this link, so that a reader notices when it falls silent; null:
-    it is not connected, or not here.
+    played: its device is a recording, which obeys nobody. unreachable: why its device could not receive the last
+    velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other daemons that have a
+    robot of this name. wheel_separation_m: as it is configured. frames: how many its device has sent on this link, so
+    that a reader notices when it falls silent; null: it is not connected, or not here.
     """
 
     name: str
@@ -75,6 +75,7 @@ class RobotView(TypedDict):
     frames: int | None
     velocity_topic: str
     odometry_topic: str
+    played: bool
     holder: str | None
     holder_address: str | None
     priority: int | None
@@ -212,6 +213,7 @@ def robot_view(robot: Robot | RemoteRobot) -> RobotView:
         "frames": _frames(robot),
         "velocity_topic": robot.shown.velocity,
         "odometry_topic": robot.shown.odometry,
+        "played": robot.is_played,
         "holder": robot.gate.owner_name,
         "holder_address": _holder_address(robot),
         "priority": robot.gate.priority,

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 
 def driver(robot: Mapping[str, object], client_name: str | None = None) -> str | None:
     """Who drives a robot, of its view; None: nobody. `client_name`: what this program is called there, which is you."""
+    if robot.get("played"):
+        return "a recording"
     name = robot["holder"]
     if name is not None and name == client_name:
         return "you"

@@ -44,6 +44,7 @@ class RobotState(TypedDict):
     velocity: Twist  # as commanded, within the limits
     odometry: Odometry | None  # None: no pose came yet
     priority: NotRequired[int | None]  # of who drives it
+    played: NotRequired[bool]  # its device is a recording, which obeys nobody
     locked: NotRequired[bool]
     lock_reason: NotRequired[str | None]
     host: NotRequired[str | None]  # the daemon that has it; None: the one that sent this

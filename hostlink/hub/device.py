@@ -85,6 +85,8 @@ class Device:
         self.leave()
         self.shown = shown
         self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in infos])
+        if robot is not None:
+            robot.is_played = self.is_played
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
         own = {} if robot is None else robot.shown.own
         for info in sorted(infos, key=lambda info: own.get(shown.of(info.name)) != info.type):  # its own types first

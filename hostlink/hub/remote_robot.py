@@ -102,6 +102,7 @@ class RemoteRobot:
     shown: RobotTopicNames
     elsewhere: Elsewhere
     link: RemoteLink | None = None
+    is_played: bool = False  # its device is a recording
     also_at: tuple[str, ...] = ()  # other daemons that have a robot of this name; then it is not driven from here
     streams: LockedStreams = field(default_factory=LockedStreams)
     gate: RemoteGate = field(default_factory=RemoteGate)

@@ -26,6 +26,7 @@ class Robot(Drivable):
     topics: RobotTopicNames  # as its device names them
     shown: RobotTopicNames  # as the graph names them
     locked_link: Link | None = None  # the one that it had when it was locked
+    is_played: bool = False  # its device is a recording, and obeys nobody
     host: None = None  # it is here
     also_at: tuple[str, ...] = ()  # other daemons that have a robot of this name
     unreadable: int = 0  # messages of its odometry that are none

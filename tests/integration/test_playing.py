@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.cli import play
+from hostlink.cli.drivers import driver
 from hostlink.client import connect
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.messages.catalog import Catalog
@@ -259,3 +260,16 @@ async def test_a_robot_that_comes_gets_its_name_from_the_one_that_is_played(tmp_
             await expect(lambda: {robot.name for robot in host.hub.robots.all()} == {"robot_0", "robot_0_2"})
             await program.robot("robot_0").drive(0.2, 0.0)
             assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
+
+
+async def test_a_robot_that_is_played_is_shown_as_that_until_the_robot_itself_comes() -> None:
+    mark = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+    async with daemon() as host:
+        async with fake_device(host.tcp, [*robot_topics(), mark]):
+            await expect(lambda: host.hub.robots.has("robot_0") and host.hub.robots.find("robot_0").is_played)
+            (view,) = (await host.get("/api/robots"))["robots"]
+            assert (view["played"], view["holder"], driver(view)) == (True, None, "a recording")
+        async with fake_device(host.tcp, robot_topics()):
+            await expect(lambda: host.hub.robots.find("robot_0").link)
+            view = await host.get("/api/robots/robot_0")
+            assert (view["played"], driver(view)) == (False, None)

@@ -219,6 +219,7 @@ def robot(name: str, **changes: Any) -> dict[str, Any]:
         "frames": 1,
         "velocity_topic": f"/{name}/velocity_commands",
         "odometry_topic": f"/{name}/odometry",
+        "played": False,
         "holder": None,
         "holder_address": None,
         "priority": None,

@@ -15,7 +15,7 @@ from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
 from hostlink.protocol.frame import Id, encode
 from tests.support.browser import DESK, PHONE, visit
 from tests.support.daemon import daemon
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect, is_soon
 
@@ -47,6 +47,18 @@ async def test_without_a_robot_it_shows_how_to_get_one_and_that_one_is_gone(brow
         await tab.shows("#robots", "not connected")
         await tab.shows("#notice", "robot_0 is not connected")
         assert tab.complaints == []
+
+
+async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(browser: Browser) -> None:
+    mark = topic(Id.PUBLISHER, 130, "/robot_0/played", "std_msgs/String")
+    async with (
+        daemon() as host,
+        visit(browser, host.url) as tab,
+        fake_device(host.tcp, [*robot_topics(), mark]) as device,
+    ):
+        await device.send(pose(1.0, -2.0))
+        await tab.shows("#drive-state", "robot_0 is a recording that is played: it obeys nobody")
+        await tab.shows("#robots", "played from a recording")
 
 
 @pytest.mark.alone

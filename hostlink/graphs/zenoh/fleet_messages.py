@@ -85,6 +85,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     priority: Priority | None = None
     lock_reason: Text | None = None
     unreachable: Text | None = None
+    is_played: bool = False  # its device is a recording
     velocity: tuple[float, float] = (0.0, 0.0)
     lease_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
     pose: PoseState | None = None

@@ -97,6 +97,7 @@ class FleetRobots:
         gate.owner_name, gate.priority, gate.lock_reason = holder, state.priority, state.lock_reason
         gate.current = Velocity(linear_x_m_s=state.velocity[0], angular_z_rad_s=state.velocity[1])
         gate.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
+        robot.is_played = state.is_played
         if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):
             robot.follow()
         if place.is_connected and not robot.also_at and self._is_free(robot.name):

@@ -101,6 +101,7 @@ def state_of(robot: Robot) -> RobotState:
         priority=gate.priority,
         lock_reason=gate.lock_reason,
         unreachable=None if cause is None else printable(cause, _TEXT),
+        is_played=robot.is_played,
         velocity=(gate.current.linear_x_m_s, gate.current.angular_z_rad_s),
         lease_s=gate.lease_s,
         pose=None if pose is None else _pose_of(pose),

@@ -7,8 +7,9 @@ import pytest
 
 from hostlink.client import connect
 from hostlink.errors import BadRequest, HostlinkError
+from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
-from tests.support.fake_device import fake_device, pose, robot_topics
+from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
 from tests.support.rosbridge import client
 from tests.support.waiting import expect, expect_never
@@ -99,6 +100,13 @@ async def test_the_more_important_driver_drives_wherever_he_is() -> None:
         status, answer = await drive(a, "robot_7", 0.3)
         assert (status, answer["error"]["kind"]) == (409, "RobotHeld")
         assert "person drives it" in answer["error"]["reason"]
+
+
+async def test_a_robot_that_is_played_elsewhere_is_shown_as_that() -> None:
+    mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
+    async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
+        await shown(a, "robot_7")
+        await expect(lambda: a.hub.robots.remote["robot_7"].is_played)
 
 
 async def test_a_robot_that_connects_again_is_not_driven_on() -> None:

@@ -23,3 +23,8 @@ def test_the_address_stands_beside_the_name(name: str, address: str, shown: str)
 def test_nobody_and_a_daemon_that_does_not_know_addresses() -> None:
     assert driver({"holder": None}) is None
     assert driver({"holder": "client 1"}) == "client 1"
+
+
+def test_a_robot_that_is_played_is_driven_by_a_recording() -> None:
+    assert driver({"holder": None, "played": True}) == "a recording"
+    assert driver({"holder": None, "played": False}) is None

@@ -20,6 +20,7 @@ export interface RobotView {
   frames?: number | null; // that its device has sent on this link
   velocity_topic: string;
   odometry_topic: string;
+  played?: boolean; // its device is a recording, which obeys nobody
   holder: string | null;
   holder_address?: string | null;
   priority?: number | null;
