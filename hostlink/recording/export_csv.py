@@ -3,9 +3,10 @@
 import csv
 import json
 import re
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from hostlink.recording.channel import NS_PER_S, Channel
 from hostlink.recording.reader import Reader
@@ -33,12 +34,12 @@ def export_csv(reader: Reader, folder: Path) -> dict[str, int]:
     columns = _columns(Reader(reader.path))
     files: dict[_Key, _File] = {}
     opened: dict[_Key, _File] = {}  # the one that was written to last is the last
+    names = _Names()
     try:
         for channel, stamp_ns, cells in _decoded(reader):
             key = _key(channel)
             if key not in files:
-                taken = {file.path.stem.lower() for file in files.values()}
-                files[key] = _File(folder / f"{_free(file_name(channel.topic), taken)}.csv", columns[key])
+                files[key] = _File(folder / f"{names.free(file_name(channel.topic))}.csv", columns[key])
             opened[key] = opened.pop(key, files[key])
             if len(opened) > MAX_OPEN_FILES:
                 opened.pop(next(iter(opened))).close()
@@ -54,13 +55,20 @@ def file_name(topic: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", ".", topic.strip("/")).strip(".")[:_LONGEST_NAME] or "topic"
 
 
-def _free(name: str, taken: Collection[str]) -> str:
-    """With a number, if another topic has it; on some disks a and A are one name."""
-    number, free = 1, name
-    while free.lower() in taken:
-        number += 1
-        free = f"{name}_{number}"
-    return free
+class _Names:
+    """Those of a folder's files; on some disks a and A are one name."""
+
+    def __init__(self) -> None:
+        self._tries: Counter[str] = Counter()  # the names that are taken, too
+
+    def free(self, name: str) -> str:
+        """With a number, if another topic has it."""
+        free, wanted = name, name.lower()
+        while free.lower() in self._tries:
+            self._tries[wanted] += 1
+            free = f"{name}_{self._tries[wanted]}"
+        self._tries[free.lower()] += 1
+        return free
 
 
 def _columns(reader: Reader) -> dict[_Key, list[str]]:
@@ -98,19 +106,22 @@ class _File:
     def __init__(self, path: Path, columns: list[str]) -> None:
         self.path, self.lines = path, 0
         self._columns = [_TIME, *columns]
-        self._open("x")
-        self._writer.writeheader()
+        self._file: IO[str] | None = None
+        self._writer: csv.DictWriter[str] | None = None
+        self._open("x").writeheader()
 
-    def _open(self, mode: str) -> None:
-        self._file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may have half a pair
-        self._writer = csv.DictWriter(self._file, self._columns, restval="", extrasaction="ignore")
+    def _open(self, mode: str) -> "csv.DictWriter[str]":
+        file = self.path.open(mode, newline="", encoding="utf-8", errors="replace")  # JSON may have half a pair
+        self._file, self._writer = file, csv.DictWriter(file, self._columns, restval="", extrasaction="ignore")
+        return self._writer
 
     def add(self, stamp_ns: int, cells: dict[str, object]) -> None:
-        if self._file.closed:
-            self._open("a")
+        writer = self._writer or self._open("a")
         seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
-        self._writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}", **cells})
+        writer.writerow({_TIME: f"{seconds}.{rest_ns:09d}", **cells})
         self.lines += 1
 
     def close(self) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
+        self._file = self._writer = None  # with their buffers, 100 kB: thousands of files may be closed

@@ -1,5 +1,6 @@
 """Tables: a recording as numpy arrays, a table a topic, a column a field."""
 
+import array
 import itertools
 import json
 from collections.abc import Iterator, Mapping
@@ -17,7 +18,7 @@ from hostlink.recording.reader import Reader, StoredMessage
 
 Column = NDArray[Any]
 MAX_DEPTH = 64  # of messages in messages, and lists in lists
-MAX_COLUMNS = 2048  # of a table; JSON may have other fields in each message, and each is as long as the table
+MAX_COLUMNS = 2048  # of a table; JSON may have other fields in each message
 MAX_PART = 2**32  # of a time: its seconds, its nanoseconds
 MAX_STAMP_NS = 2**63 - 1  # of numpy's int64; the format has twice that
 
@@ -30,14 +31,17 @@ class Table(Mapping[str, Column]):
     with ever new fields has the first MAX_COLUMNS of them.
     """
 
-    def __init__(self, topic: str, type_name: str, columns: dict[str, Column], stamp_ns: Column, begin_ns: int) -> None:
+    def __init__(
+        self, topic: str, type_name: str, columns: "dict[str, Column | _Values]", stamp_ns: Column, begin_ns: int
+    ) -> None:
         self.topic, self.type_name = topic, type_name
         self.stamp_ns: NDArray[np.int64] = stamp_ns
         self.time_s: NDArray[np.float64] = (stamp_ns - min(begin_ns, MAX_STAMP_NS)) / NS_PER_S
         self._columns = columns
 
     def __getitem__(self, field: str) -> Column:
-        return self._columns[field]
+        found = self._columns[field]
+        return found.column(len(self.stamp_ns)) if isinstance(found, _Values) else found
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
@@ -151,13 +155,36 @@ class Decoders:
         return None
 
 
+class _Values:
+    """Of one field: the messages that have it. As long as the table it is while somebody reads it, not before."""
+
+    def __init__(self) -> None:
+        self._rows = array.array("Q")
+        self._values: list[Any] = []
+
+    def add(self, row: int, value: object) -> None:
+        self._rows.append(row)
+        self._values.append(value)
+
+    def is_complete(self, length: int) -> bool:
+        return len(self._values) == length
+
+    def column(self, length: int) -> Column:
+        if self.is_complete(length):
+            return _column(self._values)
+        objects = np.empty(length, dtype=object)
+        for row, value in zip(self._rows, self._values, strict=True):
+            objects[row] = value
+        return objects
+
+
 class _Rows:
     def __init__(self) -> None:
         self.stamps_ns: list[int] = []
         self.undecoded = 0
         self._decoders = Decoders()
         self._type_name = self._topic = ""
-        self._values: dict[str, list[Any]] = {}
+        self._values: dict[str, _Values] = {}
 
     def add(self, message: StoredMessage) -> None:
         fields = self._decoders.decode(message)
@@ -165,16 +192,20 @@ class _Rows:
             self.undecoded += 1
             return
         self._topic, self._type_name = message.channel.topic, message.channel.type_name
-        row = dict(flat(fields))
-        for path in row:
-            if path not in self._values and len(self._values) < MAX_COLUMNS:  # JSON has other fields each time
-                self._values[path] = [None] * len(self.stamps_ns)
+        for path, value in dict(flat(fields)).items():
+            values = self._values.get(path)
+            if values is None and len(self._values) < MAX_COLUMNS:  # JSON has other fields each time
+                values = self._values[path] = _Values()
+            if values is not None:
+                values.add(len(self.stamps_ns), value)
         self.stamps_ns.append(min(message.stamp_ns, MAX_STAMP_NS))
-        for path, values in self._values.items():
-            values.append(row.get(path))
 
     def table(self, begin_ns: int) -> Table:
-        columns = {path: _column(values) for path, values in self._values.items()}
+        length = len(self.stamps_ns)
+        columns = {
+            path: values.column(length) if values.is_complete(length) else values
+            for path, values in self._values.items()
+        }
         return Table(self._topic, self._type_name, columns, np.array(self.stamps_ns, dtype=np.int64), begin_ns)
 
 

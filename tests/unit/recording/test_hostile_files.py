@@ -171,6 +171,25 @@ def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_
     assert (len(table), len(table.stamp_ns)) == (MAX_COLUMNS, 1500)
 
 
+def test_json_with_few_of_many_fields_in_each_message_costs_what_it_has(tmp_path: Path) -> None:
+    """A table of 20,000 rows and 2000 columns has room for forty million values."""
+    messages = [message(1, f'{{"{number % 2000}":{number},"all":1}}'.encode()) for number in range(20_000)]
+    path = file(tmp_path, schema(1, "a/A", "{}"), channel(1, "/x", "json"), *messages)
+    assert peak_bytes(lambda: read(path)) < 3 * LITTLE
+    table = read(path)["/x"]
+    assert (table["all"].dtype.kind, len(table), len(table["7"])) == ("i", 2001, 20_000)
+    assert [(row, value) for row, value in enumerate(table["7"]) if value is not None][:2] == [(7, 7), (2007, 2007)]
+
+
+def test_of_a_thousand_tables_of_text_none_keeps_its_buffer(tmp_path: Path) -> None:
+    """Their topics have one name among files: there is no letter in them."""
+    channels = [channel(number, "/" + "$" * number, "json") + message(number, b"{}") for number in range(1, 1001)]
+    path = file(tmp_path, *channels)
+    assert peak_bytes(lambda: export_csv(Reader(path), tmp_path / "csv")) < 2 * LITTLE
+    names = {each.name for each in (tmp_path / "csv").iterdir()}
+    assert names == {"topic.csv", *(f"topic_{number}.csv" for number in range(2, 1001))}
+
+
 def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> None:
     path = one(tmp_path, "{}", b'{"a\\ud800":"\\udc00"}', encoding="json")
     assert export_csv(Reader(path), tmp_path / "csv") == {"x.csv": 1}
