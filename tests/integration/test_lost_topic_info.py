@@ -87,7 +87,7 @@ async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_r
 async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_requested_again() -> None:
     async with daemon() as host, fake_device(host.tcp, VELOCITY_FIRST) as device:
         await moving(host, device, 100)
-        robot, session = host.hub.robots.find("robot_0"), host.hub.links()[0].session
+        robot, session = host.hub.robots.find("robot_0"), host.hub.links.all()[0].session
         topic_requests = session.counts.topic_requests
         await device.send(without("geometry_msgs/Pose2D", VELOCITY_FIRST))
         await expect(lambda: session.counts.negotiations == 2)
