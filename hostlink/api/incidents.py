@@ -1,4 +1,4 @@
-"""Incidents over REST: what happened, its file, and the wish to save a robot's last minutes."""
+"""Incidents over REST: what happened, its file, and the request to save a robot's last minutes."""
 
 import asyncio
 import time

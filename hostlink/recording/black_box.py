@@ -24,7 +24,7 @@ from hostlink.recording.ring import Entry, Rings
 log = structlog.get_logger()
 
 MAX_PENDING = 256  # incidents whose half minute after is not over: something happened to all robots
-MAX_WISHES = 8  # among them
+MAX_REQUESTED = 8  # among them, that somebody requested
 MAX_CHANNELS = 1024  # of one robot, that are in its incidents without a message; the newest
 MAX_DETAIL = 400  # characters
 BURST = 64  # messages, which take about half a millisecond
@@ -88,7 +88,7 @@ class BlackBox:
         self.rings.add(robot, Entry(channel, stamp_ns, payload, time.monotonic()))
 
     def save(self, robot: str, reason: str) -> Incident:
-        """Save a robot's last minutes because somebody wants it.
+        """Save a robot's last minutes because somebody requests it.
 
         Raises:
             UnknownTopic: there is no robot of that name here.
@@ -97,10 +97,12 @@ class BlackBox:
         found = self._hub.robots.find_here(robot.strip("/"))
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
-        incident = Incident(found.name, "wish", reason[:MAX_DETAIL], time.time_ns(), time.monotonic())
-        wishes = sum(each.cause == "wish" for each in self.pending)
-        if wishes >= MAX_WISHES or not self._begin(incident):
-            raise RecordingBusy(f"{wishes} wishes are being saved; try again in {self._config.after_s:g} s")
+        incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), time.monotonic())
+        requested = sum(each.cause == "requested" for each in self.pending)
+        if requested >= MAX_REQUESTED or not self._begin(incident):
+            raise RecordingBusy(
+                f"{requested} incidents are being saved on request; try again in {self._config.after_s:g} s"
+            )
         return incident
 
     def _receive(self, event: RobotEvent) -> None:

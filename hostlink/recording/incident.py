@@ -6,7 +6,7 @@ from typing import Any, Literal
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.robot.velocity import ZERO
 
-Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "wish"]
+Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "requested"]
 
 AGAIN_S = 60.0  # the same cause at the same robot is one incident
 MAX_NAMES = 4096  # of robots, and of topics by which devices are driven that are none; the oldest go

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
-from hostlink.recording.black_box import MAX_CHANNELS, MAX_WISHES, BlackBox
+from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import Channel
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.robot.velocity import Velocity
@@ -116,10 +116,10 @@ async def test_a_link_that_breaks_while_the_robot_moves_is_one_with_the_robots_n
         assert (incident["robot"], incident["cause"]) == ("robot_0", "gone")
 
 
-async def test_a_wish_is_saved_and_an_unknown_robot_is_refused(tmp_path: Path) -> None:
+async def test_a_requested_incident_is_saved_and_an_unknown_robot_is_refused(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         status, view = await host.rest("POST", "/api/incidents", b'{"robot": "robot_0", "reason": "it squeaks"}')
-        assert (status, view["cause"], view["detail"]) == (200, "wish", "it squeaks")
+        assert (status, view["cause"], view["detail"]) == (200, "requested", "it squeaks")
         assert (await host.rest("POST", "/api/incidents", b'{"robot": "robot_9"}'))[0] == 404
         assert (await host.rest("GET", "/api/incidents/nothing"))[0] == 404
         await saved(host)
@@ -240,11 +240,11 @@ async def test_all_robots_of_a_fleet_that_are_locked_at_once_are_incidents(tmp_p
         assert (await host.get("/api/incidents"))["missed"] == 0
 
 
-async def test_wishes_are_few_at_a_time_and_leave_room_for_what_happens(tmp_path: Path) -> None:
+async def test_requested_incidents_are_few_at_a_time_and_leave_room_for_what_happens(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, after_s=5.0)) as (host, _):
-        wish = json.dumps({"robot": "robot_0"}).encode()
-        answers = [(await host.rest("POST", "/api/incidents", wish))[0] for _ in range(MAX_WISHES + 1)]
-        assert answers == [200] * MAX_WISHES + [409]
+        body = json.dumps({"robot": "robot_0"}).encode()
+        answers = [(await host.rest("POST", "/api/incidents", body))[0] for _ in range(MAX_REQUESTED + 1)]
+        assert answers == [200] * MAX_REQUESTED + [409]
         await host.rest("POST", "/api/robots/robot_0/lock")
         assert (await host.get("/api/incidents"))["incidents"][0]["cause"] == "locked"
 

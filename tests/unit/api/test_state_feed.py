@@ -231,7 +231,7 @@ def test_recordings_come_when_they_change_and_to_each_new_reader() -> None:
                 reader = Reader(feed)
                 with feed.reading(reader):
                     assert (await counted(reader, 10.0))["recordings"] == 1
-                    recordings.black_box.pending.append(Incident("robot_0", "wish", "", 0))
+                    recordings.black_box.pending.append(Incident("robot_0", "requested", "", 0))
                     assert (await counted(reader, 3.0))["recordings"] == 1
                 await asyncio.sleep(1.0)
             running.cancel()

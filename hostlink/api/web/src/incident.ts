@@ -25,7 +25,7 @@ const CAUSES: Record<string, string> = {
   diagnosed: "Found by doctor",
   device_error: "Error of the device",
   watchdog: "Stopped by its watchdog",
-  wish: "Saved by somebody",
+  requested: "Saved by somebody",
 };
 
 interface OpenedIncident extends IncidentView {
