@@ -7,8 +7,8 @@ Its messages     topics.requested, topics.negotiated, topic.refused, message.ref
 Robots           robot.appeared, robot.numbered, robot.gone, robot.forgotten, robot.stopped, robot.locked,
                  robot.unlocked, robot.unreachable, robot.crashed, odometry.unreadable
 Services         service.late, service.failed, service.crashed, service.cut, service.taken_over, service.unanswerable
-Clients          client.connected, client.closed, client.too_slow, client.too_fast, client.refused,
-                 client.unknown_op, client.crowded, client.malformed, client.origin_refused
+Clients          client.connected, client.closed, client.broken, client.too_slow, client.too_fast,
+                 client.refused, client.unknown_op, client.crowded, client.malformed, client.origin_refused
 The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.stopped, daemon.failed, daemon.forced,
                  daemon.stalled,
                  task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, config.reloaded,

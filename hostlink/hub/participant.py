@@ -160,7 +160,7 @@ class Participant(Node):
     ) -> Subscription:
         """Call `receive` with what was latched and every message from now on, at most one in `interval_s`.
 
-        In between the newest `queue_length` are held for `flush`, and `on_held` is called for each.
+        In between the newest `queue_length` are held for `flush`, and `on_throttled` is called for each.
 
         Raises:
             BadRequest: it has left, or has too many subscriptions.

@@ -1,1 +1,1 @@
-"""The ways in for devices: TCP connections and serial ports."""
+"""The ways in for devices: TCP, UDP and serial ports."""

@@ -1,4 +1,4 @@
-"""Every document that is named in the tree exists, and so does the section that is named with it."""
+"""What documents and code say of each other is there: documents, sections, functions, tests, constants, log events."""
 
 import ast
 import functools
@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from hostlink import logs
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs", "firmware", "hostlink", "tests", "tools")
@@ -116,3 +118,30 @@ def test_the_reader_s_way_names_functions_that_exist_and_no_file_twice() -> None
             found = next(each for each in tree.body if isinstance(each, ast.ClassDef) and each.name == owner)
             methods = {each.name for each in found.body if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)}
             assert name in methods, f"{file}: {function}"
+
+
+TEST_FILE = re.compile(r"`((?:firmware|integration|property|system|unit)/[\w/]*test_\w+\.py)`")
+SECONDS = re.compile(r"`([A-Z][A-Z_]+_S)`")
+
+
+def test_every_test_that_the_promises_name_exists() -> None:
+    named = TEST_FILE.findall((ROOT / "docs/reliability.md").read_text())
+    assert len(named) > 100
+    assert [name for name in named if not (ROOT / "tests" / name).is_file()] == []
+
+
+def test_every_constant_that_the_documents_name_exists() -> None:
+    named = {name for file in ROOT.glob("docs/*.md") for name in SECONDS.findall(file.read_text())}
+    code = "\n".join(file.read_text() for file in [ROOT / "Makefile", *ROOT.glob("hostlink/**/*.py")])
+    assert len(named) > 5
+    assert [name for name in named if not re.search(rf"^{name}\b.* \??= ", code, re.MULTILINE)] == []
+
+
+LOGGED = re.compile(r"""\blog\.(?:debug|info|warning|error|exception)\(\s*"([\w.]+)\"""")
+
+
+def test_every_event_of_the_log_is_in_its_list() -> None:
+    listed = set(re.findall(r"\b\w+\.\w+\b", logs.__doc__ or ""))
+    logged = {event for file in ROOT.glob("hostlink/**/*.py") for event in LOGGED.findall(file.read_text())}
+    assert len(logged) > 50
+    assert logged - listed == set()
