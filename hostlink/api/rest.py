@@ -56,7 +56,7 @@ class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class RobotsView(TypedDict):
-    """Every robot that has connected since the daemon started."""
+    """Every robot that is known, connected or not, here and at the other daemons of the fleet."""
 
     robots: list[RobotView]
 
@@ -88,7 +88,7 @@ class HealthView(TypedDict):
 
 
 class ReadinessView(TypedDict):
-    """Every robot that has connected is still connected."""
+    """At least one robot is connected, and none that is known is missing."""
 
     status: str
 
@@ -123,7 +123,7 @@ class Rest:
                 RobotView,
                 method="POST",
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
+                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 "/api/stop",
@@ -132,7 +132,7 @@ class Rest:
                 RobotsView,
                 method="POST",
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
+                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/lock",
@@ -144,7 +144,7 @@ class Rest:
                 is_body_optional=True,
                 on_head=lambda request: self._hub.emergency_stop.stop(self._find(request)),
                 is_limited=False,
-                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE),
+                fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/unlock",
@@ -153,7 +153,7 @@ class Rest:
                 RobotView,
                 method="POST",
                 role=Role.DRIVE,
-                fails=(NOT_FOUND,),
+                fails=(NOT_FOUND, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/odometry/reset",
@@ -264,7 +264,7 @@ class Rest:
         return reply({"status": "alive", "loop_time_s": round(asyncio.get_running_loop().time(), 3)})
 
     async def _readiness(self, _: web.Request) -> web.Response:
-        """Ready: at least one robot is connected, and none that was connected is missing."""
+        """Ready: at least one robot is connected here, and none that is known here is missing."""
         robots = self._hub.robots.here()
         missing = [robot.name for robot in robots if robot.link is None]
         is_ready = bool(robots) and not missing

@@ -5,10 +5,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, given, settings
 
 from hostlink.config import ApiConfig, Config, LinkConfig
+from hostlink.errors import DeviceGone
+from hostlink.hub.remote_robot import Elsewhere
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 
@@ -59,3 +62,27 @@ async def test_the_document_is_true() -> None:
         assert len(called) >= 12
         assert (await host.get("/healthz"))["status"] == "alive"
         assert (await host.get("/api/links"))["crashes"] == 0
+
+
+class Silent(Elsewhere):
+    """Another daemon of the fleet, which has not answered in time."""
+
+    def stop(self, name: str | None) -> None:
+        """It is sent to it."""
+
+    async def settled(self) -> None:
+        raise DeviceGone("lab-2", "it has not answered")
+
+
+@pytest.mark.parametrize(
+    "path", ["/api/stop", *(f"/api/robots/{{name}}/{verb}" for verb in ("stop", "lock", "unlock"))]
+)
+async def test_a_daemon_of_the_fleet_that_does_not_answer_is_in_the_document(path: str) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
+        await device.send(pose(1.0, 2.0, 0.5))
+        host.hub.gates.reach(Silent())
+        status, _ = await host.rest("POST", path.format(name="robot_0"))
+        host.hub.gates.reach(None)
+        document = await host.get("/api/openapi.json")
+    assert status == 503
+    assert str(status) in document["paths"][path]["post"]["responses"]
