@@ -48,7 +48,7 @@ class DriveRoute:
         self._drives = drives
 
     def routes(self) -> list[Route]:
-        """The one."""
+        """The path of this file."""
         summary = "Who drove which robot, from when to when, the newest first; ?robot=NAME of one, ?limit=N so many"
         return [Route("/api/drives", self._all, summary, DrivesView, fails=(HTTPStatus.BAD_REQUEST,))]
 

@@ -36,7 +36,7 @@ class Owners:
                 self._owners.pop(name).leave()
 
     def of(self, name: str, role: Role) -> Participant:
-        """The one of this name."""
+        """The participant of this name, a new one if there is none."""
         owner = self._owners.pop(name, None)
         if owner is None or owner.has_left:
             owner = self._hub.join(f"rest {name}", role=role)

@@ -26,7 +26,7 @@ class ReloadRoute:
         self._reloader = reloader
 
     def routes(self) -> list[Route]:
-        """The one."""
+        """The path of this file."""
         return [
             Route(
                 "/api/reload",

@@ -83,8 +83,8 @@ def command(  # noqa: PLR0913 - the options of a command line
 ) -> None:
     """Find a robot's wheel radii and wheel separation with a tape measure.
 
-    It drives a line, turns on the spot, and a square both ways, all twice; after each drive you enter what the tape
-    measure shows. Then check drives must confirm the gain; nothing is kept before.
+    It drives a line twice, turns on the spot once each way, and drives a square twice each way; after each drive you
+    enter what the tape measure shows. Then check drives must confirm the gain; nothing is kept before.
     """
     _refuse_others("--target", target, TARGETS)
     _refuse_others("--mistake", mistake, MISTAKES)

@@ -81,7 +81,7 @@ UsageError: Any = typer.BadParameter.__base__  # click's own, which newer versio
 def build_app(wanted: str | None) -> typer.Typer:
     """The command line; the commands other than `wanted` are there by name only."""
     app = typer.Typer(
-        help="The host for rosserial robots: no ROS needed, every ROS habit kept.",
+        help="The host for rosserial robots. It needs no ROS; commands and names are those that users of ROS know.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},

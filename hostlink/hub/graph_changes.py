@@ -39,7 +39,7 @@ class GraphChanges:
         self._expect()
 
     def unwatch(self, key: Hashable) -> None:
-        """It may watch no more already."""
+        """End the watching of a key; one that watches nothing is no error."""
         self._watchers.pop(key, None)
 
     def note(self, kind: Kind, name: str) -> None:

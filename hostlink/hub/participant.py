@@ -1,4 +1,4 @@
-"""Participant: the seam. Whatever is not a device takes part in the hub as one, and leaves with all that it has.
+"""Participant: how everything that is no device takes part in the hub; when it leaves, all that it has goes with it.
 
 Payloads are bytes here, as devices send and receive them; whoever speaks another language translates.
 """

@@ -48,7 +48,7 @@ class RobotEvents:
         self._observers[key] = receive
 
     def leave(self, key: Hashable) -> None:
-        """It may observe no more already."""
+        """End the observation of a key; one that observes nothing is no error."""
         self._observers.pop(key, None)
 
     def note(self, kind: EventKind, robot: str, **facts: object) -> None:

@@ -368,4 +368,4 @@ def _remove(offers: dict[str, dict[Hashable, _Offer]], name: str, key: Hashable)
 
 
 def _ignore(text: str) -> None:
-    """Nobody is notified."""
+    """The `notify` of a provider that needs none."""

@@ -78,7 +78,7 @@ class Topic:
         return number
 
     def remove_subscriber(self, number: int) -> None:
-        """It may be removed already."""
+        """Remove a subscriber; one that is not there is no error."""
         gone = self._subscribers.pop(number, None)
         self._snapshot = None
         if gone is not None and gone.type_name:
@@ -92,7 +92,7 @@ class Topic:
         self._is_gated = any(each.is_gate for each in self.devices.values())
 
     def remove_device(self, key: Hashable) -> None:
-        """It may be removed already."""
+        """Remove a device or a gate; one that is not there is no error."""
         self.devices.pop(key, None)
         self._is_gated = any(each.is_gate for each in self.devices.values())
 

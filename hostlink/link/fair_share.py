@@ -203,4 +203,4 @@ class TurnReader:
 
 
 def _read_nothing() -> None:
-    """It has been stopped."""
+    """What a TurnReader calls after `stop`."""

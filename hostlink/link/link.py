@@ -65,7 +65,7 @@ Authenticate = Callable[[], Awaitable[None]]
 
 
 async def trust() -> None:
-    """A device that needs no key."""
+    """The `authenticate` of a device that needs no key."""
 
 
 class Link:

@@ -1,4 +1,4 @@
-"""The guarded API: tokens on every door, pages of elsewhere, TLS, and limits that hold."""
+"""The guarded API: tokens on every way in, pages of elsewhere, TLS, and limits that hold."""
 
 import asyncio
 import json

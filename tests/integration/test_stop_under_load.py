@@ -308,7 +308,7 @@ def test_a_device_with_hundreds_of_velocities_leaves_each_turn_of_the_loop_to_ot
 
 
 class Deaf:
-    """A device that has told its topics and then does not read."""
+    """A device that has announced its topics and then does not read."""
 
     def __init__(self, hub: Hub, end: MemoryTransport) -> None:
         self.hub = hub

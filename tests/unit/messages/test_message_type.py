@@ -19,8 +19,8 @@ DEFINITIONS = {
     "Arrays": "uint8[] blob\nchar[2] pair\nint16[] steps\nfloat32[3] axes\nbool[] flags\nstring[] names\n"
     "time[] times\n",
     "Nothing": "uint8 ONLY_A_CONSTANT=1\n",
-    "Hollow": "Nothing inner\nNothing[2] two\n",
-    "Hollows": "Nothing[] some\nHollow[] more\n",
+    "OnlyEmpty": "Nothing inner\nNothing[2] two\n",
+    "OnlyEmptys": "Nothing[] some\nOnlyEmpty[] more\n",
     "Named": "string name\nfloat32[2] size\n",
     "Nested": "Named[] many\nNamed[2] two\nKinds kinds\nstring[2] fixed\nbool[2] flags\n",
     "Grid": "geometry_msgs/Point[2] corners\n",
@@ -80,8 +80,8 @@ CORNERS = {"corners": [{"x": 1.0, "y": 2.0, "z": 3.0}, {"x": 4.0, "y": 5.0, "z":
         ("t/Kinds", KINDS),
         ("t/Arrays", ARRAYS),
         ("t/Nothing", {}),
-        ("t/Hollow", EMPTY),
-        ("t/Hollows", {"some": [{}] * 16, "more": [EMPTY] * 2}),
+        ("t/OnlyEmpty", EMPTY),
+        ("t/OnlyEmptys", {"some": [{}] * 16, "more": [EMPTY] * 2}),
         ("t/Nested", NESTED),
         ("t/Grids", {"grids": [CORNERS, CORNERS]}),
     ],
@@ -177,8 +177,12 @@ def test_null_is_not_a_number(catalog: Catalog) -> None:
         ("t/Arrays", {**ARRAYS, "flags": [True, 5]}, "t/Arrays.flags[1]: wanted true or false, got 5"),
         ("t/Arrays", {"names": "ab"}, "t/Arrays.names: wanted a list, got 'ab'"),
         ("t/Nested", {"many": [NAMED, {"name": 5}]}, "t/Nested.many[1].name: wanted text, got 5"),
-        ("t/Hollows", {"some": [{}] * 17}, "t/Hollows.some: at most 16 elements without fields, got 17"),
-        ("t/Hollows", {"some": [{}] * 17, "more": []}, "t/Hollows.some: at most 16 elements without fields, got 17"),
+        ("t/OnlyEmptys", {"some": [{}] * 17}, "t/OnlyEmptys.some: at most 16 elements without fields, got 17"),
+        (
+            "t/OnlyEmptys",
+            {"some": [{}] * 17, "more": []},
+            "t/OnlyEmptys.some: at most 16 elements without fields, got 17",
+        ),
     ],
 )
 def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: dict[str, object], problem: str) -> None:
@@ -220,11 +224,15 @@ def test_a_bad_value_is_named_by_its_path(catalog: Catalog, name: str, value: di
             "t/Nested: many: 1 elements of at least 12 bytes announced, 9 left",
         ),
         ("t/Nested", struct.pack("<II", 0, 0) + bytes(5), "t/Nested: two[0].size[1]: needs 4 bytes at 12, 1 left"),
-        ("t/Hollows", struct.pack("<II", 17, 0), "t/Hollows: some: 17 elements without fields, at most 16 are taken"),
         (
-            "t/Hollows",
+            "t/OnlyEmptys",
+            struct.pack("<II", 17, 0),
+            "t/OnlyEmptys: some: 17 elements without fields, at most 16 are taken",
+        ),
+        (
+            "t/OnlyEmptys",
             struct.pack("<II", 0, 2**32 - 1),
-            "t/Hollows: more: 4294967295 elements without fields, at most 16 are taken",
+            "t/OnlyEmptys: more: 4294967295 elements without fields, at most 16 are taken",
         ),
         ("t/Arrays", struct.pack("<I", 9) + b"ab", "t/Arrays: blob: 9 bytes announced, 2 left"),
     ],
@@ -237,7 +245,7 @@ def test_a_bad_payload_is_refused_with_its_numbers(catalog: Catalog, name: str, 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("t/Kinds", KINDS), ("t/Arrays", ARRAYS), ("t/Hollows", {"some": [{}]}), ("t/Nested", NESTED)],
+    [("t/Kinds", KINDS), ("t/Arrays", ARRAYS), ("t/OnlyEmptys", {"some": [{}]}), ("t/Nested", NESTED)],
 )
 def test_every_cut_and_every_extra_byte_is_a_bad_payload(catalog: Catalog, name: str, value: dict[str, object]) -> None:
     ours = message(catalog, name)
@@ -256,7 +264,7 @@ def test_every_cut_and_every_extra_byte_is_a_bad_payload(catalog: Catalog, name:
         "sensor_msgs/JointState",
         "geometry_msgs/PoseArray",
         "diagnostic_msgs/DiagnosticArray",
-        "t/Hollows",
+        "t/OnlyEmptys",
         "t/Nested",
         "t/Arrays",
     ],
