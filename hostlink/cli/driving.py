@@ -46,11 +46,10 @@ class Driving:
     HOLD_S after each repeat. Any key without a meaning stops.
     """
 
-    def __init__(self, *, layout: str, linear_m_s: float, angular_rad_s: float, max_linear_m_s: float = 1.0) -> None:
+    def __init__(self, *, layout: str, linear_m_s: float, angular_rad_s: float) -> None:
         directions, self._speed_keys = LAYOUTS[layout]
         self._directions = {key: way for key, way in directions.items() if key not in self._speed_keys}
         self.linear_m_s, self.angular_rad_s = linear_m_s, angular_rad_s
-        self._max_linear_m_s = max_linear_m_s
         self._held: dict[str, float] = {}  # key -> when it counts as released
         self._barred: dict[str, float] = {}  # key -> the same, of those that move nothing until then
         self._zeros = 0
@@ -119,5 +118,5 @@ class Driving:
 
     def _change_speed(self, linear: float, angular: float) -> None:
         """Within reason; a speed key alone moves nothing."""
-        self.linear_m_s = min(max(self.linear_m_s * linear, 0.01), self._max_linear_m_s)
+        self.linear_m_s = min(max(self.linear_m_s * linear, 0.01), 1.0)
         self.angular_rad_s = min(max(self.angular_rad_s * angular, 0.05), 4.0)
