@@ -140,7 +140,7 @@ def _run(arguments: list[str]) -> int:
     """
     words = meant(arguments)
     if words is not None:
-        raise ConfigError(arguments[0], f"is no command; `hostlink {words}` is what comes near")
+        raise ConfigError(arguments[0], f"is no command; did you mean `hostlink {words}`?")
     app = build_app(wanted_command([*arguments, *completed_words(os.environ)]))
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # hostlink.cli.start
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -71,7 +71,7 @@ async def running(
     """The whole daemon for the length of a block.
 
     However the block is left, first every robot is stopped and every device is sent its stop; then the rest ends.
-    `on_graph_end` is called with the reason when this node of a foreign graph was shut down from there. `read` reads
+    `on_graph_end` is called with the reason when this node of a ROS graph was shut down from there. `read` reads
     the configuration again, as a new start would.
     """
     hub = Hub(config, Catalog(config.message_folders), guard=guard)
@@ -158,7 +158,7 @@ async def _datagrams(hub: Hub, config: UdpConfig | None) -> AsyncIterator[tuple[
 
 @contextlib.asynccontextmanager
 async def _graphs(hub: Hub, config: Config, on_end: OnGraphEnd) -> AsyncIterator[None]:
-    """The daemon's parts in foreign graphs; what one of them needs is imported with it."""
+    """The daemon's parts in graphs of ROS and Zenoh; what one of them needs is imported with it."""
     async with contextlib.AsyncExitStack() as graphs:
         if config.zenoh is not None:
             module = importlib.import_module("hostlink.graphs.zenoh.running")

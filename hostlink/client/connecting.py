@@ -29,8 +29,8 @@ def connect(
 
     `url`: http, https, ws or wss. `token`: one of the daemon's configuration, also as `?token=` in the URL.
     `ssl`: trust a certificate of your own. `reconnect`: when the connection is lost it is made again, subscriptions
-    and advertisements too, velocities never; without it, whatever waits for a message raises. `group`: the name of a
-    foreign graph, for a bridge: it receives nothing that a connection of the same group has published.
+    and advertisements too, velocities never; without it, whatever waits for a message raises. `group`: of a bridge
+    to another graph, as ROS 2: it receives nothing that a connection of the same group has published.
 
     Raises:
         HostlinkError: when the block begins: there is no hostlink at `url`, or it refuses. At its end: a message that

@@ -64,7 +64,7 @@ class HttpClient:
             response.close()
 
     async def open_socket(self, group: str = "") -> aiohttp.ClientWebSocketResponse:
-        """A new WebSocket; its pings and pongs are the caller's. `group`: the foreign graph for which it stands.
+        """A new WebSocket; its pings and pongs are the caller's. `group`: as of `connect`.
 
         Raises:
             HostlinkError: it is refused, or nobody answers.

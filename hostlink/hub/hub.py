@@ -135,7 +135,8 @@ class Hub:
     ) -> Participant:
         """A program takes part from now on, until it leaves; `on_end` is called when a failure of its own ends it.
 
-        `group`: the foreign graph for which it stands, with others. What the group publishes does not come back to it.
+        `group`: the bridge to another graph, as ROS 2, of which it is a part. What the group publishes does not come
+        back to it.
         """
         return Participant(self._parts, name, role=role, priority=priority, group=group, on_end=on_end)
 

@@ -17,8 +17,8 @@ class Node:
     def __init__(self, name: str, *, is_daemon: bool = False, group: str = "") -> None:
         """Make a key.
 
-        `is_daemon`: a part of hostlink itself, whose types and services precede those of programs. `group`: the foreign
-        graph for which it stands, with others; empty: none.
+        `is_daemon`: a part of hostlink itself, whose types and services precede those of programs. `group`: the bridge
+        to another graph, as ROS 2, of which it is a part; empty: none.
         """
         self.name, self.is_daemon, self.group = name, is_daemon, group
         self.address = ""  # from which it connects, for readers of the API alone: no graph and no recording has it

@@ -24,7 +24,7 @@ _INT_MIN, _INT_MAX = -(2**31), 2**31 - 1
 
 
 class ParameterSource(Protocol):
-    """Where parameters are that are not set here, as in a foreign graph."""
+    """Where parameters are that are not set here, as at a ROS master."""
 
     async def get(self, name: str) -> ParameterValue | None:
         """The parameter that a device names so, well within the second that it waits; None: there is none."""

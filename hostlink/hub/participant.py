@@ -71,7 +71,7 @@ class Participant(Node):
     ) -> None:
         """`priority`: of its velocities; `on_end`: called when a failure ends it.
 
-        `group`: the foreign graph for which it stands. It does not receive what its group publishes.
+        `group`: the bridge to another graph, as ROS 2, of which it is a part. What the group publishes is not received.
         """
         super().__init__(name, is_daemon=is_daemon, group=group)
         self.role, self.priority = role, priority

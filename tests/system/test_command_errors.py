@@ -36,7 +36,7 @@ runpy.run_module("hostlink", run_name="__main__")
         ("pub /x data: 1", "MESSAGE: is one argument, in quotes: '{linear: {x: 0.1}}'"),
         ("record --name ../x", "--name: ../x is none: letters and digits, and . _ + - between them, 100 at most"),
         ("topc list", "arguments: no such command 'topc'. Did you mean 'top"),
-        ("topic echo /x", "topic: is no command; `hostlink echo /x` is what comes near"),
+        ("topic echo /x", "topic: is no command; did you mean `hostlink echo /x`?"),
         ("--url http://x robots", "arguments: no such option: --url; `hostlink --help` shows what there is"),
     ],
 )

@@ -184,7 +184,7 @@ async def test_a_serial_port_that_is_not_there_is_waited_for() -> None:
             "hostlink: no hostlink at http://127.0.0.1:1: is `hostlink serve`",
         ),
         (["teleop", "--url", "http://127.0.0.1:1"], 1, "hostlink: no hostlink at http://127.0.0.1:1"),
-        (["drive", "robot_0"], 2, "hostlink: drive: is no command; `hostlink teleop robot_0` is what comes near"),
+        (["drive", "robot_0"], 2, "hostlink: drive: is no command; did you mean `hostlink teleop robot_0`?"),
         (["pub", "/x", "{"], 2, "hostlink: MESSAGE: is no JSON"),
         (["call", "/x", "[]"], 2, "hostlink: REQUEST: must be a JSON object"),
         (["teleop", "--layout", "dvorak"], 2, "hostlink: --layout: dvorak is none of original, twist"),
