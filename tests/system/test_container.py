@@ -54,6 +54,11 @@ def test_what_is_no_source_stays_out_of_its_build() -> None:
     assert left_out == ignored | {".git"}
 
 
+def test_it_has_what_finds_hosts_and_makes_fleets() -> None:
+    """`[tcp] mdns` and `[zenoh]` are settings like others: a container gets nothing installed later."""
+    assert re.search(r'pip install [^&]*"\$\(ls /wheels/\*\.whl\)\[mdns,zenoh\]"', last("RUN"))
+
+
 async def test_its_command_is_one_of_hostlinks(tmp_path: Path) -> None:
     words = json.loads(last("CMD"))
     file = tmp_path / "hostlink.toml"
