@@ -57,7 +57,7 @@ async def screen(*, columns: int = 100, rows: int = 24, name: str = "") -> Async
     assert shutil.which("tmux"), "tmux is not installed: `make test` does it, or sudo apt-get install tmux"
     made = Screen(f"hostlink-{os.getpid()}{name}")
     size = ("-x", str(columns), "-y", str(rows))
-    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "bash", "--norc")
+    await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "env", "-u", "PS1", "bash", "--norc")
     try:
         yield made
     finally:
