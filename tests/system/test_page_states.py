@@ -57,8 +57,8 @@ async def test_a_robot_that_is_played_says_so_where_others_name_who_drives(brows
         fake_device(host.tcp, [*robot_topics(), mark]) as device,
     ):
         await device.send(pose(1.0, -2.0))
-        await tab.shows("#drive-state", "robot_0 is a recording that is played: it obeys nobody")
-        await tab.shows("#robots", "played from a recording")
+        await tab.shows("#drive-state", "A recording: it obeys nobody")
+        await tab.shows("#robots", "a recording")
 
 
 @pytest.mark.alone

@@ -111,7 +111,7 @@ export class Drive {
       return ["silent", `${robot.name}: silent for ${ageText(this.fleet.age_s(robot))}`];
     }
     if (robot.locked) return ["locked", `${robot.name} is locked`];
-    if (robot.played) return ["other", `${robot.name} is a recording that is played: it obeys nobody`];
+    if (robot.played) return ["other", "A recording: it obeys nobody"];
     if (this.isRefused) return ["refused", this.refusal];
     if (robot.unreachable) return ["refused", `${robot.name} cannot receive: ${robot.unreachable}`];
     const driver = this.driver(robot);

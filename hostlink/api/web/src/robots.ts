@@ -103,7 +103,7 @@ export class RobotList {
     if (state === "gone") return "not connected";
     if (state === "silent") return `silent ${ageText(this.fleet.age_s(robot))}`;
     if (state === "locked") return "locked";
-    if (robot.played) return "played from a recording";
+    if (robot.played) return "a recording";
     const driver = this.driver(robot);
     return driver === null ? "nobody drives" : `${driver} drive${driver === "you" ? "" : "s"}`;
   }
