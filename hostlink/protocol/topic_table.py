@@ -22,7 +22,8 @@ class TopicTable:
     """
 
     __slots__ = (
-        "_announced", "_by_name", "_complete", "_missed", "_others", "_topics", "excess", "fixed_bytes", "max_topics",
+        "_announced", "_by_name", "_complete", "_missed", "_missed_before", "_others", "_topics", "excess",
+        "fixed_bytes", "max_topics",
     )  # fmt: skip
 
     def __init__(self, max_topics: int = MAX_TOPICS) -> None:
@@ -34,12 +35,13 @@ class TopicTable:
         self._complete: dict[int, TopicInfo] = {}  # what the negotiation before it left
         self._others: set[int] = set()  # announced by the present one, and not as in the one before
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked an id
+        self._missed_before = self._missed  # without the present one, which may be finished in several parts
         self._topics: dict[int, TopicInfo] = {}  # announced so far, then those of the negotiation before
 
     def begin(self) -> None:
         """A new negotiation: the device announces all of its topics again."""
         self.excess = 0
-        self._announced, self._complete = {}, dict(self._topics)
+        self._announced, self._complete, self._missed_before = {}, dict(self._topics), self._missed
         self._others.clear()
 
     def has_announced(self, topic_id: int) -> bool:
@@ -73,7 +75,7 @@ class TopicTable:
     def finish(self, *, refused: Container[int] = ()) -> None:
         """The device has announced all: what is not among it is gone, or lost for now; `refused` is never used."""
         lacked = () if self._others else self._complete.keys() - self._announced.keys()
-        self._missed = Counter({each: self._missed[each] + 1 for each in lacked if each not in refused})
+        self._missed = Counter({each: self._missed_before[each] + 1 for each in lacked if each not in refused})
         kept = {each: self._complete[each] for each in self.missing}
         for gone in self._topics.keys() - self._announced.keys() - kept.keys():
             self.fixed_bytes.pop(gone, None)

@@ -62,6 +62,17 @@ def test_what_a_negotiation_lacks_stays_until_three_in_a_row_lack_it_and_is_requ
     assert sorted(host.session.topics) == sorted(rest)
 
 
+def test_an_announcement_that_comes_in_parts_is_one() -> None:
+    """Each part ends with a request for the time, so that three of them were three that lacked the last topic."""
+    topics = [ODOMETRY, TEXT._replace(topic_id=101), SERVICE._replace(topic_id=102), LED]
+    host = Host(*topics)
+    host.session.request_topics("claimed_twice")
+    host.wait(1.1)
+    for info in topics:
+        host.receive(wire(info) + TIME)
+        assert LED in host.session.topics
+
+
 def test_an_endpoint_is_had_as_long_as_its_id_means_the_same() -> None:
     host = Host(ODOMETRY, LED)
     assert host.session.has(LED)
