@@ -131,10 +131,12 @@ class NegotiationScheduler:
             self.request_about("loss", "gap")
         elif self._is_damaged:
             self.request_about("loss", "damaged")
-        elif is_short:
-            self.request_about("loss", "missing")
         else:
             self._same_requests.pop("loss", None)
+        if is_short:  # also where a gap never closes
+            self.request_about("short", "missing")
+        else:
+            self._same_requests.pop("short", None)
         self._is_damaged = False
 
     @property

@@ -6,7 +6,8 @@ import pytest
 
 from hostlink.protocol.frame import encode
 from hostlink.protocol.negotiation import CONFIRM_S, TRANSITIONS, NegotiationScheduler, SessionState, Step
-from tests.support.session_host import LED, ODOMETRY, TIME, Host, wire
+from hostlink.protocol.topic_table import MAX_MISSED
+from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 
 
 def regular_device() -> Host:
@@ -149,6 +150,23 @@ def test_a_request_for_another_cause_confirms_the_topics() -> None:
     assert requests_while_it_publishes(host, 1.5) == ["claimed_twice"]
     host.receive(TIME + wire(ODOMETRY, LED) + TIME)
     assert requests_while_it_publishes(host, 10.0) == []
+
+
+def test_what_is_missing_is_requested_also_where_a_gap_never_closes() -> None:
+    """A device that numbers its topics otherwise has one for ever."""
+    far = TEXT._replace(topic_id=105)
+    host = Host(ODOMETRY, LED, far)
+    for _ in range(5):
+        host.receive(TIME + wire(ODOMETRY, LED, far) + TIME, after_s=1.1)
+    host.wait(1.5)
+    assert host.requests() == []
+    found = []
+    for _ in range(MAX_MISSED):
+        assert LED in host.session.topics
+        host.receive(TIME + wire(ODOMETRY, far) + TIME, after_s=1.1)
+        found += host.requests()
+    assert found == ["missing"] * (MAX_MISSED - 1) + ["gap"]
+    assert LED not in host.session.topics
 
 
 def test_topics_on_a_line_need_no_confirmation() -> None:
