@@ -8,6 +8,8 @@ REQUEST_INTERVAL_S = 1.0  # docs/protocol.md#topic-negotiation: at most one requ
 ANSWER_TIMEOUT_S = 2.0  # twice the longest burst of TopicInfos on a 38400 baud line
 NEGOTIATION_QUIET_S = 0.5  # a device sends its TopicInfos without a pause; WiFi may put one in
 CONFIRM_S = 2.0  # behind the last TopicInfo: what a device does when it is connected is over by then
+LONGEST_CALL_S = 6.0  # of a service, by a device: the host's deadline, and the time for an answer that is late
+ANSWER_WAY_S = 0.5  # from the host to the device, over a slow line behind the radio
 SILENCE_S = 5.0  # two time requests missed: they come every 2.5 s
 QUIET_S = 3.5  # not a byte, one time request missed: a device that restarted behind its radio waits for a request
 TIME_PERIOD_S = (1.0, 4.0)  # between two time requests: 2.5 s, a slow loop later, never two at once as in a negotiation
@@ -55,20 +57,23 @@ class NegotiationScheduler:
     | REQUESTING  | at once after `open`, then after every 2 s without an answer                                      |
     | NEGOTIATING | never                                                                                             |
     | READY       | unknown id, gap or damage (3 times each); no time request for 5 s, or not a byte for 3.5 s from a |
-    |             | device that requests the time; 2 s after other topics than before, where frames are lost whole    |
+    |             | device that requests the time; 2 s after other topics than before, where frames are lost whole,   |
+    |             | but not while the device waits for a service                                                      |
 
     A request waits until the last one is REQUEST_INTERVAL_S old.
     """
 
     __slots__ = (
-        "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_pending", "_requested_at_s",
-        "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s", "state",
+        "_calls_until_s", "_is_damaged", "_is_unconfirmed", "_last_time_request_s", "_parts", "_pending",
+        "_requested_at_s", "_same_requests", "_time_requested_at_s", "_topic_info_at_s", "is_regular", "received_at_s",
+        "state",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.state = SessionState.REQUESTING
         self.received_at_s = 0.0  # the last byte
         self.is_regular = False  # it requests the time at the usual period
+        self._calls_until_s = float("-inf")  # till then a device may wait for a service
         self._is_damaged = False  # bytes were skipped in this negotiation
         self._is_unconfirmed = False  # the last negotiation, one more is to say the same
         self._topic_info_at_s = 0.0
@@ -90,6 +95,14 @@ class NegotiationScheduler:
         self.is_regular |= shortest_s <= now_s - self._last_time_request_s <= longest_s
         self._time_requested_at_s = self._last_time_request_s = now_s
 
+    def called(self, now_s: float) -> None:
+        """The device calls a service: a request for topics would end ros_lib's call, and not the answer to it."""
+        self._calls_until_s = now_s + LONGEST_CALL_S
+
+    def answered(self, now_s: float) -> None:
+        """The answer to its call leaves."""
+        self._calls_until_s = now_s + ANSWER_WAY_S
+
     def topic_info_received(self, now_s: float, *, may_go_on: bool = False) -> bool:
         """A TopicInfo came; whether it is the first of a negotiation.
 
@@ -100,6 +113,7 @@ class NegotiationScheduler:
         is_first = self.state is SessionState.REQUESTING or (self.state is SessionState.READY and not goes_on)
         if self.state is not SessionState.NEGOTIATING:
             self._parts = 1 if is_first else self._parts + 1
+            self._is_unconfirmed &= not is_first
         self._topic_info_at_s = now_s
         self._step(Step.TOPIC_INFO)
         return is_first
@@ -126,7 +140,7 @@ class NegotiationScheduler:
         """The negotiation ended: it grants earlier requests, and what was lost in it is the cause of a new one."""
         self._step(Step.FINISHED)
         self._pending = None
-        self._is_unconfirmed = is_unconfirmed
+        self._is_unconfirmed |= is_unconfirmed
         if gap_at is not None:
             self.request_about("loss", "gap")
         elif self._is_damaged:
@@ -155,7 +169,7 @@ class NegotiationScheduler:
         """Request the topics of a device that does not answer, or is silent."""
         if self.state is SessionState.REQUESTING and now_s >= self._requested_at_s + ANSWER_TIMEOUT_S:
             self.request("no_answer")
-        elif self.state is SessionState.READY and self._is_unconfirmed and now_s >= self._topic_info_at_s + CONFIRM_S:
+        elif self.state is SessionState.READY and self._is_unconfirmed and now_s >= self._confirm_at_s():
             self._is_unconfirmed = False
             self.request("unconfirmed")
         elif self.state is SessionState.READY and now_s >= self._silent_at_s():
@@ -182,11 +196,14 @@ class NegotiationScheduler:
         if self.state is SessionState.REQUESTING:
             return self._requested_at_s + ANSWER_TIMEOUT_S
         if self._is_unconfirmed:
-            return min(self._topic_info_at_s + CONFIRM_S, self._silent_at_s())
+            return min(self._confirm_at_s(), self._silent_at_s())
         return self._silent_at_s()
 
     def _step(self, step: Step) -> None:
         self.state = TRANSITIONS[self.state][step]
+
+    def _confirm_at_s(self) -> float:
+        return max(self._topic_info_at_s + CONFIRM_S, self._calls_until_s)
 
     def _silent_at_s(self) -> float:
         """When its silence is a reason to request the topics."""

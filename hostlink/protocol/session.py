@@ -10,7 +10,7 @@ from hostlink.errors import BadRequest, HostlinkError
 from hostlink.protocol import events
 from hostlink.protocol.clock import DeviceClock
 from hostlink.protocol.control import TopicInfo, decode_log, decode_parameter_request, decode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, TOPICS_REQUEST, Frame, Id
+from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, TOPICS_REQUEST, Frame, Id
 from hostlink.protocol.negotiation import NegotiationScheduler
 from hostlink.protocol.non_rosserial import NonRosserialBytes
 from hostlink.protocol.outbox import Outbox, OutgoingFrame
@@ -115,9 +115,17 @@ class Session(MessagesToDevice):
         if outgoing is not None:
             if outgoing.frame is TOPICS_REQUEST:
                 self.device_clock.topics_requested(now_s)
+            elif self._is_lossy:
+                self._note_response(outgoing.frame, now_s)
             self.counts.frames_to_device += 1
             self.counts.bytes_to_device += len(outgoing.frame)
         return outgoing
+
+    def _note_response(self, frame: bytes, now_s: float) -> None:
+        topic_id: int = HEADER.unpack_from(frame)[3]
+        info = self._topics.get(topic_id)
+        if info is not None and info.kind is Id.SERVICE_CLIENT_SUBSCRIBER:
+            self._negotiation.answered(now_s)
 
     @property
     def has_waiting(self) -> bool:
@@ -187,6 +195,7 @@ class Session(MessagesToDevice):
             return
         kind = info.kind
         if kind is Id.SERVICE_CLIENT_PUBLISHER:  # also of a type that was refused: the device waits
+            self._negotiation.called(self._negotiation.received_at_s)
             found.append(events.ServiceRequested(info, payload))
         elif topic_id in self._refused or kind not in _KINDS_FROM_DEVICE:
             self.counts.refused_frames += 1

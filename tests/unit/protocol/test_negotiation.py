@@ -4,8 +4,17 @@ import itertools
 
 import pytest
 
-from hostlink.protocol.frame import encode
-from hostlink.protocol.negotiation import CONFIRM_S, TRANSITIONS, NegotiationScheduler, SessionState, Step
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.negotiation import (
+    ANSWER_WAY_S,
+    CONFIRM_S,
+    LONGEST_CALL_S,
+    TRANSITIONS,
+    NegotiationScheduler,
+    SessionState,
+    Step,
+)
 from hostlink.protocol.topic_table import MAX_MISSED
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, wire
 
@@ -150,6 +159,34 @@ def test_a_request_for_another_cause_confirms_the_topics() -> None:
     assert requests_while_it_publishes(host, 1.5) == ["claimed_twice"]
     host.receive(TIME + wire(ODOMETRY, LED) + TIME)
     assert requests_while_it_publishes(host, 10.0) == []
+
+
+def test_what_goes_on_with_an_announcement_does_not_confirm_it() -> None:
+    host = Host(ODOMETRY, is_lossy=True)
+    host.receive(wire(LED._replace(md5="wrong")) + TIME)  # nothing that can be used, so the topics are the same
+    assert requests_while_it_publishes(host, CONFIRM_S + 0.2) == ["unconfirmed"]
+
+
+ASK = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 126, "/ask", "my_srvs/Mine", "m", 512)
+ANSWER = TopicInfo(Id.SERVICE_CLIENT_SUBSCRIBER, 101, "/ask", "my_srvs/Mine", "m", 512)
+
+
+def test_nothing_is_confirmed_while_a_device_waits_for_a_service() -> None:
+    """A request would end ros_lib's call; the response would then be written where its variable was."""
+    host = Host(ODOMETRY, ASK, LED, ANSWER, is_lossy=True)
+    host.receive(encode(ASK.topic_id, b""), after_s=CONFIRM_S - 0.2)
+    assert requests_while_it_publishes(host, 1.0) == []
+    host.session.respond(ANSWER, b"1")
+    assert [frame.topic_id for frame in host.sent()][-1] == ANSWER.topic_id
+    assert requests_while_it_publishes(host, ANSWER_WAY_S - 0.1) == []
+    assert requests_while_it_publishes(host, 0.2) == ["unconfirmed"]
+
+
+def test_a_call_that_is_never_answered_delays_the_confirmation_no_longer_than_an_answer_may_take() -> None:
+    host = Host(ODOMETRY, ASK, LED, ANSWER, is_lossy=True)
+    host.receive(encode(ASK.topic_id, b""), after_s=1.0)
+    assert requests_while_it_publishes(host, LONGEST_CALL_S - 0.1) == []
+    assert requests_while_it_publishes(host, 0.2) == ["unconfirmed"]
 
 
 def test_what_is_missing_is_requested_also_where_a_gap_never_closes() -> None:
