@@ -97,3 +97,27 @@ async def test_a_robot_whose_odometry_is_lost_drives_on_and_its_topics_are_reque
         await device.send(announced(VELOCITY_FIRST))
         await expect(lambda: session.counts.negotiations == 3)
         assert robot.link is not None
+
+
+@pytest.mark.parametrize("type_name", ["geometry_msgs/Pose2D", "geometry_msgs/Twist"])
+async def test_one_that_has_no_odometry_or_velocity_any_more_stands_after_the_third_answer_without(
+    type_name: str,
+) -> None:
+    """It is driven all the while."""
+    async with daemon() as host, fake_device(host.tcp, VELOCITY_FIRST) as device:
+        await moving(host, device, 100)
+        robot = host.hub.robots.find("robot_0")
+        await device.send(without(type_name, VELOCITY_FIRST))
+        last = b""
+        async with asyncio.timeout(5):
+            while robot.link is not None or last != bytes(48):
+                frame = await device.next()
+                if frame.topic_id == 100:
+                    last = frame.payload
+                elif frame.topic_id == Id.PUBLISHER:
+                    await device.send(without(type_name, VELOCITY_FIRST))
+                if robot.link is not None:
+                    host.hub.gates.command(robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+        await asyncio.sleep(0.3)
+        assert not robot.gate.may_move
+        assert all(not each.gate.may_move for each in host.hub.gates.all())
