@@ -13,9 +13,9 @@ MAX_TOPICS = 256  # ten times what rosserial's own library allows by default
 class TopicTable:
     """The topics of the last complete negotiation, and those that the present one has announced so far.
 
-    One that announces only a part of what was announced before, and nothing else, has most likely lost a TopicInfo on
-    the way: what it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose velocity topic went at
-    once could not be stopped any more; one whose odometry went would stop.
+    One that lacks what was announced before, and gives no id or name another meaning, has most likely lost a TopicInfo
+    on the way: what it lacks stays until MAX_MISSED negotiations in a row lack it. A robot whose velocity topic went
+    at once could not be stopped any more; one whose odometry went would stop.
 
     `fixed_bytes` is a live view for the FrameStream: id -> the only payload size that its type can have. What is over
     `max_topics` is not added: `excess` counts it, in the present negotiation.
@@ -33,7 +33,7 @@ class TopicTable:
         self._by_name: dict[tuple[str, int], TopicInfo] = {}
         self._announced: dict[int, TopicInfo] = {}  # by the present negotiation
         self._complete: dict[int, TopicInfo] = {}  # what the negotiation before it left
-        self._others: set[int] = set()  # announced by the present one, and not as in the one before
+        self._others: set[int] = set()  # announced by the present one, with another meaning than before
         self._missed: Counter[int] = Counter()  # negotiations in a row that lacked an id
         self._missed_before = self._missed  # without the present one, which may be finished in several parts
         self._topics: dict[int, TopicInfo] = {}  # announced so far, then those of the negotiation before
@@ -50,7 +50,7 @@ class TopicTable:
 
     @property
     def is_partial(self) -> bool:
-        """Whether the present negotiation has announced only a part of what was announced before, and nothing else."""
+        """Whether the present negotiation has announced less than was announced before, and nothing against it."""
         return not self._others and len(self._announced) < len(self._complete)
 
     def add(self, info: TopicInfo, fixed_bytes: int | None) -> None:
@@ -59,8 +59,9 @@ class TopicTable:
         if before is not None and self._by_name.get((before.name, before.kind)) == before:
             del self._by_name[before.name, before.kind]
         self._announced[info.topic_id] = self._topics[info.topic_id] = info
-        (self._others.discard if self._complete.get(info.topic_id) == info else self._others.add)(info.topic_id)
         known = self._by_name.get((info.name, info.kind))
+        complete = self._complete.get(info.topic_id, info if known is None or known == info else known)
+        (self._others.discard if complete == info else self._others.add)(info.topic_id)
         if known is None or self._announced.get(known.topic_id) != known:  # the first of a negotiation has the name
             self._by_name[info.name, info.kind] = info
         if fixed_bytes is None:
@@ -74,7 +75,8 @@ class TopicTable:
 
     def finish(self, *, refused: Container[int] = ()) -> None:
         """The device has announced all: what is not among it is gone, or lost for now; `refused` is never used."""
-        lacked = () if self._others else self._complete.keys() - self._announced.keys()
+        is_room = len(self._complete.keys() | self._announced.keys()) <= self.max_topics
+        lacked = self._complete.keys() - self._announced.keys() if is_room and not self._others else ()
         self._missed = Counter({each: self._missed_before[each] + 1 for each in lacked if each not in refused})
         kept = {each: self._complete[each] for each in self.missing}
         for gone in self._topics.keys() - self._announced.keys() - kept.keys():

@@ -62,6 +62,23 @@ def test_what_a_negotiation_lacks_stays_until_three_in_a_row_lack_it_and_is_requ
     assert sorted(host.session.topics) == sorted(rest)
 
 
+def test_what_is_new_says_nothing_about_what_is_lacking() -> None:
+    """Over a radio that loses datagrams the first announcement lacks one topic, and the second another."""
+    host = Host(ODOMETRY, LED)
+    host.receive(TIME + wire(LED, TEXT) + TIME)
+    assert host.session.topics == (LED, TEXT, ODOMETRY)
+    host.wait(1.1)
+    assert host.requests() == ["missing"]
+
+
+@pytest.mark.parametrize("other", [LED._replace(topic_id=101), ODOMETRY._replace(name="/text"), MOTOR])
+def test_what_an_announcement_lacks_that_contradicts_the_one_before_is_gone(other: TopicInfo) -> None:
+    """An id with another meaning, or a name with another id: the device runs another program."""
+    host = Host(ODOMETRY, LED, SERVICE._replace(topic_id=102))
+    host.receive(TIME + wire(other) + TIME, after_s=1.0)
+    assert host.session.topics == (other,)
+
+
 def test_an_announcement_that_comes_in_parts_is_one() -> None:
     """Each part ends with a request for the time, so that three of them were three that lacked the last topic."""
     topics = [ODOMETRY, TEXT._replace(topic_id=101), SERVICE._replace(topic_id=102), LED]

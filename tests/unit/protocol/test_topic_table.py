@@ -75,6 +75,15 @@ def test_a_topic_that_is_announced_again_is_not_over_the_bound() -> None:
     assert host.session.counts.excess_topics == 0
 
 
+def test_what_is_kept_makes_a_device_no_larger_than_the_bound() -> None:
+    host = Host()
+    for number in range(5):
+        first = 125 + number * MAX_TOPICS
+        infos = (info(topic_id, f"/t{topic_id}") for topic_id in range(first, first + MAX_TOPICS))
+        host.receive(TIME + wire(*infos) + TIME, after_s=1.0)
+        assert [each.topic_id for each in host.session.topics] == list(range(first, first + MAX_TOPICS))
+
+
 def test_the_bound_is_a_setting() -> None:
     session = Session(check=check, max_topics=1)
     session.open(now_s=0.0)
