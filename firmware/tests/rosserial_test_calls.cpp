@@ -250,6 +250,22 @@ void test_a_host_that_is_killed_while_a_parameter_is_awaited() {
   CHECK(first == 7 && first_sent(link, 6) == 0);
 }
 
+void test_what_a_later_answer_cannot_replace_is_still_the_host_s() {
+  TestLink link;
+  TestNode node(link);
+  ros::Parameter<int> count("count", 3, 0, 10);
+  ros::Parameters parameters;
+  parameters.add(count);
+  node.attach(parameters);
+  for (int number = 5; number <= 50; number += 45) {
+    connect(link, node);
+    node.spinOnce();
+    answer_number(link, number);
+    node.spinOnce();
+    CHECK(count == 5 && count.is_from_host() && parameters.is_done());
+  }
+}
+
 int nested = 0;
 ros::NodeApi* nested_node = nullptr;
 void spin_again(const Number&) {
@@ -284,5 +300,6 @@ void run_calls_tests() {
   RUN(test_a_parameter_that_is_given_up_takes_no_answer_from_another);
   RUN(test_a_host_that_was_killed_and_started_again_is_asked_for_the_parameters);
   RUN(test_a_host_that_is_killed_while_a_parameter_is_awaited);
+  RUN(test_what_a_later_answer_cannot_replace_is_still_the_host_s);
   RUN(test_a_callback_that_spins);
 }

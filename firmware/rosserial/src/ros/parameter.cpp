@@ -49,8 +49,11 @@ void Parameters::receive(ParameterAnswer& answer) {
   if (!is_requested_) return;
   is_answered_ = true;
   if (answer.is_empty()) return;
-  requested_->is_from_host_ = requested_->use_(*requested_, answer);
-  if (!requested_->is_from_host_) node()->log(Level::kWarn, FlashText(kRefused));
+  if (requested_->use_(*requested_, answer)) {
+    requested_->is_from_host_ = true;
+  } else {
+    node()->log(Level::kWarn, FlashText(kRefused));
+  }
 }
 
 }  // namespace ros
