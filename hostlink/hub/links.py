@@ -155,7 +155,7 @@ class Links:
         return name if device is None else device.shown.of(name)
 
     def answered_parameters(self, link: Link) -> Mapping[str, Parameter]:
-        """What the device of a link was answered, by the shown names: it uses them until it connects again."""
+        """What the device of a link was answered, by the shown names: it uses them until it requests them again."""
         device = self._identities.devices.get(link.number)
         return {} if device is None else device.parameters
 

@@ -1,4 +1,4 @@
-// Parameters with defaults: requested each time the host connects, without waiting; [parameters] of its configuration.
+// Parameters with defaults: requested at each request for topics, without waiting; [parameters] of its configuration.
 #include <ros.h>
 #include <ros/parameter.h>
 #include <std_msgs/String.h>
