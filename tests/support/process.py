@@ -81,18 +81,24 @@ class Process:
 
     async def read_log(self, until: str) -> dict[str, Any]:
         """The first line of this event from here on."""
-        async with asyncio.timeout(TIMEOUT_S):
-            while True:
-                has_ended = self.child.returncode is not None
-                lines = self.log
-                while self._next < len(lines):
-                    self._next += 1
-                    if lines[self._next - 1]["event"] == until:
-                        return lines[self._next - 1]
-                assert not self._tracebacks, self.log_file.read_text()
-                if has_ended:
-                    raise EOFError(f"the daemon ended without {until}: {self.log_file.read_text()}")
-                await asyncio.sleep(POLL_S)
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                return await self._read_log(until)
+        except TimeoutError:
+            raise AssertionError(f"no {until} in the log within {TIMEOUT_S:g} s: {self.log_file.read_text()}") from None
+
+    async def _read_log(self, until: str) -> dict[str, Any]:
+        while True:
+            has_ended = self.child.returncode is not None
+            lines = self.log
+            while self._next < len(lines):
+                self._next += 1
+                if lines[self._next - 1]["event"] == until:
+                    return lines[self._next - 1]
+            assert not self._tracebacks, self.log_file.read_text()
+            if has_ended:
+                raise EOFError(f"the daemon ended without {until}: {self.log_file.read_text()}")
+            await asyncio.sleep(POLL_S)
 
     async def logged(self, event: str, count: int = 1) -> dict[str, Any]:
         """Wait for so many lines of this event; returns the last of them."""

@@ -30,12 +30,14 @@ class Screen:
         return await self.tmux("capture-pane", "-p", "-t", "main")
 
     async def shows(self, text: str) -> str:
-        async with asyncio.timeout(PATIENCE_S):
-            while True:
-                observed = await self.text()
-                if text in observed:
-                    return observed
-                await asyncio.sleep(POLL_S)
+        observed = ""
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                while text not in (observed := await self.text()):  # noqa: ASYNC110 - tmux tells nobody
+                    await asyncio.sleep(POLL_S)
+        except TimeoutError:
+            raise AssertionError(f"not on the screen within {PATIENCE_S:g} s: {text!r}; last:\n{observed}") from None
+        return observed
 
     async def process(self, name: str) -> int:
         """The process with this command line in the screen."""
@@ -59,6 +61,7 @@ async def screen(*, columns: int = 100, rows: int = 24, name: str = "") -> Async
     size = ("-x", str(columns), "-y", str(rows))
     await made.tmux("-f", "/dev/null", "new-session", "-d", "-s", "main", *size, "env", "-u", "PS1", "bash", "--norc")
     try:
+        await made.shows("bash-")  # keys that come while it starts can be lost
         yield made
     finally:
         await made.tmux("kill-server")

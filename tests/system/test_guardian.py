@@ -62,6 +62,7 @@ async def test_a_crash_in_c_code_stops_the_robots_and_writes_no_core_before(numb
         assert not is_running(drive.daemon.pid)
 
 
+@pytest.mark.alone
 async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving() -> None:
     """`ulimit -v`: whether the MemoryErrors end it, or the kernel does, as when memory runs out: the robots stand."""
     async with driving(Reading(with_blobs=True)) as drive:
