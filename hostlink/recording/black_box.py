@@ -15,7 +15,7 @@ import structlog
 from hostlink.errors import RecordingBusy
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.recording.channel import Channel
+from hostlink.recording.channel import Channel, note_newest
 from hostlink.recording.folder import MEGABYTE, Folder
 from hostlink.recording.incident import Incident, IncidentRules
 from hostlink.recording.recorder import Recorder, Selection
@@ -77,15 +77,11 @@ class BlackBox:
 
     def announce(self, channel: Channel) -> None:
         """The channels of a robot are in each of its incidents."""
-        of_robot = self._channels[channel.robot]
-        of_robot.pop(channel, None)
-        of_robot[channel] = None
-        if len(of_robot) > MAX_CHANNELS:
-            del of_robot[next(iter(of_robot))]
+        note_newest(self._channels[channel.robot], channel, MAX_CHANNELS)
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         """Keep a message."""
-        self.rings.add(robot, Entry(channel, stamp_ns, payload, time.monotonic()))
+        self.rings.add(robot, channel, stamp_ns, payload, time.monotonic())
 
     def save(self, robot: str, reason: str) -> Incident:
         """Save a robot's last minutes because somebody requests it.

@@ -81,3 +81,11 @@ def _json_channel(topic: str, type_name: str, properties: dict[str, str]) -> Cha
 EVENTS = _json_channel(EVENTS_TOPIC, "hostlink.Event", {"kind": "string", "robot": "string", "facts": "object"})
 LOG = _json_channel(LOG_TOPIC, "hostlink.LogLine", {"event": "string", "level": "string"})
 PARAMETERS = _json_channel(PARAMETERS_TOPIC, "hostlink.Parameters", {})
+
+
+def note_newest(channels: dict[Channel, None], channel: Channel, most: int) -> None:
+    """Put a channel last, also one that is there already; over `most` the first goes."""
+    channels.pop(channel, None)
+    channels[channel] = None
+    if len(channels) > most:
+        del channels[next(iter(channels))]

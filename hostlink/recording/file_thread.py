@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from hostlink.recording.channel import Channel
+from hostlink.recording.channel import Channel, note_newest
 from hostlink.recording.mcap_writer import MAX_CHANNELS, McapWriter
 
 MAX_WAITING_BYTES = 16 * 1024 * 1024  # of messages that the disk is too slow for; a new one is dropped over it
@@ -162,10 +162,7 @@ class FileThread:
         self._keep_time()
 
     def _expect(self, channel: Channel) -> None:
-        self._announced.pop(channel, None)
-        self._announced[channel] = None
-        if len(self._announced) > MAX_EXPECTED:
-            del self._announced[next(iter(self._announced))]
+        note_newest(self._announced, channel, MAX_EXPECTED)
         self._writer.announce(channel)
 
     def _write(self, channel: Channel, stamp_ns: int, payload: bytes) -> bool:

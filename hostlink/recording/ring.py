@@ -31,9 +31,10 @@ class Ring:
         self._times_s: deque[float] = deque()
         self._payloads: deque[bytes] = deque()
 
-    def add(self, entry: Entry, *, keep_s: float, max_bytes: int) -> int:
+    def add(
+        self, channel: Channel, stamp_ns: int, payload: bytes, at_s: float, *, keep_s: float, max_bytes: int
+    ) -> int:
         """Keep a message; returns how many went that were not too old: for want of room."""
-        channel, stamp_ns, payload, at_s = entry
         self._channels.append(channel)
         self._stamps_ns.append(stamp_ns)
         self._payloads.append(payload)
@@ -73,14 +74,14 @@ class Rings:
         self._keep_s, self._max_bytes = keep_s, max_bytes
         self._rings: dict[str, Ring] = {}
 
-    def add(self, robot: str, entry: Entry) -> None:
-        """Keep a message."""
+    def add(self, robot: str, channel: Channel, stamp_ns: int, payload: bytes, at_s: float) -> None:
+        """Keep a message; `at_s`: now, of a clock that nobody sets."""
         ring = self._rings.get(robot)
         if ring is None:
-            self._drop_unused(entry.at_s - self._keep_s)
+            self._drop_unused(at_s - self._keep_s)
             ring = self._rings[robot] = Ring()
         room = self._max_bytes // len(self._rings)
-        self.dropped += ring.add(entry, keep_s=self._keep_s, max_bytes=room)
+        self.dropped += ring.add(channel, stamp_ns, payload, at_s, keep_s=self._keep_s, max_bytes=room)
 
     def _drop_unused(self, oldest_s: float) -> None:
         """Those of which all is too old: they would leave less room for the others."""
