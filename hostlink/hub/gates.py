@@ -101,6 +101,15 @@ class Gates:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
         check_age(drivable, message)
         velocity = Velocity.decode(message.payload)
+        self.follow(drivable, velocity, message)
+
+    def follow(self, drivable: Drivable | RemoteRobot, velocity: Velocity, message: Message) -> None:
+        """Obey the velocity of a message that was published: its source goes on without waiting for answers.
+
+        Raises:
+            HostlinkError: as `command`.
+            BadRequest: a lock has interrupted it.
+        """
         check_stream(drivable, velocity, message.source)
         self.command(drivable, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
 

@@ -136,11 +136,7 @@ class Links:
 
     async def silence(self) -> None:
         """Request silence of every device; returns when each has been sent that."""
-        for link in self.all():
-            link.session.stop()
-            link.wake()
-        for link in self.all():
-            await link.drained()
+        await _silence(self.all())
 
     def end_all(self) -> None:
         """The daemon ends."""
@@ -200,17 +196,23 @@ class Links:
         """End the link of a device that waits for an answer that does not fit it; it rests, and waits no more."""
         gates = self._around.affected.gates
         gates.stop_at_once(gates.of_link(link))
-        link.session.stop()
-        link.wake()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SILENCE_TIMEOUT_S):
-                await link.drained()
+                await _silence([link])
         link.end(LinkEnd.UNANSWERABLE)
 
     def _service_name(self, link: Link, name: str) -> str:
         """That of the robot's name here, if anybody provides it; else the name that all of its kind call."""
         shown = self.shown_name(link, name)
         return shown if self._around.parts.services.is_offered(shown) else name
+
+
+async def _silence(links: list[Link]) -> None:
+    for link in links:
+        link.session.stop()
+        link.wake()
+    for link in links:
+        await link.drained()
 
 
 def _addresses(config: Config) -> dict[str, str | None]:

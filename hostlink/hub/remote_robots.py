@@ -8,7 +8,7 @@ import structlog
 
 from hostlink.errors import DeviceGone, HostlinkError, WrongType
 from hostlink.hub.emergency_stop import EmergencyStop
-from hostlink.hub.gates import Gates, check_age, check_stream
+from hostlink.hub.gates import Gates, check_age
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
@@ -101,5 +101,4 @@ class RemoteRobots:
             velocity = Velocity.from_twist(message.decoded["twist"])  # type: ignore[arg-type]  # by its definition
         else:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        check_stream(robot, velocity, message.source)
-        self._gates.command(robot, velocity, owner=message.source, priority=message.priority)
+        self._gates.follow(robot, velocity, message)

@@ -11,7 +11,7 @@ import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import BadRequest, HostlinkError
-from hostlink.hub.gates import Gates, check_stream
+from hostlink.hub.gates import Gates
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.robot import Robot
@@ -187,8 +187,7 @@ class RobotTopicPublisher:
         fields: Mapping[str, Any] = message.decoded
         self._check_age(robot, fields["header"]["stamp"])
         velocity = Velocity.from_twist(fields["twist"])
-        check_stream(robot, velocity, message.source)
-        self._gates.command(robot, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
+        self._gates.follow(robot, velocity, message)
 
     def _publishes(self, robot: Robot, name: str) -> bool:
         topic = self._graph.find_or_none(name)
