@@ -72,11 +72,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     Files that wait stand beside files that compute, so that no core is idle; those that measure times do not.
     """
-    if hasattr(config, "workerinput"):
-        items.sort(key=lambda item: 0 if item.get_closest_marker("quiet") else _place(item, config))
-    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+    has_workers = hasattr(config, "workerinput")
+    items.sort(key=lambda item: (item.get_closest_marker("long") is None, _place(item, config) if has_workers else 0))
 
 
 def _place(item: pytest.Item, config: pytest.Config) -> int:
-    """Any, that is the same in each worker and for all tests of a file."""
+    """Any, that is the same in each worker and for all tests of a file; those that measure times stay as they are."""
+    if item.get_closest_marker("quiet"):
+        return 0
     return zlib.crc32(item.path.relative_to(config.rootpath).as_posix().encode())

@@ -56,6 +56,16 @@ class World:
         await expect(lambda: self.gate.owner is None or self.gate._target.is_zero, timeout_s=5.0)
         return loop.time() - begun_s
 
+    async def drives_after_a_zero_and_not_for(self, seconds: float) -> None:
+        """The stream that goes on drives nobody; one that begins after a zero does."""
+        await expect_never(lambda: self.gate.owner is not None, for_s=seconds)
+        await self.driver.do("silence", topic=CMD_VEL)
+        await drive(self.driver, linear_m_s=0.0)
+        await asyncio.sleep(0.2)
+        await self.driver.do("silence", topic=CMD_VEL)
+        await drive(self.driver)
+        await expect(lambda: self.gate.owner is not None and not self.gate._target.is_zero)
+
 
 async def drive(other: Peer, topic: str = CMD_VEL, *, type_name: str = TWIST, linear_m_s: float = 0.2) -> None:
     velocity: dict[str, Any] = {"linear": {"x": linear_m_s}}
@@ -133,13 +143,7 @@ async def test_a_stream_drives_on_after_a_zero_when_the_bridge_stood_still(envir
         await asyncio.sleep(0.5)
         world.bridge.child.send_signal(signal.SIGCONT)
         await expect(lambda: world.bridge.has_reported("was interrupted"))
-        await expect_never(lambda: world.gate.owner is not None, for_s=0.5)
-        await world.driver.do("silence", topic=CMD_VEL)
-        await drive(world.driver, linear_m_s=0.0)
-        await asyncio.sleep(0.2)
-        await world.driver.do("silence", topic=CMD_VEL)
-        await drive(world.driver)
-        await expect(lambda: world.gate.owner is not None and not world.gate._target.is_zero)
+        await world.drives_after_a_zero_and_not_for(0.5)
 
 
 async def test_a_device_that_connects_again_is_not_driven_by_the_stream_of_before(environment: dict[str, str]) -> None:
@@ -262,10 +266,4 @@ async def test_a_stream_that_went_on_through_a_lock_drives_after_a_zero_and_not_
         await expect(lambda: world.bridge.has_reported("a person is near"))
         world.server.hub.emergency_stop.release(robot)
         await expect(lambda: world.bridge.has_reported("drives again after a zero"))
-        await expect_never(lambda: world.gate.owner is not None, for_s=1.0)
-        await world.driver.do("silence", topic=CMD_VEL)
-        await drive(world.driver, linear_m_s=0.0)
-        await asyncio.sleep(0.2)
-        await world.driver.do("silence", topic=CMD_VEL)
-        await drive(world.driver)
-        await expect(lambda: world.gate.owner is not None and not world.gate._target.is_zero)
+        await world.drives_after_a_zero_and_not_for(1.0)
