@@ -12,7 +12,7 @@ FIRMWARE_PACKAGES := cmake g++ clang clang-format clang-tidy cppcheck libclang-r
 
 XTENSA_PACKAGES := gcc-xtensa-lx106 picolibc-xtensa-lx106-elf
 
-ROS1_PACKAGES := python3-roslaunch python3-rospy python3-rosbag python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
+ROS1_PACKAGES := python3-catkin-pkg python3-roslaunch python3-rospy python3-rosbag python3-rostopic python3-rosservice python3-rosnode python3-rosparam python3-geometry-msgs \
   python3-nav-msgs python3-rosgraph-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-tf2-msgs
 
 WEB := hostlink/api/web
@@ -34,7 +34,7 @@ QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy 
 MARKED = $(shell grep -rlE 'mark\.$(1)\b' --include='test_*.py' tests)# only these files are read for the few tests with a mark
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv release format clean
+.PHONY: help demo docs test test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
@@ -47,6 +47,7 @@ help:
 	@echo "make check   format, lint, types, import rules"
 	@echo "make bench   measure, write the figures to build/bench*.json"
 	@echo "make ros2-venv  rclpy from PyPI and hostlink, into build/ros2-venv"
+	@echo "make ros-mcp-venv  ros-mcp from PyPI, a client of rosbridge that the tests run, into build/ros-mcp-venv"
 	@echo "make firmware  build the boards' firmware in every way that runs here, and test it"
 	@echo "make world   build the firmware in its world for Python, in virtual time (hostlink/sim/firmware_world.py)"
 	@echo "make lab     drive the paper's measurements again: causes, tables, fit, claims and pictures, into build/lab"
@@ -91,6 +92,19 @@ $(ROS2_VENV)/.installed: pyproject.toml
 
 ros2-venv: $(ROS2_VENV)/.installed
 
+# ros-mcp, 430 MB with what it wants, in a venv of its own, which no other test needs.
+ROS_MCP_VENV := build/ros-mcp-venv
+
+$(ROS_MCP_VENV)/.installed:
+	@test -n "$(PYTHON)" || { echo "hostlink needs Python 3.11 or newer"; exit 1; }
+	@echo "installing ros-mcp into $(ROS_MCP_VENV) ..."
+	@$(PYTHON) -m venv --clear $(ROS_MCP_VENV)
+	@$(ROS_MCP_VENV)/bin/python -m pip install --quiet --disable-pip-version-check ros-mcp==3.1.2 \
+	  || { echo "ros-mcp cannot be installed from PyPI: tests/system/test_ros_mcp.py needs it"; exit 1; }
+	@touch $@
+
+ros-mcp-venv: $(ROS_MCP_VENV)/.installed
+
 CLIENTS := tests/clients/node_modules/.package-lock.json
 
 $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
@@ -99,7 +113,7 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 	@cd tests/clients && npm ci --ignore-scripts --no-progress --loglevel=error
 	@touch $@
 
-test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed
+test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed
 	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(ROS1_PACKAGES)
 	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null & \
 	  $(BIN)/coverage run -m pytest -n $(CORES) $(PURE_TESTS) && wait # what pytest compiles: once, not once a worker

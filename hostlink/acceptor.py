@@ -6,14 +6,16 @@ asyncio's own does neither: without descriptors it logs a traceback at each try.
 import asyncio
 import errno
 import os
+import select
 import socket
 from collections.abc import Callable
 
-BACKLOG = 1024  # connections that may wait in the kernel
+from hostlink.listening import close_all, listen_on
+
 RETRY_S = 0.25  # a descriptor may be free again by then
 EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
-OnAccepted = Callable[[socket.socket, str], None]
+OnAccepted = Callable[[socket.socket, str, float], None]
 
 
 async def bind(host: str, port: int) -> list[socket.socket]:
@@ -26,34 +28,7 @@ async def bind(host: str, port: int) -> list[socket.socket]:
     """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-    listening: list[socket.socket] = []
-    refusal = OSError(f"{host} has no address")
-    for family, _, protocol, _, address in dict.fromkeys(found):
-        try:
-            listening.append(_listen(family, protocol, address))
-        except OSError as error:
-            refusal = error
-            if error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):  # as ::1 where there is no IPv6
-                close_all(listening)
-                raise
-    if not listening:
-        raise refusal
-    return listening
-
-
-def _listen(family: int, protocol: int, address: tuple[object, ...]) -> socket.socket:
-    listening = socket.socket(family, socket.SOCK_STREAM, protocol)
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            listening.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        listening.bind(address)
-        listening.listen(BACKLOG)
-        listening.setblocking(False)
-    except BaseException:
-        listening.close()
-        raise
-    return listening
+    return listen_on(host, port, found)
 
 
 def why(error: OSError | OverflowError | UnicodeError) -> str:
@@ -67,20 +42,23 @@ def why(error: OSError | OverflowError | UnicodeError) -> str:
     return os.strerror(error.errno)
 
 
-def close_all(listening: list[socket.socket]) -> None:
-    """Nobody can connect any more."""
-    for each in listening:
-        each.close()
-
-
 class Acceptor:
     """Owns the listening sockets."""
 
     def __init__(
-        self, listening: list[socket.socket], on_accepted: OnAccepted, *, on_exhausted: Callable[[], None]
+        self,
+        listening: list[socket.socket],
+        on_accepted: OnAccepted,
+        *,
+        on_exhausted: Callable[[], None],
+        came_s: Callable[[float], float] = lambda now_s: now_s,
     ) -> None:
-        """`on_accepted` owns the connection that it receives, with the address of its peer."""
-        self._listening = listening
+        """`on_accepted` owns the connection that it receives, with the address of its peer, and since when it may wait.
+
+        `came_s`: since when something may have waited that is noticed now.
+        """
+        self._listening, self._came_s = listening, came_s
+        self._since_s: dict[int, float] = {}  # since when connections have waited at a socket, without a moment of none
         self._on_accepted, self._on_exhausted = on_accepted, on_exhausted
         self._retries: dict[int, asyncio.TimerHandle] = {}
         for each in listening:
@@ -100,16 +78,20 @@ class Acceptor:
 
     def _accept(self, listening: socket.socket) -> None:
         """Accept one; the loop comes back for the next, and others have their turn in between."""
+        since_s = self._since_s.setdefault(listening.fileno(), self._came_s(asyncio.get_running_loop().time()))
         try:
             connection, address = listening.accept()
         except (BlockingIOError, InterruptedError):
+            del self._since_s[listening.fileno()]
             return
         except OSError as error:  # another is of the connection, which was reset before it was accepted: accept(2)
             if error.errno in EXHAUSTED:
                 self._pause(listening)
             return
+        if not _is_readable(listening):
+            del self._since_s[listening.fileno()]
         connection.setblocking(False)
-        self._on_accepted(connection, str(address[0]))
+        self._on_accepted(connection, str(address[0]), since_s)
 
     def _pause(self, listening: socket.socket) -> None:
         """The socket stays readable: without a pause each turn of the loop would try again."""
@@ -117,3 +99,10 @@ class Acceptor:
         loop.remove_reader(listening.fileno())
         self._retries[listening.fileno()] = loop.call_later(RETRY_S, self._watch, listening)
         self._on_exhausted()
+
+
+def _is_readable(listening: socket.socket) -> bool:
+    """Whether another connection waits."""
+    poll = select.poll()
+    poll.register(listening, select.POLLIN)
+    return bool(poll.poll(0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import ipaddress
 import re
 import typing
@@ -17,6 +18,7 @@ import msgspec
 from hostlink.errors import ConfigError
 
 MAX_PORT = 0xFFFF
+MAX_FILE_BYTES = 64 * 1024 * 1024  # of settings; 20,000 robots have two; a device file has no end
 MOST_CALIBRATION = 2.0  # a robot whose wheels differ more has wrong constants
 
 MAX_ROS_DOMAIN_ID = 232
@@ -190,6 +192,9 @@ class CalibrationConfig:
             raise ValueError(f"a calibration changes a number by a factor of {MOST_CALIBRATION:g} at most")
 
 
+MAX_RESUME_S = 60.0  # a robot that was away for longer may have been carried somewhere else
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotConfig:
     """One robot: how its device is known, what it may do. The limits apply to every source of commands."""
@@ -209,10 +214,15 @@ class RobotConfig:
     cmd_vel_topic: str | None = None
     cmd_vel_stamped_topic: str | None = None  # one topic has one type
     cmd_vel_max_age_s: float | None = None  # None: clocks differ, and the lease begins when the command comes
-    odom_frame: str | None = None  # None: "odom", and the robot's name before it where there are several
-    base_frame: str | None = None
+    odom_frame: str | None = None  # None: "<robot>/odom"; Nav2 and rviz look for "odom" unless they are told otherwise
+    base_frame: str | None = None  # None: "<robot>/base_link"
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)  # of a device that keeps its own numbers
     publish_tf: bool = True  # false where something else publishes the transform between these frames
+    resume_after_reconnect_s: float = 0.0  # a program that keeps commanding goes on after a shorter absence
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.resume_after_reconnect_s <= MAX_RESUME_S:
+            raise ValueError(f"resume_after_reconnect_s must be a number from 0 to {MAX_RESUME_S:g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -259,10 +269,13 @@ class ZenohConfig:
     fleet_name: str = "hostlink"  # the first part of every key: daemons with another one are another fleet
     drivers: tuple[str, ...] = ("*",)  # daemons whose programs may drive the robots here; others may read, and stop
     mode: Literal["peer", "client", "router"] = "peer"
-    connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; peers in the local network find each other by multicast
-    listen: tuple[str, ...] = ()  # "tls/0.0.0.0:7447"; none: Zenoh's own, a free port on every address
-    multicast: bool = True
-    ca: Path | None = None  # PEM; with `certificate` and `key`: TLS on both sides, for tls/ and quic/ endpoints
+    connect: tuple[str, ...] = ()  # "tls/10.0.0.2:7447"; without `ca` peers in the local network also find each other
+    listen: tuple[str, ...] = ()  # "tls/0.0.0.0:7447"; none: with `ca` nowhere, else a free port on every address
+    multicast: bool | None = (
+        None  # find and be found in the local network; None: unless there is `ca`, with which never
+    )
+    gossip: bool | None = None  # connect to those that neighbours name; None: unless there is `ca`
+    ca: Path | None = None  # PEM; with `certificate` and `key`: TLS on both sides of every link, and nothing else
     certificate: Path | None = None
     key: Path | None = None
     file: Path | None = None  # a configuration of Zenoh, JSON5, for everything else: access rules, leases
@@ -273,6 +286,8 @@ class ZenohConfig:
                 raise ValueError(f"zenoh.{setting} {name!r} must be made of letters, digits, _, - and .")
         if (self.certificate is None) != (self.key is None):
             raise ValueError("zenoh.certificate and zenoh.key belong together")
+        if self.certificate is not None and self.ca is None:
+            raise ValueError("zenoh.certificate needs zenoh.ca: without an authority nobody else is asked for theirs")
         if not 0 <= self.ros_domain_id <= MAX_ROS_DOMAIN_ID:
             raise ValueError(f"zenoh.ros_domain_id must be 0 to {MAX_ROS_DOMAIN_ID}")
         if not self.fleet_name:
@@ -305,11 +320,17 @@ def load(path: Path) -> Config:
         ConfigError: the file cannot be read or a setting is wrong; it names file, key and the nearest known key.
     """
     try:
-        raw = msgspec.toml.decode(path.read_bytes())
+        with path.open("rb") as file:
+            text = file.read(MAX_FILE_BYTES + 1)
+        if len(text) > MAX_FILE_BYTES:
+            raise ConfigError(str(path), f"has more than {MAX_FILE_BYTES} bytes")
+        raw = msgspec.toml.decode(text)
     except OSError as error:
         raise ConfigError(str(path), error.strerror or str(error)) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), f"is not TOML: {error}") from error
+    except RecursionError:
+        raise ConfigError(str(path), "is no settings file: nested too deeply") from None
     _refuse_unknown_keys(raw, Config, str(path), "")
     try:
         config = msgspec.convert(raw, Config, dec_hook=_decode)
@@ -349,12 +370,18 @@ def _decode(wanted: type, value: object) -> object:
     raise NotImplementedError(f"no way to read {wanted}")
 
 
+@functools.cache
+def _hints(part: type) -> dict[str, Any]:
+    """Of a dataclass. Python compiles each of them again at every call, which 20,000 robots would wait for."""
+    return typing.get_type_hints(part)
+
+
 def _refuse_unknown_keys(raw: Any, wanted: Any, file: str, prefix: str) -> None:
     """Walk the tables that the dataclasses describe; a key that none has is an error."""
     if type(None) in typing.get_args(wanted):
         wanted = typing.get_args(wanted)[0]
     if dataclasses.is_dataclass(wanted) and isinstance(raw, dict):
-        hints = typing.get_type_hints(wanted)
+        hints = _hints(typing.cast("type", wanted))
         for key, value in raw.items():
             if key not in hints:
                 near = difflib.get_close_matches(key, hints, n=1)

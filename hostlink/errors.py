@@ -1,13 +1,23 @@
 """Every error that hostlink raises on purpose, with its numbers as attributes."""
 
 import itertools
-import shlex
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
+from enum import StrEnum
 from typing import Self
 
 
 class HostlinkError(Exception):
-    """Base of all: a caller requested what cannot be done. The text names the next step."""
+    """Base of all: a caller requested what cannot be done. The text names the next step.
+
+    `kind` is its public name, for programs: the name of the class, unless a class says otherwise.
+    """
+
+    kind: str = "HostlinkError"
+
+    def __init_subclass__(cls) -> None:
+        """Name the class."""
+        super().__init_subclass__()
+        cls.kind = cls.__name__
 
 
 class ConfigError(HostlinkError):
@@ -18,14 +28,24 @@ class ConfigError(HostlinkError):
         self.where, self.problem = where, problem
 
 
+class LibraryMissing(ConfigError):
+    """What was asked for needs a library that only an extra of hostlink installs."""
+
+    def __init__(self, where: str, library: str, extra: str) -> None:
+        """The text names no index: hostlink is in none, so that whoever takes its name there is a stranger."""
+        self.library, self.extra = library, extra
+        advice = f"run  pip install '.[{extra}]'  in a clone, or name the wheel's file for the dot"
+        super().__init__(where, f"needs {library}: {advice}")
+
+
 class UnknownTopic(HostlinkError):
     """No topic, service or robot of that name."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str] = ()) -> None:
+    def __init__(self, what: str, name: str, known: Iterable[str] = ()) -> None:
         """The text names some of those that are known: devices may announce any number of them."""
-        self.kind, self.name, self.known = kind, name, tuple(itertools.islice(known, 64))
+        self.what, self.name, self.known = what, name, tuple(itertools.islice(known, 64))
         hint = f"; known: {', '.join(sorted(self.known)[:8])}" if self.known else ""
-        super().__init__(f"no {kind} named {name}{hint}")
+        super().__init__(f"no {what} named {name}{hint}")
 
 
 class WrongType(HostlinkError):
@@ -97,18 +117,40 @@ class RecordingFailed(HostlinkError):
     """A recording cannot be written or read."""
 
 
+class UnknownFormat(RecordingFailed):
+    """A recording, or a channel of it, has messages that hostlink cannot convert."""
+
+
 class RecordingBusy(HostlinkError):
     """The name is in use, the file is being written, or too many recordings are under way."""
 
 
-class RobotHeld(HostlinkError):
-    """Somebody with a higher priority drives the robot, or it is locked."""
+class RefusalKind(StrEnum):
+    """Why a velocity was refused. Public: REST, rosbridge, client, CLI, events and metrics use these names."""
 
-    def __init__(self, robot: str, owner: str | None, *, lock_reason: str | None = None) -> None:
-        why = (
-            f"{owner} drives it with a higher priority"
-            if lock_reason is None
-            else f"locked: {lock_reason}; to drive it again: hostlink unlock {shlex.quote(robot)}"
-        )
-        super().__init__(f"{robot}: {why}")
-        self.robot, self.owner, self.lock_reason = robot, owner, lock_reason
+    NOT_FINITE = "not_finite"
+    LOCKED = "locked"
+    NOT_CONNECTED = "not_connected"
+    LATE = "late"
+    DISARMED = "disarmed"
+    HELD = "held"
+    CROWDED = "crowded"
+    ENDING = "ending"  # the daemon stops
+
+
+class CommandRefused(HostlinkError):
+    """A velocity was refused; `kind` says by which rule, `holder` is the source that holds the robot, if any."""
+
+    kind: RefusalKind
+
+    def __init__(self, robot: str, kind: RefusalKind, reason: str, *, holder: Hashable = None) -> None:
+        super().__init__(reason)
+        self.robot, self.kind, self.reason, self.holder = robot, kind, reason, holder
+
+
+class Refused(HostlinkError):
+    """The daemon has refused a request of the client; `kind` is the daemon's own."""
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(reason)
+        self.kind, self.reason = kind, reason

@@ -14,14 +14,14 @@ The daemon       daemon.started, daemon.stop_requested, daemon.stopping, daemon.
                  task.crashed, diagnosis.crashed, systemd.deaf, config.suspicious, config.reloaded,
                  config.refused, descriptors.exhausted, loop.error, library.complained
 Recordings       recording.started, recording.stopped, recording.failed, incident.begun, incident.saved, incident.lost,
-                 recording.crowded, drives.lost
+                 incident.postponed, recording.crowded, drives.lost, black_box.volatile
 A ROS 1 graph    ros1.started, ros1.ended, ros1.master_found, ros1.master_lost, ros1.registered_again, ros1.crashed,
                  ros1.name_refused, ros1.publisher_failed, ros1.publication_failed, ros1.message_refused,
                  ros1.message_malformed, ros1.topic_unknown, ros1.service_unknown, ros1.service_unusable,
                  ros1.parameter_unusable
-Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete
+Its guardian     guardian.started, guardian.ended, guardian.missing, guardian.incomplete, guardian.stopped_robots
 Zenoh            zenoh.opened, zenoh.closed, zenoh.failed, fleet.daemon_appeared, fleet.daemon_gone, fleet.name_twice,
-                 fleet.unanswered, fleet.topic_refused, graph.crashed
+                 fleet.name_differs, fleet.unanswered, fleet.topic_refused, graph.crashed
 ROS 2 on Zenoh   ros2.joined, ros2.left, ros2.trouble, ros2.refused, ros2.topic_refused, ros2.service_refused,
                  ros2.type_unknown, ros2.type_differs
 The log itself   log.lines_left_out, log.lines_lost

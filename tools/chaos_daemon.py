@@ -2,6 +2,7 @@
 
     python tools/chaos_daemon.py                          # a minute from a new seed
     python tools/chaos_daemon.py --seed 7 --seconds 600   # the same steps again, for longer
+    python tools/chaos_daemon.py --seed 7 --quota 0.25    # with a quarter of a core for the daemon
     python tools/chaos_daemon.py --seeds 1-20 --seconds 12 --keep-going --out build/chaos.json
 
 Not tools/chaos.py, which harms the line between an honest device and a host. Ends with status 1 when a promise did not
@@ -48,11 +49,14 @@ def wanted_of(arguments: argparse.Namespace, seed: int) -> Wanted:
         first_step=arguments.first_step,
         keeps_going=arguments.keep_going,
         has_udp=arguments.udp,
+        quota=arguments.quota,
+        log=arguments.log,
     )
 
 
 def as_data(outcome: Outcome) -> dict[str, object]:
-    return dataclasses.asdict(outcome) | {"command": outcome.wanted.command()}
+    wanted = dataclasses.asdict(outcome.wanted) | {"log": str(outcome.wanted.log)}
+    return dataclasses.asdict(outcome) | {"command": outcome.wanted.command(), "wanted": wanted}
 
 
 def command_line() -> argparse.ArgumentParser:
@@ -69,6 +73,12 @@ def command_line() -> argparse.ArgumentParser:
         default=True,
         help="some devices, and at times the honest robot, send datagrams; without, a seed gives its steps of before",
     )
+    parser.add_argument(
+        "--quota",
+        type=float,
+        help="of a core, as 0.12, for the daemon and its guardian, by a control group or by stopping them in turn",
+    )
+    parser.add_argument("--log", type=Path, help="keep the daemon's log in this file")
     parser.add_argument("--out", type=Path, help="all findings and figures as JSON")
     limits.add_flags(parser)
     return parser

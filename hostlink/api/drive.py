@@ -6,14 +6,15 @@ from typing import Any
 import msgspec
 
 from hostlink.api.outgoing import ClientQueue, put_json
+from hostlink.api.request import Request
 from hostlink.api.views import velocity_answer
-from hostlink.errors import BadRequest, HostlinkError, RobotHeld
-from hostlink.hub.gates import check_stream
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
 from hostlink.hub.participant import Participant
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robots import Robots
+from hostlink.robot.admission import EARLIER_EPOCH
 from hostlink.robot.velocity import Velocity
 
 MAX_ANSWERS = 64  # that one client waits for
@@ -26,10 +27,10 @@ class DriveRequest(msgspec.Struct):
     linear: float
     angular: float
     priority: int = PROGRAM_PRIORITY
-    link: int | None = None  # the connection of the device for which it is meant; None: whichever there is
     sent_s: float | None = None  # when, by the client's own clock
-    stops: int | None = None  # of the robot, as the answer before counted them; None: however often it was stopped
-    is_stream: bool = False  # its sender goes on without waiting for answers
+    epoch: int | None = None  # of the robot, as the answer before gave it
+    stops: int | None = None  # a synonym of `epoch`
+    link: int | None = None  # the connection of the device for which it is meant: with another, an earlier epoch
 
 
 class Drive:
@@ -51,8 +52,8 @@ class Drive:
         self._participant, self._robots, self._queue, self._spawn = participant, robots, queue, spawn
         self._waiting = 0
 
-    def receive(self, request: dict[str, Any]) -> None:
-        """Do the operation; whatever comes of it is the answer."""
+    def receive(self, request: Request) -> None:
+        """Do the operation; whatever comes of it is the answer, also to those in the place of which it is done."""
         try:
             robot, velocity, limited = self._command(request)
         except HostlinkError as error:
@@ -64,7 +65,7 @@ class Drive:
         else:
             self._accept(request, robot, velocity, limited)
 
-    async def _wait(self, request: dict[str, Any], robot: RemoteRobot, velocity: Velocity) -> None:
+    async def _wait(self, request: Request, robot: RemoteRobot, velocity: Velocity) -> None:
         try:
             self._accept(request, robot, velocity, await self._participant.driven(robot, velocity))
         except HostlinkError as error:
@@ -72,38 +73,42 @@ class Drive:
         finally:
             self._waiting -= 1
 
-    def _accept(
-        self, request: dict[str, Any], robot: Robot | RemoteRobot, velocity: Velocity, limited: Velocity
-    ) -> None:
+    def _accept(self, request: Request, robot: Robot | RemoteRobot, velocity: Velocity, limited: Velocity) -> None:
         link = None if robot.link is None else robot.link.number
         answer = {
             "op": "drive_result",
-            "id": request.get("id"),
             "result": True,
             "link": link,
-            "stops": robot.gate.stops,
+            "epoch": robot.gate.admission.epoch,
+            "stops": robot.gate.admission.epoch,
             "client": self._participant.name,
         }
-        put_json(self._queue, answer | velocity_answer(robot, velocity, limited))
+        self._put(request, answer | velocity_answer(robot, velocity, limited))
 
-    def _refuse(self, request: dict[str, Any], error: HostlinkError) -> None:
-        answer = {"op": "drive_result", "id": request.get("id"), "result": False}
-        is_locked = isinstance(error, RobotHeld) and error.lock_reason is not None
-        lock = {"is_locked": True} if is_locked else {}
-        put_json(self._queue, answer | {"kind": type(error).__name__, "reason": str(error)} | lock)
+    def _refuse(self, request: Request, error: HostlinkError) -> None:
+        answer = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
+        if isinstance(error, CommandRefused):
+            answer["epoch"] = self._robots.find(error.robot).gate.admission.epoch
+        self._put(request, answer)
 
-    def _command(self, request: dict[str, Any]) -> tuple[Robot | RemoteRobot, Velocity, Velocity]:
+    def _put(self, request: Request, answer: dict[str, object]) -> None:
+        for replaced in request.replaced:
+            put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
+        put_json(self._queue, answer | {"id": request.fields.get("id")})
+
+    def _command(self, request: Request) -> tuple[Robot | RemoteRobot, Velocity, Velocity]:
         try:
-            wanted = msgspec.convert(request, DriveRequest)
+            wanted = msgspec.convert(request.fields, DriveRequest)
         except msgspec.ValidationError as error:
             raise BadRequest(f"drive: {error}") from error
         if not 0 <= wanted.priority <= MAX_PRIORITY:
             raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
         robot = self._robots.find(wanted.robot)
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
-        if wanted.is_stream:
-            check_stream(robot, velocity, self._participant)
+        epoch = wanted.stops if wanted.epoch is None else wanted.epoch
+        if wanted.link is not None and robot.link is not None and robot.link.number != wanted.link:
+            epoch = EARLIER_EPOCH
         limited = self._participant.drive(
-            robot, velocity, priority=wanted.priority, link=wanted.link, sent_s=wanted.sent_s, stops=wanted.stops
+            robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
         )
         return robot, velocity, limited

@@ -72,12 +72,16 @@ def _view(drive: Drive) -> DriveView:
         "priority": drive.priority,
         "began": _utc(drive.began_ns),
         "ended": _utc(drive.ended_ns),
-        "seconds": round(max(drive.ended_ns - drive.began_ns, 0) / 1e9, 3),
+        "seconds": round(_seconds(drive), 3),
         "commands": drive.commands,
         "fastest_m_s": round(drive.fastest_m_s, 4),
         "fastest_rad_s": round(drive.fastest_rad_s, 4),
         "end": drive.end,
     }
+
+
+def _seconds(drive: Drive) -> float:
+    return max(drive.ended_ns - drive.began_ns, 0) / 1e9 if drive.seconds is None else drive.seconds
 
 
 def _utc(stamp_ns: int) -> str:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, assert_never
 import structlog
 
 from hostlink.api.foxglove_directory import Channel, ConnectionGraph, FoxgloveDirectory, Offers, Service
-from hostlink.api.foxglove_frames import ROS1, Published, decode_frame
+from hostlink.api.foxglove_frames import ROS1, Published, ServiceCall, decode_frame
 from hostlink.api.foxglove_graph import NO_GRAPH, graph_update
 from hostlink.api.foxglove_parameters import FoxgloveParameters
 from hostlink.api.foxglove_requests import (
@@ -29,9 +29,13 @@ from hostlink.api.foxglove_requests import (
 )
 from hostlink.api.foxglove_services import FoxgloveServices
 from hostlink.api.foxglove_subscriptions import FoxgloveSubscriptions
+from hostlink.api.foxglove_time import FoxgloveTime
 from hostlink.api.foxglove_topics import FoxgloveTopics
+from hostlink.api.inbox import Operation
 from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.parameters import Parameters
+from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
+from hostlink.api.velocities import velocity_of_payload
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
@@ -43,9 +47,10 @@ BATCH = 64  # channels or services in one message
 CHANGES_INTERVAL_S = 0.05  # of the graph, at least: a client may request all of it again and again
 MAX_UNDEFINED = 8  # topics without a definition that are named to a client at once
 _WARNING, _ERROR = 1, 2  # levels of a status
-_READING = ("services", "parameters", "parametersSubscribe", "connectionGraph")
+_READING = ("services", "parameters", "parametersSubscribe", "connectionGraph", "time")
 _Item = TypeVar("_Item")
 _NOTHING = Offers({}, {}, ())
+_Received = JsonRequest | Published | ServiceCall | BadRequest
 
 
 class FoxgloveClient:
@@ -63,16 +68,18 @@ class FoxgloveClient:
     ) -> None:
         """`spawn` runs a service call as a child of the client's connection."""
         self.participant = hub.join(name, role=role, on_end=queue.close)
-        self._directory, self._queue = directory, queue
-        self._subscriptions = FoxgloveSubscriptions(self.participant, queue)
+        self._hub, self._directory, self._queue = hub, directory, queue
+        self._time = FoxgloveTime(self.participant, hub.topics, queue)
+        self._subscriptions = FoxgloveSubscriptions(self.participant, queue, self._time)
         self._topics = FoxgloveTopics(self.participant)
-        self._services = FoxgloveServices(self.participant, queue, spawn)
-        self._parameters = FoxgloveParameters(Parameters(hub.parameters), queue)
+        self._services = FoxgloveServices(self.participant, queue, spawn, hub.budget["calls"])
+        self._parameters = FoxgloveParameters(Parameters(hub.parameters), queue, hub.budget["watches"])
         self._offers = _NOTHING
         self._graph: ConnectionGraph | None = None  # that was sent last; None: it is not watched
         self._is_stale = False
         self._changes_due_s = 0.0
         self._refused: dict[int, str] = {}  # why a channel's message was, until one is accepted again or it is gone
+        self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._begin()
 
     def _begin(self) -> None:
@@ -85,22 +92,39 @@ class FoxgloveClient:
 
     def receive(self, data: str | bytes) -> None:
         """Do what one message of the client's requests; what is wrong with it becomes a status, and is never raised."""
+        self.do(self.read(data, _now_s()))
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[_Received]:
+        """Decode a message; `do` tells the client what is wrong with it."""
         try:
-            if isinstance(data, str):
-                self._do(decode_request(data))
-                return
-            frame = decode_frame(data)
-            if isinstance(frame, Published):
-                self._publish(frame)
-            else:
-                self._services.call(frame, self._offers.services.get(frame.service_id))
+            content = decode_request(data) if isinstance(data, str) else decode_frame(data)
+        except BadRequest as error:
+            return Operation(error, came_s)
+        if not isinstance(content, Published) or (topic := self._topics.find(content.channel_id)) is None:
+            return Operation(content, came_s)
+        velocity_of, is_zero = velocity_of_payload(topic, content.payload, self._hub.topics)
+        return Operation(content, came_s, velocity_of, is_zero)
+
+    def do(self, operation: Operation[_Received]) -> None:
+        """Do what a message requests; what is wrong with it becomes a status, and is never raised."""
+        try:
+            match operation.content:
+                case BadRequest() as error:
+                    raise error
+                case Published() as published:
+                    self._publish(published, operation.came_s)
+                case ServiceCall() as call:
+                    self._services.call(call, self._offers.services.get(call.service_id))
+                case request:
+                    self._do(request)
         except HostlinkError as error:
             self._put_status(_ERROR, str(error))
 
     def flush(self, now_s: float) -> float | None:
         """Send what has changed; returns when there may be more to send."""
-        due_s = [self.participant.flush(now_s), self._parameters.flush(now_s)]
+        due_s = [self.participant.flush(now_s), self._parameters.flush(now_s), self._time.flush(now_s)]
         if self._is_stale:
+            self._time.follow_graph()
             due_s.append(self._send_changes(now_s))
         return min((at_s for at_s in due_s if at_s is not None), default=None)
 
@@ -110,9 +134,14 @@ class FoxgloveClient:
             await asyncio.sleep(0)  # many calls came in one read, and most are answered at once
         await self._queue.room()
 
+    def close(self) -> None:
+        """The client has left: all that it has goes with it."""
+        self.participant.leave()
+        self._parameters.unwatch([])
+
     # -- requests -----------------------------------------------------------------------------------------------------
 
-    def _do(self, request: JsonRequest) -> None:  # noqa: C901 - a table
+    def _do(self, request: JsonRequest) -> None:
         match request:
             case Subscribe():
                 channels = self._offers.channels
@@ -162,17 +191,22 @@ class FoxgloveClient:
         finally:
             self._parameters.send([each.name for each in request.parameters], request.id)
 
-    def _publish(self, published: Published) -> None:
-        """A refusal is sent once, until a message is accepted again: a program may command ten times a second."""
+    def _publish(self, published: Published, came_s: float) -> None:
+        """A refusal is shown until a message is accepted again; that of a velocity at a limited rate."""
         topic = self._topics.topic(published.channel_id)
         try:
-            self._topics.publish(published)
+            self._topics.publish(published, came_s)
         except HostlinkError as error:
-            if self._refused.get(published.channel_id) != str(error):
+            is_new = self._refused.get(published.channel_id) != str(error)
+            if is_new and (not self._is_velocity(topic) or self._refused_velocities.allows(topic, _now_s())):
                 self._refused[published.channel_id] = str(error)
                 self._put_status(_ERROR, str(error), topic)
         else:
             self._remove_status(published.channel_id, topic)
+
+    def _is_velocity(self, topic: str) -> bool:
+        known = self._hub.topics.find_or_none(topic)
+        return known is not None and known.is_gated
 
     def _unadvertise(self, channel_id: int) -> None:
         if channel_id in self._refused:
@@ -234,3 +268,7 @@ class FoxgloveClient:
         log.debug("client.refused", client=self.participant.name, reason=text)
         status = {"op": "status", "level": level, "message": text}
         put_json(self._queue, status | ({} if status_id is None else {"id": status_id}))
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -12,8 +12,9 @@ ROS1: Final = "ros1"  # the encoding of messages, requests and responses; rosser
 ROS1_SCHEMA: Final = "ros1msg"  # a definition with all that it contains
 
 _PUBLISHED, _CALL = 1, 2  # opcodes from a client
-_MESSAGE, _RESPONSE = 1, 3  # opcodes to a client
+_MESSAGE, _TIME, _RESPONSE = 1, 2, 3  # opcodes to a client
 _MESSAGE_HEAD = struct.Struct("<BIQ")  # opcode, subscription, time in ns
+_TIME_FRAME = struct.Struct("<BQ")  # opcode, time in ns
 _PUBLISHED_HEAD = struct.Struct("<BI")  # opcode, channel of the client
 _CALL_HEAD = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
 
@@ -37,6 +38,11 @@ class ServiceCall(NamedTuple):
 def encode_message(subscription_id: int, stamp_ns: int, payload: bytes) -> bytes:
     """A message of a channel to which the client has subscribed."""
     return _MESSAGE_HEAD.pack(_MESSAGE, subscription_id, stamp_ns) + payload
+
+
+def encode_time(stamp_ns: int) -> bytes:
+    """The time of the server."""
+    return _TIME_FRAME.pack(_TIME, stamp_ns)
 
 
 def encode_response(response: ServiceCall) -> bytes:

@@ -11,6 +11,7 @@ from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.parameters import Parameters
 from hostlink.config import ParameterValue
 from hostlink.errors import BadRequest
+from hostlink.hub.byte_budget import Share
 from hostlink.hub.topic_graph import resolve
 
 CHECK_INTERVAL_S = 0.5  # at which watched parameters are compared, whoever changed them
@@ -19,8 +20,9 @@ CHECK_INTERVAL_S = 0.5  # at which watched parameters are compared, whoever chan
 class FoxgloveParameters:
     """Names are full ones. A float is marked as one, because JSON in a browser does not keep it."""
 
-    def __init__(self, parameters: Parameters, queue: ClientQueue) -> None:
-        self._parameters, self._queue = parameters, queue
+    def __init__(self, parameters: Parameters, queue: ClientQueue, share: Share) -> None:
+        """`share`: of the names that all clients watch."""
+        self._parameters, self._queue, self._share = parameters, queue, share
         self._watched: dict[str, ParameterValue | None] = {}  # what was sent last; None: there is none
         self._due_s = 0.0
 
@@ -34,7 +36,7 @@ class FoxgloveParameters:
         """Set one, or remove it.
 
         Raises:
-            BadRequest: no device could be answered with the value.
+            BadRequest, WrongType: no device could be answered with the value.
             UnknownTopic: it is to be removed, and is not there.
         """
         if setting.value is msgspec.UNSET:
@@ -52,12 +54,17 @@ class FoxgloveParameters:
         wanted = list(map(resolve, names)) or list(values)
         if len(self._watched.keys() | set(wanted)) > MAX_ITEMS:
             raise BadRequest(f"more than {MAX_ITEMS} parameters watched")
+        more_bytes = sum(map(_size, set(wanted) - self._watched.keys()))
+        if not self._share.take(more_bytes):
+            raise BadRequest(f"the names that all clients watch have more than {self._share.max_bytes} bytes")
         self._watched = {name: values.get(name) for name in wanted} | self._watched
 
     def unwatch(self, names: list[str]) -> None:
         """Send them no more; without a name none."""
         for name in map(resolve, names or list(self._watched)):
-            self._watched.pop(name, None)
+            if name in self._watched:
+                del self._watched[name]
+                self._share.give(_size(name))
 
     def flush(self, now_s: float) -> float | None:
         """Send what has changed; returns when to compare again."""
@@ -78,6 +85,10 @@ class FoxgloveParameters:
     def _put(self, values: Mapping[str, ParameterValue | None], request_id: str | None) -> None:
         answer = {"op": "parameterValues", "parameters": [_view(*each) for each in values.items()]}
         put_json(self._queue, answer | ({} if request_id is None else {"id": request_id}))
+
+
+def _size(name: str) -> int:
+    return len(name.encode("utf-8", "surrogatepass"))
 
 
 def _view(name: str, value: ParameterValue | None) -> dict[str, Any]:

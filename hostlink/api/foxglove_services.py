@@ -7,6 +7,7 @@ from hostlink.api.foxglove_directory import Service
 from hostlink.api.foxglove_frames import ROS1, ServiceCall, encode_response
 from hostlink.api.outgoing import ClientQueue, Outgoing, put_json
 from hostlink.errors import BadRequest, HostlinkError
+from hostlink.hub.byte_budget import Share
 from hostlink.hub.participant import MAX_CALLS, Participant
 
 
@@ -18,9 +19,11 @@ class FoxgloveServices:
         participant: Participant,
         queue: ClientQueue,
         spawn: Callable[[Coroutine[Any, Any, None]], object],
+        share: Share,
     ) -> None:
-        """`spawn` runs a call as a child of the client's connection."""
+        """`spawn` runs a call as a child of the client's connection; `share`: of the calls of all clients together."""
         self.calls = 0
+        self._share = share
         self._participant, self._queue, self._spawn = participant, queue, spawn
 
     def call(self, call: ServiceCall, service: Service | None) -> None:
@@ -37,8 +40,8 @@ class FoxgloveServices:
 
     async def _finish(self, call: ServiceCall, service: Service) -> None:
         try:
-            request = _decode(call, service)
-            response = await self._participant.call(service.name, request)
+            with self._share.holding(len(call.payload), "calls that are under way"):
+                response = await self._participant.call(service.name, _decode(call, service))
             payload = service.type.response.encode(response)
             self._queue.put_result(Outgoing(encode_response(call._replace(payload=payload)), is_binary=True))
         except HostlinkError as error:

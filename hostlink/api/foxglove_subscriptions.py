@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 
 from hostlink.api.foxglove_directory import Channel
-from hostlink.api.foxglove_frames import encode_message
 from hostlink.api.foxglove_requests import WantedChannel
-from hostlink.api.outgoing import ClientQueue, Outgoing
+from hostlink.api.foxglove_time import FoxgloveTime
+from hostlink.api.outgoing import ClientQueue
 from hostlink.errors import BadRequest
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
@@ -15,8 +15,8 @@ from hostlink.hub.subscription import Subscription
 class FoxgloveSubscriptions:
     """By the ids that the client chose, one for each channel; the payloads pass as they are."""
 
-    def __init__(self, participant: Participant, queue: ClientQueue) -> None:
-        self._participant, self._queue = participant, queue
+    def __init__(self, participant: Participant, queue: ClientQueue, time: FoxgloveTime) -> None:
+        self._participant, self._queue, self._time = participant, queue, time
         self._subscriptions: dict[int, tuple[Channel, Subscription]] = {}
         self._of_channel: dict[int, int] = {}  # channel -> subscription
 
@@ -36,8 +36,7 @@ class FoxgloveSubscriptions:
 
         def receive(message: Message) -> None:
             if message.type is channel.type:
-                frame = encode_message(wanted.id, message.stamp_ns, message.payload)
-                self._queue.put_message(channel.topic, Outgoing(frame, is_binary=True), message.at_s)
+                self._queue.put_message(channel.topic, self._time.outgoing(message, wanted.id), message.at_s)
 
         subscription = self._participant.subscribe(channel.topic, receive, type_name=channel.type.name)
         self._subscriptions[wanted.id] = (channel, subscription)

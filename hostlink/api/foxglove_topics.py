@@ -46,6 +46,10 @@ class FoxgloveTopics:
         if gone is not None and all(other.topic != gone.topic for other in self._channels.values()):
             self._participant.unadvertise(gone.topic)
 
+    def find(self, number: int) -> str | None:
+        """The topic of the channel of this id, if it is advertised."""
+        return self._channels[number].topic if number in self._channels else None
+
     def topic(self, number: int) -> str:
         """Of the channel of this id.
 
@@ -56,8 +60,8 @@ class FoxgloveTopics:
             raise BadRequest(f"publish: the channel {number} is not advertised")
         return self._channels[number].topic
 
-    def publish(self, published: Published) -> None:
-        """Send a payload that is exactly one message; a velocity drives the robot.
+    def publish(self, published: Published, came_s: float) -> None:
+        """Send a payload that is exactly one message and came then; a velocity drives the robot.
 
         Raises:
             BadRequest: the channel is not advertised, or as Participant.publish.
@@ -67,7 +71,7 @@ class FoxgloveTopics:
         topic = self.topic(published.channel_id)
         type_name = self._channels[published.channel_id].type_name
         _check(self._participant.message_type(topic, type_name), published.payload)
-        self._participant.publish(topic, published.payload)
+        self._participant.publish(topic, published.payload, at_s=came_s)
 
 
 def _check(type_: MessageType, payload: bytes) -> None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from hostlink.errors import BadRequest
+from hostlink.hub.byte_budget import Share
 
 MAX_PENDING = 4  # messages of a client that are not whole yet
 MAX_PIECES = 1024  # of one message
@@ -19,8 +20,9 @@ class _Pending:
 class Fragments:
     """The pieces of one client, by the id of their message. All of them together are no larger than one message."""
 
-    def __init__(self, max_bytes: int) -> None:
-        self._max_bytes = max_bytes
+    def __init__(self, max_bytes: int, share: Share) -> None:
+        """`share`: of all clients together."""
+        self._max_bytes, self._share = max_bytes, share
         self._bytes = 0
         self._pending: dict[object, _Pending] = {}
 
@@ -36,13 +38,24 @@ class Fragments:
         if problem:
             self._drop(key)
             raise BadRequest(f"fragment: {problem}; the message is dropped")
+        size = _size(data)
+        if not self._share.take(size):
+            self._drop(key)
+            raise BadRequest(
+                f"fragment: all clients together have {self._share.max_bytes} bytes in pieces; send it later"
+            )
         pending.pieces[number] = data
         pending.fed_at_s = now_s
-        self._bytes += _size(data)
+        self._bytes += size
         if len(pending.pieces) < total:
             return None
         self._drop(key)
         return "".join(pending.pieces[index] for index in range(total))
+
+    def close(self) -> None:
+        """The client has left: nothing is kept of it."""
+        for key in list(self._pending):
+            self._drop(key)
 
     def _problem(self, pending: _Pending, number: int, total: int, data: str) -> str:
         if not 1 <= total <= MAX_PIECES:
@@ -62,7 +75,9 @@ class Fragments:
             self._drop(key)
 
     def _drop(self, key: object) -> None:
-        self._bytes -= sum(map(_size, self._pending.pop(key).pieces.values()))
+        size = sum(map(_size, self._pending.pop(key).pieces.values()))
+        self._bytes -= size
+        self._share.give(size)
 
 
 def _size(data: str) -> int:

@@ -4,33 +4,32 @@ The last minutes of a robot, and those around an incident, are one JSON: ages co
 """
 
 import asyncio
-import itertools
+import heapq
 import time
 from collections.abc import Iterator
 from http import HTTPStatus
-from typing import Any, TypedDict
+from typing import Any, TypedDict, cast
 
+import msgspec
 from aiohttp import web
 
-from hostlink.api.replies import reply
+from hostlink.api.replies import reply, reply_encoded
 from hostlink.api.routes import Route
 from hostlink.api.views import PoseView, VelocityView
 from hostlink.hub.hub import Hub
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
-from hostlink.hub.robot_events import EventKind
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import BlackBox
-from hostlink.recording.channel import EVENTS, VELOCITY
-from hostlink.recording.history import PastPose, decode_event, odometry_of, past_messages, past_poses, thinned
+from hostlink.recording.history import PastPose, Rest, RobotHistory
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import OdometryEstimator
 from hostlink.robot.velocity import TWIST_TYPE
 
-_PLOT_LEAF = "plot_data"
-_FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
-NS_PER_S = 1e9
+WORK_S = 0.0005  # of a thread that reads, before the loop has the interpreter for REST_S
+REST_S = 0.001
+PIECE = 100  # of a list, encoded at once: some 0.1 ms
 
 
 class PastPoseView(TypedDict):
@@ -64,11 +63,24 @@ class HistoryView(TypedDict):
     events: list[PastMessageView]
 
 
-class HistoryRoutes:
-    """The handler."""
+class Pauses:
+    """Gives the interpreter back to the loop, again and again, while a thread reads thousands of messages."""
 
-    def __init__(self, hub: Hub, black_box: BlackBox) -> None:
-        self._hub, self._black_box = hub, black_box
+    def __init__(self) -> None:
+        self._began_s = time.perf_counter()
+
+    def __call__(self) -> None:
+        """Sleep for REST_S after each WORK_S."""
+        if time.perf_counter() - self._began_s >= WORK_S:
+            time.sleep(REST_S)
+            self._began_s = time.perf_counter()
+
+
+class HistoryRoutes:
+    """The handler. `turn`: one history is made at a time, of a robot or of an incident."""
+
+    def __init__(self, hub: Hub, black_box: BlackBox, turn: asyncio.Semaphore) -> None:
+        self._hub, self._black_box, self._turn = hub, black_box, turn
 
     def routes(self) -> list[Route]:
         """Every path of this file."""
@@ -83,67 +95,76 @@ class HistoryRoutes:
         ]
 
     async def _history(self, request: web.Request) -> web.Response:
-        robot = self._hub.robots.find(request.match_info["name"])
-        if isinstance(robot, RemoteRobot):  # its daemon has its past
-            return reply({"poses": [], "commands": [], "plot_data": [], "events": []})
-        view = await asyncio.to_thread(self._view, robot, *self._collect(robot))
-        return reply(view)
+        async with self._turn:
+            robot = self._hub.robots.find(request.match_info["name"])
+            if isinstance(robot, RemoteRobot):  # its daemon has its past
+                return reply({"poses": [], "commands": [], "plot_data": [], "events": []})
+            body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
+        return reply_encoded(body)
 
     def _collect(self, robot: Robot) -> tuple[list[Iterator[Entry]], Pose | None]:
         """In the loop's thread: what belongs together."""
         snapshot = robot.odometry.snapshot(asyncio.get_running_loop().time())
         return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose
 
-    def _view(self, robot: Robot, copies: list[Iterator[Entry]], present: Pose | None) -> HistoryView:
+    def _body(self, robot: Robot, copies: list[Iterator[Entry]], present: Pose | None) -> bytes:
         """In a thread: thousands of messages are read."""
-        entries = sorted(itertools.chain(*copies), key=lambda entry: entry.stamp_ns)
+        rest = Pauses()
         topics = robot.shown
-        poses = past_poses(entries, topics.odometry, topics.odometry_type, robot.odometry.anew(), present)
-        return history_view(
-            self._hub.catalog, robot.name, entries, poses, commands=topics.velocity, now_ns=time.time_ns()
+        odometry = (topics.odometry, topics.odometry_type)
+        history = RobotHistory(robot.name, odometry=odometry, commands=topics.velocity)
+        for entry in heapq.merge(*copies, key=lambda entry: entry.at_s):
+            rest()
+            history.add(entry)
+        return encode_history(
+            history_view(self._hub.catalog, history, robot.odometry.anew(), present, time.monotonic(), rest), rest
         )
 
 
-def stored_history_view(catalog: Catalog, robot: str, entries: list[Entry], *, stamp_ns: int) -> HistoryView:
-    """What is in the file of an incident, around its time."""
-    entries.sort(key=lambda entry: entry.stamp_ns)
-    odometry = odometry_of(entries)
-    poses = [] if odometry is None else past_poses(entries, *odometry, OdometryEstimator(), None)
-    velocities = {entry.channel.topic for entry in entries if entry.channel.origin == VELOCITY}
-    return history_view(catalog, robot, entries, poses, commands=min(velocities, default=""), now_ns=stamp_ns)
-
-
 def history_view(
-    catalog: Catalog, robot: str, entries: list[Entry], poses: list[PastPose], *, commands: str, now_ns: int
+    catalog: Catalog,
+    history: RobotHistory,
+    estimator: OdometryEstimator,
+    present: Pose | None,
+    now_s: float,
+    rest: Rest,
 ) -> HistoryView:
-    """`commands`: the topic of the robot's velocity; `now_ns`: from when ages count."""
+    """What is shown. Ages count from `now_s`; of `estimator`, `present` and `rest` see `RobotHistory.poses`."""
     twist = catalog.message(TWIST_TYPE)
     assert twist is not None  # noqa: S101 - of the store that hostlink is built on
-    plot = past_messages(entries, f"/{robot}/{_PLOT_LEAF}", TWIST_TYPE, twist.decode)
-    events = past_messages(entries, EVENTS.topic, EVENTS.type_name, decode_event)
+    commands = history.commands(twist.decode, rest)
     return {
-        "poses": [_pose_view(each, now_ns) for each in thinned(poses)],
-        "commands": [
-            {"age_s": _age(now_ns, stamp_ns), "velocity": _command_view(fields)}
-            for stamp_ns, fields in thinned(past_messages(entries, commands, TWIST_TYPE, twist.decode))
-        ],
-        "plot_data": _messages(thinned(plot), now_ns),
-        "events": _messages(thinned([each for each in events if each[1].get("kind") not in _FREQUENT]), now_ns),
+        "poses": [_pose_view(each, now_s) for each in history.poses(estimator, present, rest)],
+        "commands": [{"age_s": _age(now_s, at_s), "velocity": _command_view(fields)} for at_s, fields in commands],
+        "plot_data": _messages(history.plot_data(twist.decode, rest), now_s),
+        "events": _messages(history.events(rest), now_s),
     }
 
 
-def _messages(found: list[tuple[int, dict[str, Any]]], now_ns: int) -> list[PastMessageView]:
-    return [{"age_s": _age(now_ns, stamp_ns), "msg": message} for stamp_ns, message in found]
+def encode_history(view: HistoryView, rest: Rest) -> bytes:
+    """As JSON, in pieces: the encoder keeps the interpreter for as long as it works."""
+    fields: list[bytes] = []
+    for name, items in view.items():
+        pieces = []
+        for begin in range(0, len(cast("list[object]", items)), PIECE):
+            rest()
+            pieces.append(msgspec.json.encode(cast("list[object]", items)[begin : begin + PIECE])[1:-1])
+        fields.append(b'"%s":[%s]' % (name.encode(), b",".join(pieces)))
+    return b"{%s}" % b",".join(fields)
 
 
-def _age(now_ns: int, stamp_ns: int) -> float:
-    return round((now_ns - stamp_ns) / NS_PER_S, 3)
+def _messages(found: list[tuple[float, dict[str, Any]]], now_s: float) -> list[PastMessageView]:
+    return [{"age_s": _age(now_s, at_s), "msg": message} for at_s, message in found]
 
 
-def _pose_view(past: PastPose, now_ns: int) -> PastPoseView:
+def _age(now_s: float, at_s: float) -> float:
+    return round(now_s - at_s, 3)
+
+
+def _pose_view(past: PastPose, now_s: float) -> PastPoseView:
     pose, twist = past.pose, past.twist
     return {
-        "age_s": _age(now_ns, past.stamp_ns),
+        "age_s": _age(now_s, past.at_s),
         "pose": {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)},
         "twist": {"linear_m_s": round(twist.linear_m_s, 4), "angular_rad_s": round(twist.angular_rad_s, 4)},
     }

@@ -10,20 +10,25 @@ from typing import Annotated, TypedDict
 import msgspec
 from aiohttp import web
 
-from hostlink.api.history import HistoryView, stored_history_view
+from hostlink.api.history import HistoryView, Pauses, encode_history, history_view
 from hostlink.api.recordings import send_file
-from hostlink.api.replies import reply
+from hostlink.api.replies import reply, reply_encoded
 from hostlink.api.rest import decode_body
-from hostlink.api.routes import FILE, Route
+from hostlink.api.routes import BODY, FILE, Route
 from hostlink.errors import RecordingFailed, UnknownTopic
 from hostlink.hub.node import Role
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import MAX_DETAIL, BlackBox
+from hostlink.recording.channel import NS_PER_S
 from hostlink.recording.disk_budget import StoredFile
+from hostlink.recording.history import RobotHistory
 from hostlink.recording.incident import Incident
 from hostlink.recording.incident_files import IncidentFiles, SavedIncident, read_incident
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import Entry
+from hostlink.robot.odometry_estimator import OdometryEstimator
+
+NEVER_NS = 2**64
 
 
 class IncidentRequest(msgspec.Struct, forbid_unknown_fields=True):
@@ -62,8 +67,9 @@ class IncidentHistoryView(IncidentView):
 class IncidentRoutes:
     """The handlers."""
 
-    def __init__(self, black_box: BlackBox, catalog: Catalog) -> None:
-        self._black_box, self._catalog = black_box, catalog
+    def __init__(self, black_box: BlackBox, catalog: Catalog, turn: asyncio.Semaphore) -> None:
+        """`turn`: one history is made at a time, of a robot or of an incident."""
+        self._black_box, self._catalog, self._turn = black_box, catalog, turn
         self._files = IncidentFiles(black_box.folder)
 
     def routes(self) -> list[Route]:
@@ -111,7 +117,7 @@ class IncidentRoutes:
         return reply({"incidents": views, "missed": box.missed, "folder": str(box.folder.path)})
 
     async def _save(self, request: web.Request) -> web.Response:
-        body = decode_body(await request.read(), IncidentRequest, '{"robot": a name, "reason": a text}')
+        body = decode_body(request[BODY], IncidentRequest, '{"robot": a name, "reason": a text}')
         return reply(_view(self._black_box.save(body.robot, body.reason)))
 
     async def _file(self, request: web.Request) -> web.StreamResponse:
@@ -119,10 +125,11 @@ class IncidentRoutes:
 
     async def _history(self, request: web.Request) -> web.Response:
         path = await self._find(request)
-        view = await asyncio.to_thread(_stored_view, self._catalog, path)
-        if view is None:  # it says nothing of itself, or was removed meanwhile
+        async with self._turn:
+            body = await asyncio.to_thread(stored_history, self._catalog, path)
+        if body is None:  # it says nothing of itself, or was removed meanwhile
             raise UnknownTopic("incident", path.name)
-        return reply(view)
+        return reply_encoded(body)
 
     async def _find(self, request: web.Request) -> Path:
         name = request.match_info["name"]
@@ -148,14 +155,27 @@ def _saved_view(saved: SavedIncident) -> IncidentView:
     return {**_view(saved.incident), "file": saved.file.name, "bytes": saved.file.size_bytes}
 
 
-def _stored_view(catalog: Catalog, path: Path) -> IncidentHistoryView | None:
-    """In a thread: a whole file is read. None: it is no incident's."""
+def stored_history(catalog: Catalog, path: Path) -> bytes | None:
+    """The IncidentHistoryView of a file, as JSON. In a thread. None: it is not an incident's.
+
+    Of the file, the chunks are read that have what is shown, and of that a bounded part is decoded.
+    """
     with suppress(RecordingFailed, OSError):
-        reader = Reader(path)
         incident = read_incident(path)
-        if incident is not None:
-            entries = [Entry(*message) for message in reader.messages()]
-            view = _saved_view(SavedIncident(incident, StoredFile(path.name, path.stat().st_size, 0.0, is_open=False)))
-            history = stored_history_view(catalog, incident.robot, entries, stamp_ns=incident.stamp_ns)
-            return {**view, "history": history, "damage": reader.damage}
+        if incident is None:
+            return None
+        rest, reader, history = Pauses(), Reader(path), RobotHistory(incident.robot)
+        zero_ns, nearest_ns = incident.stamp_ns, NEVER_NS
+        for message in reader.messages(history.is_wanted):
+            rest()
+            at_s = (message.steady_ns - incident.stamp_ns) / NS_PER_S
+            history.add(Entry(message.channel, message.stamp_ns, message.payload, at_s))
+            apart_ns = incident.stamp_ns - message.stamp_ns
+            if not reader.has_steady_times and abs(apart_ns) < nearest_ns:  # then the clock may have been set before
+                zero_ns, nearest_ns = message.steady_ns + apart_ns, abs(apart_ns)
+        view = _saved_view(SavedIncident(incident, StoredFile(path.name, reader.size_bytes, 0.0, is_open=False)))
+        zero_s = (zero_ns - incident.stamp_ns) / NS_PER_S
+        shown = encode_history(history_view(catalog, history, OdometryEstimator(), None, zero_s, rest), rest)
+        head = msgspec.json.encode({**view, "damage": reader.damage})
+        return b'%s,"history":%s}' % (head[:-1], shown)
     return None

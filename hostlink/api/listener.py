@@ -9,11 +9,12 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from typing import cast
 
 import structlog
+from aiohttp import web
 
 from hostlink.acceptor import Acceptor
 from hostlink.api.connections import Connection, Connections
-from hostlink.forwarding_protocol import ForwardingProtocol
-from hostlink.hub.spawn import Spawn
+from hostlink.api.paced_reading import PacedReading
+from hostlink.hub.hub import Hub
 from hostlink.logs import printable
 
 log = structlog.get_logger()
@@ -28,12 +29,11 @@ MakeProtocol = Callable[[], asyncio.Protocol]
 class ApiListener:
     """Owns accepted sockets until their protocols have them, and knows the state of each connection from then on."""
 
-    def __init__(self, connections: Connections, spawn: Spawn) -> None:
-        self._connections = connections
-        self._spawn = spawn
+    def __init__(self, connections: Connections, hub: Hub) -> None:
+        self._connections, self._hub = connections, hub
         self._sockets: dict[int, socket.socket] = {}  # that are being opened, by the connection's number
         self._transports: dict[int, asyncio.Transport] = {}
-        self._by_transport: dict[asyncio.BaseTransport, Connection] = {}
+        self._by_transport: dict[asyncio.BaseTransport, tuple[Connection, PacedReading]] = {}
         self._log_at_s = float("-inf")
         self._logged: Counter[str] = Counter()
 
@@ -43,7 +43,7 @@ class ApiListener:
     ) -> AsyncIterator[None]:
         """Accept connections for the length of the block; those that are open at its end belong to their protocols."""
 
-        def accepted(sock: socket.socket, address: str) -> None:
+        def accepted(sock: socket.socket, address: str, since_s: float) -> None:
             new, leaving = self._connections.enter(address, _now_s())
             if leaving is not None:
                 self._cut(leaving)
@@ -51,11 +51,11 @@ class ApiListener:
                 _refuse(sock, UNAVAILABLE if tls is None else b"")
             else:
                 self._sockets[new.number] = sock
-                self._spawn(self._open(sock, new, make_protocol, tls), name=f"connection of {address}")
+                self._hub.spawn(self._open(sock, new, since_s, make_protocol, tls), name=f"connection of {address}")
             if new is None or leaving is not None:
                 self._log_crowd(address)
 
-        acceptor = Acceptor(listening, accepted, on_exhausted=self._note_exhausted)
+        acceptor = Acceptor(listening, accepted, on_exhausted=self._note_exhausted, came_s=self._hub.gates.came_s)
         sweeper = _Every(SWEEP_INTERVAL_S, self._sweep)
         try:
             yield
@@ -68,23 +68,27 @@ class ApiListener:
     @contextlib.contextmanager
     def answering(self, transport: asyncio.BaseTransport | None) -> Iterator[None]:
         """The head of a request is whole: its connection does not wait during the block."""
-        connection = None if transport is None else self._by_transport.get(transport)
-        if connection is None:
+        found = None if transport is None else self._by_transport.get(transport)
+        if found is None:
             yield
             return
+        connection, reading = found
         self._connections.serve(connection)
+        reading.begin_request()
         try:
             yield
         finally:
+            reading.end_request()
             self._connections.wait(connection, _now_s())
 
     @contextlib.contextmanager
     def receiving(self, transport: asyncio.BaseTransport | None) -> Iterator[None]:
         """The body of a request that is answered is missing: its connection waits during the block."""
-        connection = None if transport is None else self._by_transport.get(transport)
-        if connection is None:
+        found = None if transport is None else self._by_transport.get(transport)
+        if found is None:
             yield
             return
+        connection, _ = found
         self._connections.wait(connection, _now_s())
         try:
             yield
@@ -94,13 +98,22 @@ class ApiListener:
     # -- one connection -----------------------------------------------------------------------------------------------
 
     async def _open(
-        self, sock: socket.socket, connection: Connection, make_protocol: MakeProtocol, tls: ssl.SSLContext | None
+        self,
+        sock: socket.socket,
+        connection: Connection,
+        since_s: float,
+        make_protocol: MakeProtocol,
+        tls: ssl.SSLContext | None,
     ) -> None:
-        """Give it to its protocol, after the handshake of TLS if there is one."""
+        """Give it to its protocol, after the handshake of TLS if there is one: before that nobody sends a command."""
+        behind_since_s = since_s if tls is None else None
         timeout_s = None if tls is None else self._connections.request_timeout_s
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
-                lambda: _Watched(make_protocol(), self, connection), sock, ssl=tls, ssl_handshake_timeout=timeout_s
+                lambda: _Watched(make_protocol(), self, connection, self._hub, behind_since_s),
+                sock,
+                ssl=tls,
+                ssl_handshake_timeout=timeout_s,
             )
         except OSError as error:  # of TLS too
             log.debug("client.broken", reason=printable(str(error)))
@@ -110,10 +123,15 @@ class ApiListener:
                 self._connections.leave(connection)
                 sock.close()
 
-    def opened(self, connection: Connection, transport: asyncio.Transport) -> None:
+    def opened(self, connection: Connection, reading: PacedReading, transport: asyncio.Transport) -> None:
         """It has its protocol."""
         self._transports[connection.number] = transport
-        self._by_transport[transport] = connection
+        self._by_transport[transport] = connection, reading
+
+    def reading(self, request: web.Request) -> PacedReading | None:
+        """How the connection of a request is read; None: it is closed."""
+        transport = request.transport
+        return None if transport is None or transport not in self._by_transport else self._by_transport[transport][1]
 
     def lost(self, connection: Connection) -> None:
         """It is closed."""
@@ -149,15 +167,30 @@ class ApiListener:
             log.warning("client.crowded", peer=address, connections=len(self._connections), **news)
 
 
-class _Watched(ForwardingProtocol):
+class _Watched(PacedReading):
     """The protocol of one connection; the listener knows when it begins and ends."""
 
-    def __init__(self, inner: asyncio.Protocol, listener: ApiListener, connection: Connection) -> None:
-        super().__init__(inner)
+    def __init__(
+        self,
+        inner: asyncio.Protocol,
+        listener: ApiListener,
+        connection: Connection,
+        hub: Hub,
+        behind_since_s: float | None,
+    ) -> None:
+        super().__init__(
+            inner,
+            hub.turns(),
+            hub.budget["receiving"],
+            hub.gates.came_s,
+            max_message_bytes=hub.config.api.max_message_bytes,
+            timeout_s=hub.config.api.request_timeout_s,
+            behind_since_s=behind_since_s,
+        )
         self._listener, self._connection = listener, connection
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._listener.opened(self._connection, cast("asyncio.Transport", transport))  # uvloop's is no subclass of it
+        self._listener.opened(self._connection, self, cast("asyncio.Transport", transport))  # uvloop's is no subclass
         super().connection_made(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:

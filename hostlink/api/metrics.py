@@ -23,9 +23,11 @@ from hostlink.api.clients import Clients
 from hostlink.api.connections import Connections
 from hostlink.api.owners import Owners
 from hostlink.api.rate_limit import RateLimit
+from hostlink.api.recording_metrics import RecordingMetrics
 from hostlink.api.routes import Route
 from hostlink.hub.hub import Hub
 from hostlink.latency import BOUNDS_S
+from hostlink.recording.recordings import Recordings
 
 _LINK_COUNTERS = {
     "frames_from_device": "Frames that came",
@@ -52,10 +54,20 @@ _LINK_CLOCK = {
 class Metrics:
     """The registry of one daemon."""
 
-    def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections, owners: Owners) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        clients: Clients,
+        limit: RateLimit,
+        connections: Connections,
+        owners: Owners,
+        recordings: Recordings,
+    ) -> None:
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
         self._registry.register(_Graph(hub, clients, limit, connections, owners))
+        self._recording = RecordingMetrics(recordings, hub.config)
+        self._registry.register(self._recording)
         self.to_client = Histogram(
             "hostlink_device_to_client_seconds",
             "From the arrival of a message to the client's socket",
@@ -74,6 +86,7 @@ class Metrics:
         )
 
     async def _show(self, _: web.Request) -> web.Response:
+        await self._recording.observe_disk()
         body = generate_latest(self._registry)
         return web.Response(body=body, headers={"Content-Type": CONTENT_TYPE_LATEST, "Cache-Control": "no-store"})
 
@@ -141,6 +154,7 @@ class _Graph(Collector):
         yield from self._driving()
         yield from self._links()
         yield from self._to_clients()
+        yield from self._kept()
         yield from self._to_port()
 
     def _graphs(self) -> Iterator[Metric]:
@@ -182,6 +196,8 @@ class _Graph(Collector):
             unreadable.add_metric([robot.name], robot.unreadable)
             for outcome, count in dataclasses.asdict(robot.gate.counts).items():
                 gates.add_metric([robot.name, outcome], count)
+            for kind, count in robot.gate.admission.refused.items():
+                gates.add_metric([robot.name, f"refused_{kind}"], count)
         forgotten = CounterMetricFamily(
             "hostlink_robots_forgotten",
             "Robots that were away for long, or before many others",
@@ -254,7 +270,7 @@ class _Graph(Collector):
     def _to_clients(self) -> Iterator[Metric]:
         clients = self._clients.views()
         kinds = GaugeMetricFamily("hostlink_clients", "Clients that are connected", labels=["kind"])
-        for kind in ("rosbridge", "events"):
+        for kind in ("rosbridge", "foxglove", "events"):
             kinds.add_metric([kind], sum(client["kind"] == kind for client in clients))
         yield kinds
         dropped = self._clients.gone_dropped + sum(client["dropped"] for client in clients)
@@ -278,6 +294,23 @@ class _Graph(Collector):
         yield CounterMetricFamily(
             "hostlink_requests_refused", "Requests turned away: too many a second", value=self._limit.refused
         )
+
+    def _kept(self) -> Iterator[Metric]:
+        held = GaugeMetricFamily("hostlink_kept_bytes", "What clients have sent and is kept, by kind", labels=["kind"])
+        refused = CounterMetricFamily(
+            "hostlink_kept_refused", "What found no room in the bytes of its kind, and was not kept", labels=["kind"]
+        )
+        for kind, share in self._hub.budget.shares.items():
+            held.add_metric([kind], share.held_bytes)
+            refused.add_metric([kind], share.refused)
+        replaced = CounterMetricFamily(
+            "hostlink_velocities_replaced",
+            "Velocities of clients that a newer one replaced before they were obeyed",
+            labels=["kind"],
+        )
+        for kind, count in self._hub.counts.velocities_replaced.items():
+            replaced.add_metric([kind], count)
+        yield from (held, refused, replaced)
 
     def _to_port(self) -> Iterator[Metric]:
         yield GaugeMetricFamily(

@@ -5,22 +5,26 @@ from typing import NamedTuple
 
 import msgspec
 
+from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.queue import Queue
 
 
 class Outgoing(NamedTuple):
-    """JSON is text; CBOR is binary."""
+    """JSON is text; CBOR is binary. `before`, if not empty, is a binary message that leaves before it."""
 
     data: bytes
     is_binary: bool = False
+    before: bytes = b""
 
 
 ClientQueue = Queue[Outgoing]
 
 
-def client_queue() -> ClientQueue:
+def client_queue(budget: ByteBudget | None = None) -> ClientQueue:
     """An empty queue, for the loop that runs."""
-    return Queue(lambda outgoing: len(outgoing.data), asyncio.get_running_loop().time)
+    share = None if budget is None else budget["queues"]
+    clock = asyncio.get_running_loop().time
+    return Queue(lambda outgoing: len(outgoing.data) + len(outgoing.before), clock, share)
 
 
 def put_json(queue: ClientQueue, answer: object) -> None:

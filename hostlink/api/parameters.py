@@ -6,6 +6,7 @@ import msgspec
 
 from hostlink.config import ParameterScalar, ParameterValue
 from hostlink.errors import BadRequest, UnknownTopic
+from hostlink.hub.parameters import to_parameter
 from hostlink.hub.topic_graph import resolve
 
 MAX_PARAMETERS = 1024
@@ -39,7 +40,11 @@ class Parameters:
         return msgspec.json.encode(self._tree(resolve(name).rstrip("/"), found)).decode()
 
     def put(self, name: str, text: str) -> None:
-        """Set it, and all below it, to this JSON; BadRequest for a value that no device can be answered with."""
+        """Set it, and all below it, to this JSON.
+
+        Raises:
+            HostlinkError: no device can be answered with the value.
+        """
         if len(text) > MAX_VALUE_CHARACTERS:
             raise BadRequest(f"set_param: value is longer than {MAX_VALUE_CHARACTERS} characters")
         leaves: dict[str, ParameterValue] = {}
@@ -48,6 +53,8 @@ class Parameters:
         except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
             wanted = "a number, a text, a truth, a list of them, or an object of those"
             raise BadRequest(f"set_param: value must be JSON of {wanted}: {error}") from None
+        for full, value in leaves.items():
+            to_parameter(full, value)
         replaced = self._below(name)
         if len(self._settings) - len(replaced) + len(leaves) > MAX_PARAMETERS:
             raise BadRequest(f"set_param: more than {MAX_PARAMETERS} parameters")

@@ -4,6 +4,7 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from typing import NamedTuple
 
+REFUSED_VELOCITIES_S = 1.0  # of which a client is told, for each topic: it may publish ten times a second
 MAX_KEYS = 1024  # the one that was used longest ago is forgotten first: by then its bucket is full again
 
 

@@ -12,7 +12,7 @@ from aiohttp import web
 from hostlink.api.access import GRANT
 from hostlink.api.replies import reply
 from hostlink.api.rest import decode_body
-from hostlink.api.routes import FILE, Route
+from hostlink.api.routes import BODY, FILE, Route
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role
 from hostlink.recording.disk_budget import StoredFile
@@ -138,7 +138,7 @@ class RecordingRoutes:
 
     async def _start(self, request: web.Request) -> web.Response:
         shape = '{"topics": [names or patterns], "robots": [names], "name": letters, digits and . _ + -}, or empty'
-        body = decode_body(await request.read() or b"{}", RecordingRequest, shape)
+        body = decode_body(request[BODY] or b"{}", RecordingRequest, shape)
         for robot in body.robots:
             self._recordings.check_robot(robot)
         grant = request[GRANT]

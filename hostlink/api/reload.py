@@ -40,7 +40,7 @@ class ReloadRoute:
         ]
 
     async def _reload(self, _: web.Request) -> web.Response:
-        reloaded = self._reloader.reload()
+        reloaded = await self._reloader.reload()
         return reply(
             {
                 "changed": list(reloaded.changed),

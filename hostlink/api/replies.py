@@ -10,6 +10,7 @@ from hostlink.api.routes import ErrorView, Handler
 from hostlink.errors import (
     BadPayload,
     BadRequest,
+    CommandRefused,
     ConfigError,
     DeviceBusy,
     DeviceGone,
@@ -17,9 +18,10 @@ from hostlink.errors import (
     HostlinkError,
     RecordingBusy,
     RecordingFailed,
+    RefusalKind,
     ReloadRefused,
-    RobotHeld,
     ServiceFailed,
+    UnknownFormat,
     UnknownTopic,
     WrongType,
 )
@@ -28,7 +30,6 @@ STATUS = {
     BadRequest: HTTPStatus.BAD_REQUEST,
     WrongType: HTTPStatus.BAD_REQUEST,
     UnknownTopic: HTTPStatus.NOT_FOUND,
-    RobotHeld: HTTPStatus.CONFLICT,
     FrameTooLarge: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
     BadPayload: HTTPStatus.BAD_GATEWAY,
     ServiceFailed: HTTPStatus.BAD_GATEWAY,
@@ -37,15 +38,31 @@ STATUS = {
     ConfigError: HTTPStatus.INTERNAL_SERVER_ERROR,
     RecordingBusy: HTTPStatus.CONFLICT,
     ReloadRefused: HTTPStatus.CONFLICT,
+    UnknownFormat: HTTPStatus.INSUFFICIENT_STORAGE,
     RecordingFailed: HTTPStatus.INSUFFICIENT_STORAGE,
+}
+REFUSAL_STATUS = {
+    RefusalKind.NOT_FINITE: HTTPStatus.BAD_REQUEST,
+    RefusalKind.NOT_CONNECTED: HTTPStatus.SERVICE_UNAVAILABLE,
+    RefusalKind.ENDING: HTTPStatus.SERVICE_UNAVAILABLE,
+    RefusalKind.LOCKED: HTTPStatus.CONFLICT,
+    RefusalKind.HELD: HTTPStatus.CONFLICT,
+    RefusalKind.DISARMED: HTTPStatus.CONFLICT,
+    RefusalKind.LATE: HTTPStatus.CONFLICT,
+    RefusalKind.CROWDED: HTTPStatus.TOO_MANY_REQUESTS,
 }
 _KEPT_HEADERS = ("Allow", "WWW-Authenticate", "Retry-After")
 
 
 def reply(body: Mapping[str, object], status: HTTPStatus = HTTPStatus.OK) -> web.Response:
     """JSON that no cache may keep."""
+    return reply_encoded(msgspec.json.encode(body), status)
+
+
+def reply_encoded(body: bytes, status: HTTPStatus = HTTPStatus.OK) -> web.Response:
+    """JSON that was made in a thread, for `reply`."""
     return web.Response(
-        body=msgspec.json.encode(body),
+        body=body,
         status=status,
         content_type="application/json",
         headers={"Cache-Control": "no-store"},
@@ -64,7 +81,8 @@ async def explain_errors(request: web.Request, handler: Handler) -> web.StreamRe
     try:
         return await handler(request)
     except HostlinkError as error:
-        return refusal(type(error).__name__, str(error), STATUS[type(error)])
+        status = REFUSAL_STATUS[error.kind] if isinstance(error, CommandRefused) else STATUS[type(error)]
+        return refusal(error.kind, str(error), status)
     except web.HTTPException as error:
         if error.status < HTTPStatus.BAD_REQUEST:
             raise

@@ -14,8 +14,11 @@ MAX_TEXT = 1024  # characters of a name or an id; the longest that roslib makes 
 class Request:
     """A JSON object with an `op`. Its methods raise a BadRequest that names a wrong field."""
 
-    def __init__(self, fields: dict[str, Any]) -> None:
-        self.fields = fields
+    def __init__(self, fields: dict[str, Any], size_bytes: int = 0) -> None:
+        """`size_bytes`: of the message that it was."""
+        self.fields, self.size_bytes = fields, size_bytes
+        self.came_s: float | None = None  # when it came, at the earliest; None: now
+        self.replaced: list[Request] = []  # velocities in the place of which it is done
         self.op: str = self._operation()
 
     @classmethod
@@ -33,7 +36,7 @@ class Request:
             raise BadRequest("no JSON: nested too deeply") from None
         if not isinstance(fields, dict) or "op" not in fields:
             raise BadRequest('a message is a JSON object with an "op"')
-        return cls(fields)
+        return cls(fields, len(text))
 
     @property
     def id(self) -> object:

@@ -11,17 +11,19 @@ from hostlink.api.access import GRANT
 from hostlink.api.clients import Clients, ClientView
 from hostlink.api.owners import Owners
 from hostlink.api.replies import refusal, reply
-from hostlink.api.routes import Route
+from hostlink.api.routes import BODY, CAME, Route
 from hostlink.api.slices import Slices
 from hostlink.api.views import (
     LinksView,
     OdometryView,
     RobotView,
+    StoppedRobotView,
     TopicView,
     VelocityAnswer,
     links_view,
     odometry_view,
     robot_view,
+    stopped_view,
     topic_views,
     velocity_answer,
 )
@@ -33,9 +35,13 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
+from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
 from hostlink.robot.velocity import Velocity
 
 Body = TypeVar("Body")
+
+VELOCITY_BYTES = 1024  # of a body
+LOCK_BYTES = 4096
 
 NOT_FOUND, CONFLICT, UNAVAILABLE = HTTPStatus.NOT_FOUND, HTTPStatus.CONFLICT, HTTPStatus.SERVICE_UNAVAILABLE
 TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQUEST
@@ -47,6 +53,7 @@ class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
     linear: float
     angular: float
     priority: Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)] = PROGRAM_PRIORITY
+    epoch: int | None = None  # of the robot, as its state or an answer gave it
 
 
 class LockRequest(msgspec.Struct, forbid_unknown_fields=True):
@@ -59,6 +66,12 @@ class RobotsView(TypedDict):
     """Every robot that is known, connected or not, here and at the other daemons of the fleet."""
 
     robots: list[RobotView]
+
+
+class StoppedRobotsView(TypedDict):
+    """Every robot that is known, and what was measured of each after a stop."""
+
+    robots: list[StoppedRobotView]
 
 
 class ResetAnswer(TypedDict):
@@ -113,14 +126,17 @@ class Rest:
                 VelocityAnswer,
                 method="PUT",
                 request=VelocityRequest,
+                max_body_bytes=VELOCITY_BYTES,
+                check_head=self._find,
                 role=Role.DRIVE,
                 fails=(BAD_REQUEST, NOT_FOUND, CONFLICT, TOO_LARGE, UNAVAILABLE),
             ),
             Route(
                 f"{robot}/stop",
                 self._stop,
-                "Stop, whoever drives; a token that may read may stop",
-                RobotView,
+                "Stop, whoever drives; a token that may read may stop. Answers with what was measured since, after"
+                " wait_s seconds at most (1.5)",
+                StoppedRobotView,
                 method="POST",
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
@@ -128,8 +144,8 @@ class Rest:
             Route(
                 "/api/stop",
                 self._stop_all,
-                "Stop every robot",
-                RobotsView,
+                "Stop every robot. Answers with what was measured since, after wait_s seconds at most (1.5)",
+                StoppedRobotsView,
                 method="POST",
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
@@ -137,10 +153,12 @@ class Rest:
             Route(
                 f"{robot}/lock",
                 self._lock,
-                "Emergency stop: zero at once, and no command until it is unlocked",
-                RobotView,
+                "Emergency stop: zero at once, and no command until it is unlocked. Answers as stop does",
+                StoppedRobotView,
                 method="POST",
                 request=LockRequest,
+                max_body_bytes=LOCK_BYTES,
+                check_head=self._find,
                 is_body_optional=True,
                 on_head=lambda request: self._hub.emergency_stop.stop(self._find(request)),
                 is_limited=False,
@@ -163,6 +181,20 @@ class Rest:
                 method="POST",
                 role=Role.DRIVE,
                 fails=(NOT_FOUND, UNAVAILABLE),
+            ),
+            Route(
+                f"{robot}/standstill",
+                self._standstill,
+                "Whether it stands, by odometry from now on; waits for that for wait_s seconds at most (1.5)",
+                StoppedRobotView,
+                fails=(BAD_REQUEST, NOT_FOUND),
+            ),
+            Route(
+                "/api/standstill",
+                self._standstills,
+                "The same of every robot",
+                StoppedRobotsView,
+                fails=(BAD_REQUEST,),
             ),
             Route("/api/links", self._links, "Every live connection of a device", LinksView),
             Route("/api/topics", self._topics, "Every topic", TopicsView),
@@ -201,10 +233,11 @@ class Rest:
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        body = decode_body(await request.read(), VelocityRequest, '{"linear": m/s, "angular": rad/s}')
+        body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "angular": rad/s}')
         velocity = Velocity(linear_x_m_s=body.linear, angular_z_rad_s=body.angular)
         owner = self._owner(request)
-        limited = await owner.driven(robot, owner.drive(robot, velocity, priority=body.priority))
+        limited = owner.drive(robot, velocity, priority=body.priority, received_s=request[CAME], epoch=body.epoch)
+        limited = await owner.driven(robot, limited)
         return reply(velocity_answer(robot, velocity, limited))
 
     def _owner(self, request: web.Request) -> Participant:
@@ -214,27 +247,44 @@ class Rest:
         return owner
 
     async def _stop(self, request: web.Request) -> web.Response:
-        robot = self._find(request)
+        robot, since_s = self._find(request), _now_s()
         self._hub.gates.stop(robot)
         await self._hub.gates.settled()
-        return reply(robot_view(robot))
+        return await self._measured(request, robot, since_s)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
+        since_s = _now_s()
         self._hub.gates.stop_all()
         await self._hub.gates.settled()
-        return await self._robots(request)
+        return await self._all_measured(request, since_s)
+
+    async def _standstill(self, request: web.Request) -> web.Response:
+        return await self._measured(request, self._find(request), _now_s())
+
+    async def _standstills(self, request: web.Request) -> web.Response:
+        return await self._all_measured(request, _now_s())
+
+    async def _measured(self, request: web.Request, robot: Robot | RemoteRobot, since_s: float) -> web.Response:
+        """Every stop has been sent before this waits."""
+        measured = await self._hub.standstills.measure([robot], since_s, wait_s=_wait_s(request))
+        return reply(stopped_view(robot, measured[0]))
+
+    async def _all_measured(self, request: web.Request, since_s: float) -> web.Response:
+        robots = self._hub.robots.all()
+        measured = await self._hub.standstills.measure(robots, since_s, wait_s=_wait_s(request))
+        return reply({"robots": [stopped_view(*each) for each in zip(robots, measured, strict=True)]})
 
     async def _lock(self, request: web.Request) -> web.Response:
         """A wrong body is refused, but the robot is locked first: an emergency stop does not fail for its reason."""
-        robot = self._find(request)
+        robot, since_s = self._find(request), _now_s()
         try:
-            body = decode_body(await request.read() or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
+            body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
         except BadRequest:
             self._hub.emergency_stop.stop(robot)
             raise
         self._hub.emergency_stop.stop(robot, body.reason)
         await self._hub.gates.settled()
-        return reply(robot_view(robot))
+        return await self._measured(request, robot, since_s)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         robot = self._find(request)
@@ -271,6 +321,26 @@ class Rest:
         if not is_ready:
             return refusal("NotReady", f"not connected: {', '.join(missing) or 'no robot yet'}", UNAVAILABLE)
         return reply({"status": "ready"})
+
+
+def _wait_s(request: web.Request) -> float:
+    """How long the request waits for a measurement. A stop is sent before this is read: it does not fail for that.
+
+    Raises:
+        BadRequest: `wait_s` is not a number from 0 to MAX_WAIT_S.
+    """
+    text = request.query.get("wait_s", str(WAIT_S))
+    try:
+        wait_s = float(text)
+    except ValueError:
+        wait_s = -1.0
+    if not 0.0 <= wait_s <= MAX_WAIT_S:
+        raise BadRequest(f"wait_s must be a number of seconds from 0 to {MAX_WAIT_S:g}, not {text!r}")
+    return wait_s
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
 
 
 def decode_body(data: bytes, type_: type[Body], shape: str) -> Body:

@@ -14,9 +14,12 @@ from hostlink.api.client_subscriptions import ClientSubscriptions
 from hostlink.api.client_topics import ClientTopics
 from hostlink.api.drive import Drive
 from hostlink.api.fragments import MAX_PIECES, Fragments
+from hostlink.api.inbox import Operation
 from hostlink.api.outgoing import ClientQueue, put_json
+from hostlink.api.rate_limit import REFUSED_VELOCITIES_S, RateLimit
 from hostlink.api.request import Request
 from hostlink.api.stamps import fill_stamps
+from hostlink.api.velocities import velocity_of_request
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
@@ -30,6 +33,7 @@ log = structlog.get_logger()
 MAX_UNKNOWN_OPS = 8  # that are logged; a client may send any number
 _ONLY_READS = frozenset({"subscribe", "unsubscribe", "call_service", "set_level", "auth", "fragment", "watch_graph"})
 _LEVELS = ("info", "warning", "error", "none")  # of `set_level`: from this one on the client receives `status`
+_WARNING, _ERROR = 1, 2
 
 
 class RosbridgeClient:
@@ -54,9 +58,10 @@ class RosbridgeClient:
         self._queue = queue
         self._spawn = spawn
         self._calls = 0
-        self._status_from = _LEVELS.index("none")
+        self._status_from: int | None = None  # of _LEVELS; None: the client has not said
+        self._refused_velocities = RateLimit(REFUSED_VELOCITIES_S)
         self._unknown_ops: set[str] = set()
-        self._fragments = Fragments(hub.config.api.max_message_bytes)
+        self._fragments = Fragments(hub.config.api.max_message_bytes, hub.budget["fragments"])
         self._drive = Drive(self.participant, hub.robots, queue, spawn=spawn)
         self._operations: dict[str, Callable[[Request], None]] = {
             "advertise": self._topics.advertise,
@@ -72,17 +77,37 @@ class RosbridgeClient:
             "watch_graph": ClientGraph(self.participant, hub.robots, queue).watch,
             "auth": _accept,
             "fragment": self._add_fragment,
-            "drive": lambda request: self._drive.receive(request.fields),
+            "drive": self._drive.receive,
             "send_action_goal": self._refuse_goal,
             **dict.fromkeys(("cancel_action_goal", "advertise_action", "unadvertise_action"), _refuse_action),
             **dict.fromkeys(("action_feedback", "action_result"), _refuse_action),
         }
 
-    def receive(self, text: str | bytes) -> None:
+    def receive(self, text: str | bytes, came_s: float | None = None) -> None:
         """Do what one message of the client's says; what is wrong with it becomes a status, and is never raised."""
-        request = None
+        self.do(self.read(text, asyncio.get_running_loop().time() if came_s is None else came_s))
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[Request | BadRequest]:
+        """Decode a message; `do` tells the client what is wrong with it."""
         try:
-            request = Request.read(text)
+            request = Request.read(data)
+        except BadRequest as error:
+            return Operation(error, came_s)
+        request.came_s = came_s
+        velocity_of, is_zero = velocity_of_request(request, self._hub.topics)
+        return Operation(request, came_s, velocity_of, is_zero)
+
+    def do(self, operation: Operation[Request | BadRequest]) -> None:
+        """Do what a message says; what is wrong with it becomes a status, and is never raised."""
+        if isinstance(operation.content, BadRequest):
+            self._put_error(operation.content)
+            return
+        request = operation.content
+        request.replaced = [each for each in operation.replaced if isinstance(each, Request)]
+        self._do(request)
+
+    def _do(self, request: Request) -> None:
+        try:
             operation = self._operations.get(request.op)
             if operation is None:
                 self._log_unknown(request.op)
@@ -90,7 +115,7 @@ class RosbridgeClient:
             self.participant.check(Role.READ if request.op in _ONLY_READS else Role.DRIVE, request.op)
             operation(request)
         except HostlinkError as error:
-            self._put_status("error", str(error), request)
+            self._put_error(error, request)
 
     def flush(self, now_s: float) -> float | None:
         """Send what subscriptions held back until now; returns when the next is due."""
@@ -102,6 +127,11 @@ class RosbridgeClient:
             await asyncio.sleep(0)  # many calls came in one read, and most are answered at once
         await self._queue.room()
 
+    def close(self) -> None:
+        """The client has left: all that it has goes with it."""
+        self.participant.leave()
+        self._fragments.close()
+
     # -- operations ---------------------------------------------------------------------------------------------------
 
     def _publish(self, request: Request) -> None:
@@ -111,7 +141,7 @@ class RosbridgeClient:
         self._topics.publish(request)
         type_ = self.participant.message_type(topic, type_name)
         payload = _raw_payload(request, type_) or type_.encode(fill_stamps(type_, message, time.time_ns()))
-        self.participant.publish(topic, payload, priority=priority)
+        self.participant.publish(topic, payload, priority=priority, at_s=request.came_s)
 
     def _call_service(self, request: Request) -> None:
         if self._calls >= MAX_CALLS:
@@ -123,10 +153,11 @@ class RosbridgeClient:
 
     async def _finish_call(self, request: Request) -> None:
         try:
-            name = request.text("service")
-            timeout_s = request.number_or("timeout", 0.0) or None
-            arguments = _arguments(request, self._hub.services.type_of(name))
-            values = await self.participant.call(name, arguments, timeout_s=timeout_s)
+            with self._hub.budget["calls"].holding(request.size_bytes, "calls that are under way"):
+                name = request.text("service")
+                timeout_s = request.number_or("timeout", 0.0) or None
+                arguments = _arguments(request, self._hub.services.type_of(name))
+                values = await self.participant.call(name, arguments, timeout_s=timeout_s)
             self._answer(request, values, is_right=True)
         except HostlinkError as error:
             self._answer(request, str(error), is_right=False)
@@ -141,7 +172,7 @@ class RosbridgeClient:
         now_s = asyncio.get_running_loop().time()
         whole = self._fragments.add(request.id, number=number, total=total, data=data, now_s=now_s)
         if whole is not None:
-            self.receive(whole)
+            self.receive(whole, request.came_s)
 
     def _refuse_goal(self, request: Request) -> None:
         """rosserial has no actions: a goal is refused at once, so that nobody waits."""
@@ -166,17 +197,31 @@ class RosbridgeClient:
         put_json(self._queue, answer | ({"id": request.id} if "id" in request.fields else {}))
 
     def _warn(self, text: str) -> None:
-        self._put_status("warning", text, None)
-
-    def _put_status(self, level: str, text: str, request: Request | None) -> None:
-        """rosbridge's own clients log an exception for a status that they did not request."""
         log.debug("client.refused", client=self.participant.name, reason=text)
-        if _LEVELS.index(level) >= self._status_from:
-            status = {"op": "status", "level": level, "msg": text}
-            request_id = None if request is None else request.fields.get("id")
-            if isinstance(request_id, str | int | float):
-                status["id"] = str(request_id)
-            put_json(self._queue, status)
+        if self._status_from is not None and self._status_from <= _WARNING:
+            put_json(self._queue, {"op": "status", "level": "warning", "msg": text})
+
+    def _put_error(self, error: HostlinkError, request: Request | None = None) -> None:
+        """A client that has not said which status it wants gets those of its refused velocities, now and then.
+
+        rosbridge's document has "error" as the default, but its own clients log an exception for each status.
+        """
+        log.debug("client.refused", client=self.participant.name, reason=str(error))
+        if not (self._is_shown_velocity(request) if self._status_from is None else self._status_from <= _ERROR):
+            return
+        status = {"op": "status", "level": "error", "msg": str(error), "kind": error.kind}
+        request_id = None if request is None else request.fields.get("id")
+        if isinstance(request_id, str | int | float):
+            status["id"] = str(request_id)
+        put_json(self._queue, status)
+
+    def _is_shown_velocity(self, request: Request | None) -> bool:
+        """Whether a refusal is that of a published velocity, and the client was told of none on this topic lately."""
+        name = request.fields.get("topic") if request is not None and request.op == "publish" else None
+        topic = self._hub.topics.find_or_none(name) if isinstance(name, str) else None
+        if topic is None or not topic.is_gated:
+            return False
+        return self._refused_velocities.allows(topic.name, asyncio.get_running_loop().time())
 
     def _log_unknown(self, op: str) -> None:
         if op not in self._unknown_ops and len(self._unknown_ops) < MAX_UNKNOWN_OPS:

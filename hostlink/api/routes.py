@@ -13,6 +13,11 @@ from aiohttp import web
 
 from hostlink.hub.node import Role
 
+BODY = web.RequestKey("body", bytes)  # of a request whose route has one
+CAME = web.RequestKey("came", float)  # when its first byte came, at the earliest, by the loop's clock
+MAX_BODY_BYTES = 64 * 1024  # of routes that say nothing else
+SMALL_BODY_BYTES = 4096  # of a velocity or a lock: not in the budget, so that others' bodies keep out none of them
+
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 FILE = "application/octet-stream"  # the media type of what is read in ranges
@@ -45,7 +50,9 @@ class Route:
     method: str = "GET"
     media_type: str = "application/json"
     request: type | None = None  # the type of its body
+    max_body_bytes: int = MAX_BODY_BYTES
     is_body_optional: bool = False
+    check_head: Callable[[web.Request], object] | None = None  # raises what refuses it before its body is read
     on_head: Callable[[web.Request], None] | None = None  # done at once when its body is not there yet
     role: Role | None = Role.READ  # None: everybody, without a token
     is_limited: bool = True  # False: answered however often it comes, because it stops a robot

@@ -3,12 +3,11 @@
 import asyncio
 import contextlib
 import errno
-import functools
 import itertools
 import socket as sockets
 from collections.abc import AsyncIterator, Callable, Iterator
 from http import HTTPStatus
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import structlog
 from aiohttp import WSCloseCode, WSMsgType, web
@@ -17,7 +16,6 @@ from structlog.contextvars import bound_contextvars
 
 from hostlink.acceptor import bind, why
 from hostlink.api.access import GRANT, Access, Grant, check_role, tls_context, token_of
-from hostlink.api.backlog import Backlog
 from hostlink.api.captures import Captures
 from hostlink.api.clients import Client, Clients
 from hostlink.api.connections import KEPT_FOR_REQUESTS, Connections
@@ -28,11 +26,14 @@ from hostlink.api.foxglove_directory import FoxgloveDirectory
 from hostlink.api.grants import Grants
 from hostlink.api.heads import FOXGLOVE, is_foxglove, refuse_unreadable
 from hostlink.api.history import HistoryRoutes
+from hostlink.api.inbox import Inbox
 from hostlink.api.incidents import IncidentRoutes
 from hostlink.api.listener import ApiListener, MakeProtocol
+from hostlink.api.listening import ListeningRoute
 from hostlink.api.metrics import Metrics
 from hostlink.api.outgoing import ClientQueue, client_queue
 from hostlink.api.owners import Owners
+from hostlink.api.paced_reading import PacedReading
 from hostlink.api.page import page_file
 from hostlink.api.rate_limit import RateLimit
 from hostlink.api.recordings import RecordingRoutes
@@ -41,7 +42,7 @@ from hostlink.api.replies import explain_errors, reply
 from hostlink.api.rest import Rest
 from hostlink.api.rosapi import RosApi
 from hostlink.api.rosbridge import RosbridgeClient
-from hostlink.api.routes import FILE, Handler, Route, openapi
+from hostlink.api.routes import BODY, CAME, FILE, MAX_BODY_BYTES, SMALL_BODY_BYTES, Handler, Route, openapi
 from hostlink.cancellation import patience, raise_if_cancelled
 from hostlink.config import ApiConfig, Config
 from hostlink.errors import ConfigError
@@ -50,6 +51,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.reloader import Reloader
 from hostlink.logs import printable
 from hostlink.recording.recordings import Recordings
+from hostlink.transport.base import READ_BYTES
 
 log = structlog.get_logger()
 
@@ -61,6 +63,7 @@ DEBT_S = 1.0  # so many seconds of a client's messages may come too early; who b
 SEND_TIMEOUT_S = 5.0  # a client whose socket accepts nothing for that time is gone
 SEND_BUFFER_BYTES = 64 * 1024  # in the process and again in the kernel, behind the client's queue
 MAX_GROUP = 64  # characters of the name of a group
+READY_TIMEOUT_S = 1.0  # for the answer to the first ping; a client that answers none is sent to nevertheless
 CLOSING = (WSMsgType.CLOSE, WSMsgType.CLOSING, WSMsgType.CLOSED)
 SEND_BATCH = 64  # messages for which a client has SEND_TIMEOUT_S
 ALLOWED_HEADERS = "Authorization, Content-Type, Range"
@@ -90,14 +93,14 @@ class ApiServer:
             config.max_connections_per_address,
             request_timeout_s=config.request_timeout_s,
         )
-        self.listener = ApiListener(connections, hub.spawn)
+        self.listener = ApiListener(connections, hub)
         self._clients = Clients(
             min(config.max_clients, config.max_connections - KEPT_FOR_REQUESTS),
             max_per_address=config.max_connections_per_address - KEPT_FOR_REQUESTS,
         )
         self._owners = Owners(hub)
         self._directory = FoxgloveDirectory(hub)
-        self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners)
+        self._metrics = Metrics(hub, self._clients, self._limit, connections, self._owners, recordings)
         self._sockets: set[web.WebSocketResponse] = set()
         self._turns = hub.turns()  # of all requests together
         self._routes: list[Route] = []
@@ -107,14 +110,16 @@ class ApiServer:
     def application(self) -> web.Application:
         """Everything that is served."""
         app = web.Application(middlewares=[explain_errors, self._admit], client_max_size=self._config.max_message_bytes)
+        history_turn = asyncio.Semaphore(1)
         self._routes = [
             *Rest(self._hub, self._clients, self._owners).routes(),
             *Events(self._hub, self._clients, self._recordings).routes(),
             *Captures(self._hub).routes(),
             *RecordingRoutes(self._recordings).routes(),
-            *IncidentRoutes(self._recordings.black_box, self._hub.catalog).routes(),
+            *IncidentRoutes(self._recordings.black_box, self._hub.catalog, history_turn).routes(),
             *DriveRoute(self._recordings.drives).routes(),
-            *HistoryRoutes(self._hub, self._recordings.black_box).routes(),
+            *HistoryRoutes(self._hub, self._recordings.black_box, history_turn).routes(),
+            *ListeningRoute(self._hub).routes(),
             *ReloadRoute(self._reloader).routes(),
             self._metrics.route(),
             Route(
@@ -153,8 +158,14 @@ class ApiServer:
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         """Refuse what is not allowed, before anything else reads the request."""
+        reading = self.listener.reading(request)
         with self.listener.answering(request.transport):
-            return await self._answer(request, handler)
+            request[CAME] = asyncio.get_running_loop().time() if reading is None else reading.request_came_s
+            try:
+                return await self._answer(request, handler)
+            finally:
+                if reading is not None and not request.content.is_eof() and not _has_small_body(request):
+                    reading.refuse_body()
 
     async def _answer(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         origin = request.headers.get("Origin")
@@ -201,30 +212,42 @@ class ApiServer:
         route = self._by_handler.get(request.match_info.handler)
         if route is None or route.request is None:
             return
-        if route.on_head is not None and not self._is_body_there(request):
+        if route.check_head is not None:
+            route.check_head(request)
+        content, most_bytes = request.content, min(route.max_body_bytes, self._config.max_message_bytes)
+        if route.on_head is not None and not (content.is_eof() and content.total_bytes <= most_bytes):
             route.on_head(request)
-        timeout_s = self._config.request_timeout_s
+        if (request.content_length or 0) > most_bytes:
+            raise _too_large(most_bytes)
+        bodies, held_bytes = self._hub.budget["bodies"], most_bytes if most_bytes > SMALL_BODY_BYTES else 0
+        if not bodies.take(held_bytes):
+            raise web.HTTPServiceUnavailable(reason="too many bodies at once", headers={"Retry-After": "1"})
+        timeout_s, body = self._config.request_timeout_s, bytearray()
         try:
             with self.listener.receiving(request.transport):
                 async with asyncio.timeout(timeout_s):
-                    await request.read()
+                    while piece := await content.readany():
+                        body += piece
+                        if len(body) > most_bytes:
+                            raise _too_large(most_bytes)
+            request[BODY] = bytes(body)
         except TimeoutError:
             raise web.HTTPRequestTimeout(reason=f"the body did not come within {timeout_s:g} s") from None
         except (OSError, web.RequestPayloadError, HttpProcessingError) as error:
             raise web.HTTPBadRequest(reason="the body broke off, or is not what its head announces") from error
-
-    def _is_body_there(self, request: web.Request) -> bool:
-        return request.content.is_eof() and request.content.total_bytes <= self._config.max_message_bytes
+        finally:
+            bodies.give(held_bytes)
 
     async def _root(self, request: web.Request) -> web.StreamResponse:
         return await (self._serve_client(request) if _is_websocket(request) else page_file(request))
 
     async def _serve_client(self, request: web.Request) -> web.StreamResponse:
         kind = "foxglove" if is_foxglove(request) else "rosbridge"
-        queue = client_queue()
+        queue = client_queue(self._hub.budget)
         client = self._clients.enter(kind, request, request[GRANT], queue)
         socket = web.WebSocketResponse(
             heartbeat=PING_INTERVAL_S,
+            autoping=False,
             max_msg_size=self._config.max_message_bytes,
             compress=False,
             protocols=FOXGLOVE,
@@ -235,14 +258,20 @@ class ApiServer:
             try:
                 await socket.prepare(request)
                 _bound_buffers(request)
+                reading = self.listener.reading(request)
+                if reading is not None:
+                    reading.become_web_socket()
                 self._sockets.add(socket)
                 log.info("client.connected", role=client.grant.role.name.lower(), program=printable(client.program))
-                await self._serve_socket(socket, client, queue, group=request.query.get("group", "")[:MAX_GROUP])
+                await self._serve_socket(
+                    socket, client, queue, reading, group=request.query.get("group", "")[:MAX_GROUP]
+                )
             except* OSError as broken:
                 log.debug("client.broken", reason=str(broken.exceptions[0]))
             finally:
                 self._sockets.discard(socket)
                 self._clients.leave(client)
+                queue.clear()
                 self._limit.forget(client.name)
                 if request.transport is not None and request.transport.get_write_buffer_size():
                     request.transport.abort()  # it accepts nothing: closing would wait for it without end
@@ -251,32 +280,62 @@ class ApiServer:
         return socket if socket.prepared else web.Response(status=HTTPStatus.BAD_REQUEST)  # it broke off before
 
     async def _serve_socket(
-        self, socket: web.WebSocketResponse, client: Client, queue: ClientQueue, *, group: str
+        self,
+        socket: web.WebSocketResponse,
+        client: Client,
+        queue: ClientQueue,
+        reading: PacedReading | None,
+        *,
+        group: str,
     ) -> None:
         loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as tasks:
             program = self._program(client, queue, tasks, group)
             program.participant.address = client.peer
-            sender = tasks.create_task(self._send(socket, client, program, queue), name=f"{client.name} sender")
+            is_ready = asyncio.Event()
+            if client.kind != "foxglove":
+                is_ready.set()  # rosbridge's clients speak first
+            sender = tasks.create_task(
+                self._send(socket, client, program, queue, is_ready), name=f"{client.name} sender"
+            )
+            replaced = self._hub.counts.velocities_replaced
+            inbox: Inbox[Any] = Inbox(program, lambda: replaced.update((client.kind,)))
+            worker = tasks.create_task(self._work(program, inbox), name=f"{client.name} worker")
             try:
-                turns, backlog = self._hub.turns(), Backlog()
                 while True:
-                    with backlog.receiving():
+                    with inbox.receiving():
                         message = await socket.receive()
                     if message.type in CLOSING:
+                        await inbox.idle()
                         break
                     if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
-                        continue
+                        if message.type is WSMsgType.PING:
+                            await socket.pong(message.data)
+                        elif message.type is WSMsgType.PONG:
+                            is_ready.set()
+                        if reading is not None and message.type in (WSMsgType.PING, WSMsgType.PONG):
+                            reading.receive_control(len(message.data or b""))
+                        continue  # also of a broken frame, behind which the socket is closed
                     client.messages_from_client += 1
-                    work = functools.partial(program.receive, message.data)
-                    await turns.run(work, is_flooding=backlog.is_flooding)
+                    inbox.put(message.data, loop.time() if reading is None else reading.came_s)
                     if self._limit.debt_s(client.name, loop.time()) > DEBT_S:
                         await self._refuse_flood(socket)
                         break
-                    await program.settle()
+                    await inbox.room()
+                    if reading is not None:
+                        reading.receive_message()
             finally:
-                program.participant.leave()
+                program.close()
                 sender.cancel()
+                worker.cancel()
+
+    async def _work(self, program: Program, inbox: Inbox[Any]) -> None:
+        """Do what has come, in the client's turns."""
+        turns = self._hub.turns()
+        while True:
+            await inbox.wait()
+            await turns.run(inbox.work, is_flooding=inbox.is_flooding)
+            await program.settle()
 
     def _program(self, client: Client, queue: ClientQueue, tasks: asyncio.TaskGroup, group: str) -> Program:
         """What speaks the client's language."""
@@ -291,15 +350,26 @@ class ApiServer:
         reason = f"more than {self._config.max_requests_s:g} messages a second"
         await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=reason.encode(), drain=False)
 
-    async def _send(self, socket: web.WebSocketResponse, client: Client, program: Program, queue: ClientQueue) -> None:
+    async def _send(
+        self,
+        socket: web.WebSocketResponse,
+        client: Client,
+        program: Program,
+        queue: ClientQueue,
+        is_ready: asyncio.Event,
+    ) -> None:
         """Send what is queued; a client that cannot keep up with its answers is logged, and closed."""
         loop = asyncio.get_running_loop()
+        if not is_ready.is_set():
+            await _answer_to_ping(socket, is_ready)
         async with patience(SEND_TIMEOUT_S) as sending:
             while not queue.is_too_slow and not queue.is_closed:
                 now_s = loop.time()
                 due_s = program.flush(now_s)
                 sending.begin(now_s)
                 for waiting in itertools.islice(iter(queue.pop, None), SEND_BATCH):
+                    if waiting.item.before:
+                        await socket.send_frame(waiting.item.before, WSMsgType.BINARY)
                     kind = WSMsgType.BINARY if waiting.item.is_binary else WSMsgType.TEXT
                     await socket.send_frame(waiting.item.data, kind)
                     client.sent(waiting.size_bytes)
@@ -325,6 +395,18 @@ async def _close_going_away(socket: web.WebSocketResponse) -> None:
             await socket.close(code=WSCloseCode.GOING_AWAY, message=b"hostlink stops", drain=False)
 
 
+async def _answer_to_ping(socket: web.WebSocketResponse, has_answered: asyncio.Event) -> None:
+    """Wait until the program at the other end has seen that the connection is open.
+
+    Programs add their listeners then. A message that is read together with the end of the handshake reaches none:
+    Foxglove's `mcap-record` so lost the channels, and recorded nothing.
+    """
+    await socket.ping()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(READY_TIMEOUT_S):
+            await has_answered.wait()
+
+
 async def _wait(queue: ClientQueue, until_s: float | None) -> None:
     """Wait for something to send, or until then."""
     if until_s is None:
@@ -340,6 +422,16 @@ def _bound_buffers(request: web.Request) -> None:
     if request.transport is not None:
         request.transport.set_write_buffer_limits(SEND_BUFFER_BYTES)
         request.transport.get_extra_info("socket").setsockopt(sockets.SOL_SOCKET, sockets.SO_SNDBUF, SEND_BUFFER_BYTES)
+
+
+def _too_large(most_bytes: int) -> web.HTTPRequestEntityTooLarge:
+    reason = f"the body may have {most_bytes} bytes at most"
+    return web.HTTPRequestEntityTooLarge(most_bytes, 0, reason=reason)
+
+
+def _has_small_body(request: web.Request) -> bool:
+    """Whether its end may be awaited, though nobody reads it."""
+    return request.content_length is not None and request.content_length <= MAX_BODY_BYTES
 
 
 def _is_websocket(request: web.Request) -> bool:
@@ -361,6 +453,7 @@ async def serve_api(config: ApiConfig, hub: Hub, recordings: Recordings, reloade
         shutdown_timeout=SHUTDOWN_TIMEOUT_S,
         lingering_time=LINGER_S,
         auto_decompress=False,  # a kilobyte of a body is at most a kilobyte
+        read_bufsize=READ_BYTES,  # twice as much of a body waits, then no more is read of it
     )
     tls = tls_context(config)
     await runner.setup()

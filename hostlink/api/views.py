@@ -14,6 +14,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import address_of
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
+from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import Velocity
 
 
@@ -81,10 +82,31 @@ class RobotView(TypedDict):
     priority: int | None
     locked: bool
     lock_reason: str | None
+    epoch: int  # counts interruptions: stops, locks, reconnections
     unreachable: str | None
     wheel_separation_m: float | None
     velocity: VelocityView
     odometry: OdometryView | None
+
+
+class StandstillView(TypedDict):
+    """What a robot's odometry says after a stop or a lock.
+
+    state: stands, moves or unknown. speed_m_s, turn_rad_s: the newest; null: no odometry came since then. after_s: when
+    it stood first; null unless it stands. reason: why it moves, or why it is not known; empty if it stands.
+    """
+
+    state: str
+    speed_m_s: float | None
+    turn_rad_s: float | None
+    after_s: float | None
+    reason: str
+
+
+class StoppedRobotView(RobotView):
+    """One robot after a stop or a lock, and what was measured since."""
+
+    standstill: StandstillView
 
 
 class TopicInfoView(TypedDict):
@@ -219,10 +241,25 @@ def robot_view(robot: Robot | RemoteRobot) -> RobotView:
         "priority": robot.gate.priority,
         "locked": robot.gate.lock_reason is not None,
         "lock_reason": robot.gate.lock_reason,
+        "epoch": robot.gate.admission.epoch,
         "unreachable": robot.refusals.cause,
         "wheel_separation_m": robot.config.wheel_separation_m if isinstance(robot, Robot) else None,
         "velocity": velocity_view(robot.gate.current),
         "odometry": odometry_view(robot),
+    }
+
+
+def stopped_view(robot: Robot | RemoteRobot, measured: Standstill) -> StoppedRobotView:
+    """One robot as it is now, and what was measured after a stop."""
+    return {
+        **robot_view(robot),
+        "standstill": {
+            "state": measured.state.value,
+            "speed_m_s": _rounded(measured.speed_m_s, 4),
+            "turn_rad_s": _rounded(measured.turn_rad_s, 4),
+            "after_s": _rounded(measured.after_s, 3),
+            "reason": measured.reason,
+        },
     }
 
 
@@ -247,7 +284,7 @@ def velocity_answer(robot: Robot | RemoteRobot, requested: Velocity, limited: Ve
         "velocity": velocity_view(limited),
         "is_limited": limited != requested,
         "limited_by": robot.gate.limits.slowest(requested) if isinstance(robot, Robot) else None,
-        "lease_s": robot.gate.lease_s,
+        "lease_s": robot.gate.admission.lease_s,
     }
 
 

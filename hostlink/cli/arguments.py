@@ -26,15 +26,6 @@ RobotName = Annotated[str | None, typer.Argument(show_default=False, autocomplet
 ParameterName = Annotated[str, typer.Argument(show_default=False, autocompletion=parameter_names)]
 TypeName = Annotated[str, typer.Argument(help="As geometry_msgs/Twist.", show_default=False, autocompletion=type_names)]
 
-Origins = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--origin",
-        help="A web page of elsewhere that may use the API: https://app.foxglove.dev. May be repeated.",
-        show_default=False,
-    ),
-]
-
 
 def json_object(name: str, text: str) -> dict[str, object]:
     """The object of an argument, in JSON or in YAML's flow style.

@@ -41,7 +41,7 @@ def info(port: Port, *, baud: Baud = 115200, wait: Wait = 10.0, json: Json = Fal
 
 
 @app.command()
-def setup(  # noqa: PLR0913 - each is an option of the command
+def setup(
     port: Port,
     *,
     baud: Baud = 115200,

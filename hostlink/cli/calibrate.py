@@ -1,5 +1,6 @@
 """`hostlink calibrate`: from a tape measure to the numbers with which a robot drives straight."""
 
+import contextlib
 import json as json_text
 import re
 from pathlib import Path
@@ -18,7 +19,13 @@ from hostlink.client import DEFAULT_URL
 from hostlink.config import CalibrationConfig, load
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.robot.calibration import Calibration, MeasuredRun, WheelGeometry, calibrated, uncorrected
-from hostlink.robot.calibration_checks import Confirmation, complaint_of_run, complaint_of_runs, confirm
+from hostlink.robot.calibration_checks import (
+    Confirmation,
+    complaint_of_nominal,
+    complaint_of_run,
+    complaint_of_runs,
+    confirm,
+)
 from hostlink.robot.course import Speed
 from hostlink.robot.odometry_correction import OdometryCorrection
 from hostlink.sim.world_parameters import read
@@ -30,7 +37,7 @@ RADIUS_M, SEPARATION_M = (0.005, 0.5), (0.02, 5.0)  # what hostlink's firmware a
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def command(  # noqa: PLR0913 - the options of a command line
+def command(
     robot: Annotated[str, typer.Argument(help="Its name.", show_default=False)],
     *,
     url: Url = DEFAULT_URL,
@@ -103,14 +110,15 @@ def command(  # noqa: PLR0913 - the options of a command line
     chosen = target or ("device" if session.requests_parameters() else "hostlink")
     _check_file(write_to, name, chosen)
     path = state or default_path(f"{name}-simulated" if simulate else name)
-    believed = session.nominal() if nominal is None else _nominal(nominal)
+    believed = session.nominal() if nominal is None else _chosen_nominal(session, _nominal(nominal))
     saved = open_state(path, Saved(name, sizes, believed), anew=anew or simulate)
     calibration = GuidedCalibration(session, saved, picture or path.with_suffix(".svg"), is_quiet=json)
     try:
         found, confirmation = calibration.run()
     except KeyboardInterrupt:
         write_error(
-            "", f"the robot is stopped; drives done: {len(saved.saved.runs)}. The same command goes on, from {path}"
+            "",
+            f"the robot was sent a stop; drives done: {len(saved.saved.runs)}. The same command goes on, from {path}",
         )
         raise
     settings = settings_of(name, found, chosen, write_to)
@@ -305,6 +313,16 @@ def _world(changes: list[str]) -> Any:
         return read(DEFAULT_WORLD + "\n".join(changes))
     except ValueError as error:
         raise ConfigError("--world", str(error)) from error
+
+
+def _chosen_nominal(session: Session, nominal: WheelGeometry) -> WheelGeometry:
+    """The numbers of `--nominal`, unless they are in another unit and the person says so."""
+    complaint = ""
+    with contextlib.suppress(HostlinkError):  # what is known is not what the robot uses: the option is there for that
+        complaint = complaint_of_nominal(nominal, session.nominal())
+    if complaint and not session.goes_on(complaint):
+        raise ConfigError("--nominal", complaint)
+    return nominal
 
 
 def _nominal(text: str) -> WheelGeometry:

@@ -12,7 +12,7 @@ from hostlink.cli.drivers import driver
 from hostlink.client import Host, RobotState, connect
 from hostlink.client.robot import Robot
 from hostlink.client.topics import Subscription
-from hostlink.errors import HostlinkError, UnknownTopic
+from hostlink.errors import HostlinkError, RefusalKind, UnknownTopic
 from hostlink.robot.calibration import WheelGeometry
 from hostlink.robot.course import STUCK_S, CourseFollower, Leg, Speed
 from hostlink.robot.kinematics import Pose, wrap_angle
@@ -47,7 +47,7 @@ class Drives:
             state = await _state(host, self.robot)
             robot = host.robot(self.robot, priority=PRIORITY)
             async with host.subscribe(state["odometry_topic"]) as poses, _stopping(robot):
-                drive = _Drive(robot, state["link"], CourseFollower(legs, self._speed), correction)
+                drive = _Drive(robot, CourseFollower(legs, self._speed), correction)
                 return await drive.run(poses, show)
 
     async def nominal(self) -> WheelGeometry:
@@ -107,12 +107,10 @@ class Drives:
 
 
 class _Drive:
-    """One course: a command at each pose, for the connection of the device on which it began."""
+    """One course: a command at each pose."""
 
-    def __init__(
-        self, robot: Robot, link: int | None, follower: CourseFollower, correction: OdometryCorrection
-    ) -> None:
-        self._robot, self._link, self._follower, self._correction = robot, link, follower, correction
+    def __init__(self, robot: Robot, follower: CourseFollower, correction: OdometryCorrection) -> None:
+        self._robot, self._follower, self._correction = robot, follower, correction
         self._path: list[Pose] = []
         self._shown = Pose()
 
@@ -127,7 +125,7 @@ class _Drive:
                     f"its odometry did not advance for {STUCK_S:g} s: a wall, or an encoder that does not count? "
                     "The robot was stopped"
                 )
-            await self._robot.command(*velocity, link=self._link)
+            await self._robot.command(*velocity)
             if self._robot.refusal is not None:
                 raise HostlinkError(f"{self._robot.name} is not driven any more: {self._robot.refusal.reason}")
             show(self._follower.legs_left, now_s() - start_s)
@@ -163,9 +161,9 @@ async def _stopping(robot: Robot) -> AsyncIterator[None]:
     finally:
         for number in SIGNALS:
             loop.remove_signal_handler(number)
-        if robot.refusal is None or robot.refusal.kind != "RobotHeld":  # a stop would end another's drive, too
+        if robot.refusal is None or robot.refusal.kind != RefusalKind.HELD:  # a stop would end another's drive, too
             with contextlib.suppress(HostlinkError):  # with the connection gone the daemon has stopped it
-                await robot.stop()
+                await robot.stop(wait_s=0.0)
     await asyncio.sleep(STAND_S)
 
 

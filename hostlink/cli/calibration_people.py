@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from hostlink.cli.calibration_drive import Drives
-from hostlink.cli.calibration_plan import Step, parse_angle, parse_length
+from hostlink.cli.calibration_plan import UNITS_M, Step, UnitMissing, parse_angle, parse_length
 from hostlink.cli.output import show_progress, show_question, write, write_error
 from hostlink.errors import HostlinkError
 from hostlink.robot.calibration import Kind, Measurement, WheelGeometry
@@ -50,6 +50,9 @@ class Session(Protocol):
 
     def drives_again(self, reason: str) -> bool:
         """After numbers that cannot be: whether to drive again, else only to measure again."""
+
+    def goes_on(self, doubt: str) -> bool:
+        """Whether a number that is doubted is right."""
 
     def choose(self, complaint: str, titles: Sequence[str], /) -> int | None:
         """Which drive to measure again; None: none."""
@@ -103,13 +106,20 @@ class AtTheTerminal:
             )
             return Measurement(0.0, 0.0, step.way * step.size * math.tau + past_rad)
         self._show("  Measure from the mark to the middle of the axle, along the line and across it.")
-        x_m = _read("  Forward along the line (cm; behind the mark is negative): ", parse_length)
-        y_m = _read("  To the left of the line (cm; to the right is negative): ", parse_length)
+        # Only of a line the odometry tells the unit of a number alone: a square ends near its mark in any unit.
+        default = "cm" if step.kind is Kind.STRAIGHT else ""
+        unit = "cm, or with its unit" if default else "with its unit, as 12.5 cm"
+        x_m = _read_length(f"  Forward along the line ({unit}; behind the mark is negative): ", default)
+        y_m = _read_length("  To the left of the line (with its unit, as 12.5 cm; to the right is negative): ")
         return Measurement(x_m, y_m)
 
     def drives_again(self, reason: str) -> bool:
         write_error(f"  {reason}")
         return _prompt("  Enter: measure again; d: drive again: ").strip().lower().startswith("d")
+
+    def goes_on(self, doubt: str) -> bool:
+        write_error(f"  {doubt}")
+        return _prompt("  y: it is right; Enter leaves: ").strip().lower() in ("y", "yes")
 
     def choose(self, complaint: str, titles: Sequence[str]) -> int | None:
         write_error("", complaint)
@@ -165,6 +175,9 @@ class Simulated:
     def drives_again(self, reason: str) -> bool:
         raise HostlinkError(reason)
 
+    def goes_on(self, doubt: str) -> bool:  # noqa: ARG002 - the simulated robot's numbers are known
+        return False
+
     def choose(self, *_: object) -> int | None:
         return None
 
@@ -181,6 +194,20 @@ def _prompt(question: str) -> str:
     if not answer:
         raise HostlinkError("there is nobody to answer: the input has ended")
     return answer
+
+
+def _read_length(question: str, default: str = "") -> float:
+    """A number without a unit is asked about: whoever means metres types the check drives in metres, too."""
+    text = _prompt(question)
+    while True:
+        try:
+            return parse_length(text, default)
+        except UnitMissing as missing:
+            answer = _prompt(f"  {missing.number} of what? {', '.join(UNITS_M)}: ").strip()
+            text = f"{missing.number} {answer}" if answer.lower() in UNITS_M else answer or missing.number
+        except ValueError as error:
+            write_error(f"  {error}")
+            text = _prompt(question)
 
 
 def _read(question: str, parse: Callable[[str], float]) -> float:

@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from hostlink.robot.course import Leg, square, straight, turns
 
 FORMAT = 1  # of the state file
 SPARE_M = 0.5  # of free floor beyond a course
-CENTIMETRES = {"": 0.01, "cm": 0.01, "mm": 0.001, "m": 1.0}
+UNITS_M = {"cm": 0.01, "mm": 0.001, "m": 1.0, "in": 0.0254}
+_LENGTH = re.compile(r"\s*([-+]?[\d.,]+(?:e[-+]?\d+)?)\s*([a-z\"]*)\s*", re.IGNORECASE)
+_EXAMPLE = "12.5 cm, 125 mm, 0.125 m or 4.92 in"
 
 
 class Sizes(msgspec.Struct, frozen=True):
@@ -151,18 +154,30 @@ def checks_of(sizes: Sizes) -> list[Step]:
     return [Step(kind, size) for kind, size in kinds]
 
 
-def parse_length(text: str) -> float:
-    """Metres of `12.5`, `12,5 cm`, `-3 mm` or `3.012 m`; a number alone is centimetres.
+class UnitMissing(ValueError):
+    """A number without its unit."""
+
+    def __init__(self, number: str) -> None:
+        self.number = number
+        super().__init__(f"{number} of what? Enter it with its unit, as {_EXAMPLE}")
+
+
+def parse_length(text: str, default: str = "") -> float:
+    """Metres of `12,5 cm`, `-3 mm`, `3.012 m` or `5 in`; a number alone is in the `default` unit, zero needs none.
 
     Raises:
-        ValueError: it is none; the text has an example.
+        UnitMissing: it is a number alone, and there is no default.
+        ValueError: it is no length; the text has an example.
     """
-    word = text.strip().lower().replace(",", ".")
-    number = word.rstrip("cm ")
-    unit = word[len(number) :].strip()
-    if unit not in CENTIMETRES:
-        raise ValueError(f"{text.strip()!r} is no length: 12.5 is centimetres, or 125 mm, or 0.125 m")
-    return _number(number, text, "length: 12.5 is centimetres, or 125 mm, or 0.125 m") * CENTIMETRES[unit]
+    wanted = f"length; enter {_EXAMPLE}"
+    found = _LENGTH.fullmatch(text)
+    unit = "" if found is None else found[2].lower().replace('"', "in") or default
+    if found is None or (unit and unit not in UNITS_M):
+        raise ValueError(f"{text.strip()!r} is no {wanted}")
+    number = _number(found[1].replace(",", "."), text, wanted)
+    if number and not unit:
+        raise UnitMissing(found[1])
+    return number * UNITS_M.get(unit, 0.0)
 
 
 def parse_angle(text: str) -> float:

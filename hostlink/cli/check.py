@@ -12,18 +12,20 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
-from hostlink.acceptor import bind, close_all, why
+from hostlink.acceptor import bind, why
 from hostlink.api.access import Access, is_loopback, tls_context
 from hostlink.api.connections import KEPT_FOR_REQUESTS
 from hostlink.cli.addresses import MAX_PORT, is_address, is_origin
 from hostlink.cli.descriptors import fitted
 from hostlink.config import Config, SerialConfig, TcpConfig, UdpConfig, ZenohConfig
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
+from hostlink.hub.robot_topic_publisher import frames_of
 from hostlink.hub.topic_graph import resolve
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.listeners.udp_acceptor import UdpAcceptor
+from hostlink.listening import close_all
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
 from hostlink.transport.ports import find_port
@@ -42,8 +44,8 @@ _SENSIBLE = (  # setting, the least that works, and why
 )
 
 
-async def check(config: Config, *, descriptors: int) -> list[str]:
-    """Check everything that `serve` needs; returns warnings.
+async def check(config: Config, *, descriptors: int, is_listening: bool = False) -> list[str]:
+    """Check everything that `serve` needs; returns warnings. `is_listening`: the port for devices is open already.
 
     Raises:
         ConfigError: it cannot be served.
@@ -54,10 +56,10 @@ async def check(config: Config, *, descriptors: int) -> list[str]:
     Access(config.api)
     tls_context(config.api)
     if config.tcp.mdns and not all(map(importlib.util.find_spec, ("ifaddr", "zeroconf"))):
-        raise ConfigError("tcp.mdns", "needs zeroconf: pip install 'hostlink[mdns]'")
+        raise LibraryMissing("tcp.mdns", "zeroconf", "mdns")
     if config.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        raise ConfigError("zenoh", "needs eclipse-zenoh: pip install 'hostlink[zenoh]'")
-    warnings = [*await _try_port("tcp", config.tcp.host, config.tcp.port)]
+        raise LibraryMissing("zenoh", "eclipse-zenoh", "zenoh")
+    warnings = [] if is_listening else await _try_port("tcp", config.tcp.host, config.tcp.port)
     warnings += await _try_port("api", config.api.host, config.api.port)
     if config.udp is not None:
         UdpAcceptor(hub, config.udp)
@@ -101,10 +103,11 @@ def _describe_who(config: TcpConfig | UdpConfig) -> str:
 
 
 def _describe_zenoh(zenoh: ZenohConfig) -> str:
+    from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - for who uses Zenoh alone
+
     parts = [f"the fleet {zenoh.fleet_name}"] * zenoh.fleet + [f"ROS 2, domain {zenoh.ros_domain_id}"] * zenoh.ros2
-    places = [f"listens on {', '.join(zenoh.listen)}"] * bool(zenoh.listen)
-    places += [f"connects to {', '.join(zenoh.connect)}"] * bool(zenoh.connect)
-    return "; ".join([f"Zenoh, a {zenoh.mode}: {' and '.join(parts) or 'nothing'}", *places])
+    reach = reach_of(settings_of(zenoh), zenoh).lines
+    return "; ".join([f"Zenoh, a {zenoh.mode}: {' and '.join(parts) or 'nothing'}", *reach])
 
 
 def _describe_port(port: SerialConfig) -> str:
@@ -166,9 +169,12 @@ def _suspicious(config: Config) -> Iterator[str]:
     yield from _too_small(config)
     yield from _suspicious_robots(config)
     yield from _shared_topics(config)
+    yield from _shared_frames(config)
     yield from _suspicious_api(config)
-    if config.zenoh is not None and config.zenoh.certificate is None and config.zenoh.file is None:
-        yield "zenoh without a certificate: everybody who reaches its port can drive the robots (docs/fleet.md)"
+    if config.zenoh is not None:
+        from hostlink.graphs.zenoh.settings import reach_of, settings_of  # noqa: PLC0415 - for who uses Zenoh alone
+
+        yield from reach_of(settings_of(config.zenoh), config.zenoh).warnings
     if config.tcp.keyless and config.tcp.key_file is None:
         yield "tcp.keyless means nothing without tcp.key_file: nobody needs a key"
     if config.udp is not None and config.udp.keyless and config.udp.key_file is None:
@@ -207,6 +213,15 @@ def _shared_topics(config: Config) -> Iterator[str]:
             where = f"robots.{name}.{setting}"
             if chosen != "" and owners.setdefault(topic, where) != where:
                 yield f"{where} and {owners[topic]} are one topic, {topic}: give each its own name"
+
+
+def _shared_frames(config: Config) -> Iterator[str]:
+    """Two robots with one base frame: whoever reads /tf sees one robot that jumps between two places."""
+    owners: dict[str, str] = {}
+    for name, robot in config.robots.items():
+        frame, where = frames_of(name, robot).base, f"robots.{name}.base_frame"
+        if owners.setdefault(frame, where) != where:
+            yield f"{where} and {owners[frame]} are one frame, {frame}: give each its own name"
 
 
 def _suspicious_robots(config: Config) -> Iterator[str]:

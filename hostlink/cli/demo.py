@@ -1,19 +1,19 @@
-"""`hostlink demo`: the daemon and a simulated robot in one process, driven in a gentle curve until somebody drives."""
+"""`hostlink demo`: the daemon and simulated robots in one process, driven in a gentle curve until another drives."""
 
 import asyncio
 import contextlib
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import typer
 
 from hostlink import logs
-from hostlink.cli.arguments import Origins
 from hostlink.cli.ending import Ending, stop_signals
 from hostlink.cli.output import write, write_over
-from hostlink.cli.serve import allow_origins, merge, running
+from hostlink.cli.serve import running
+from hostlink.cli.serve_command import Origins, allow_origins, merge
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
@@ -29,6 +29,8 @@ CURVE = Velocity(linear_x_m_s=0.15, angular_z_rad_s=0.3)  # a circle of a metre 
 COMMAND_INTERVAL_S = 0.2  # well within the lease
 PAUSE_S = 5.0  # somebody who drove may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
+DRIVE = "/demo/drive"
+START_AGAIN = f"; it was interrupted, start the demo's driver again: hostlink call {DRIVE}"
 PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # docs/robot.md#numbers
 
 
@@ -78,8 +80,9 @@ async def _demo(config: Config, robots: int, kind: RobotKind) -> None:
             host, port = addresses.tcp
             fleet = tasks.create_task(run_fleet(host, port, robots=robots, kind=kind), name="simulated robots")
             participant = hub.join(OWNER, priority=DEMO_PRIORITY)
-            driver = tasks.create_task(drive_robots(hub, participant), name="demo driver")
-            line = tasks.create_task(_show(hub, output), name="live line")
+            demo = DemoDriver(hub, participant)
+            driver = tasks.create_task(demo.run(), name="demo driver")
+            line = tasks.create_task(_show(hub, demo, output), name="live line")
             output.show(write, *_welcome(addresses.api))
             await ending.wait()
             line.cancel()
@@ -97,36 +100,64 @@ def _welcome(api: str) -> tuple[str, ...]:
         f"  drive     hostlink teleop --url {api}",
         f'  or        curl -X PUT {api}/api/robots/robot_0/velocity -d \'{{"linear": 0.1, "angular": 0.5}}\'',
         f"  read      curl {api}/api/robots/robot_0/odometry",
+        f"  stop      hostlink stop --url {api}  (then the demo drives again after: hostlink call {DRIVE} --url {api})",
         "Ctrl-C ends it.",
     )
 
 
-async def drive_robots(hub: Hub, participant: Participant) -> None:
-    """Drive every robot in a curve; whoever else drives one has it until he has left it alone for a while."""
-    now_s = asyncio.get_running_loop().time
-    busy_until_s: dict[str, float] = {}
-    while True:
-        for robot in hub.robots.here():
-            if robot.gate.owner not in (None, participant):
-                busy_until_s[robot.name] = now_s() + PAUSE_S
-            elif now_s() >= busy_until_s.get(robot.name, 0.0):
-                with contextlib.suppress(HostlinkError):  # not connected yet, or somebody drives it since
-                    participant.drive(robot, CURVE)
-        await asyncio.sleep(COMMAND_INTERVAL_S)
+class DemoDriver:
+    """Drives every robot in a curve. Another driver has a robot until it has left it alone for PAUSE_S.
+
+    An interruption (a stop, a lock, a reconnection) ends it for this robot, until the service DRIVE is called.
+    """
+
+    def __init__(self, hub: Hub, participant: Participant) -> None:
+        self._hub, self._participant = hub, participant
+        self._epochs: dict[str, int] = {}  # of each robot, when the demo began to drive it
+        self._busy_until_s: dict[str, float] = {}
+        self.stopped: set[str] = set()  # the names of robots that are not driven until DRIVE is called
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        self._participant.provide(DRIVE, "std_srvs/Trigger", self._start_again)
+        while True:
+            for robot in self._hub.robots.here():
+                self._drive(robot)
+            await asyncio.sleep(COMMAND_INTERVAL_S)
+
+    def _drive(self, robot: Robot) -> None:
+        now_s = asyncio.get_running_loop().time()
+        if robot.link is None:
+            return
+        epoch = self._epochs.setdefault(robot.name, robot.gate.admission.epoch)
+        if epoch != robot.gate.admission.epoch:
+            self.stopped.add(robot.name)
+        elif robot.gate.owner not in (None, self._participant):
+            self._busy_until_s[robot.name] = now_s + PAUSE_S
+        elif now_s >= self._busy_until_s.get(robot.name, 0.0):
+            with contextlib.suppress(HostlinkError):  # another source drives it since, or it is interrupted just now
+                self._participant.drive(robot, CURVE, epoch=epoch)
+
+    async def _start_again(self, _: Mapping[str, object]) -> Mapping[str, object]:
+        names = ", ".join(sorted(self.stopped))
+        for name in self.stopped:
+            self._epochs.pop(name, None)
+        self.stopped.clear()
+        return {"success": True, "message": f"the demo drives again: {names}" if names else "no robot was stopped"}
 
 
-async def _show(hub: Hub, output: Output) -> None:
+async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
     """One line that is written over again on a terminal; elsewhere a line a second."""
     is_terminal = sys.stdout.isatty()
     while True:
         robots = hub.robots.here()
         if robots:
-            text = "   ".join(_describe(robot) for robot in robots[:2])
+            text = "   ".join(_describe(robot, is_stopped=robot.name in demo.stopped) for robot in robots[:2])
             output.show(write_over, text)
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 
-def _describe(robot: Robot) -> str:
+def _describe(robot: Robot, *, is_stopped: bool) -> str:
     estimate = robot.odometry.snapshot(asyncio.get_running_loop().time())
     if estimate is None or robot.link is None:
         return f"{robot.name} waits for its odometry"
@@ -135,4 +166,5 @@ def _describe(robot: Robot) -> str:
         f"{robot.name}  x {pose.x_m:+6.2f} m  y {pose.y_m:+6.2f} m  "
         f"heading {math.degrees(pose.theta_rad):+6.1f}°  {twist.linear_m_s:+5.2f} m/s  "
         f"driven by {robot.gate.owner_name or 'nobody'}"
+        f"{START_AGAIN if is_stopped and robot.gate.owner is None else ''}"
     )

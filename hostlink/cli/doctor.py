@@ -26,7 +26,7 @@ from hostlink.errors import HostlinkError
 LISTEN = "0.0.0.0:11411"
 
 
-def command(  # noqa: PLR0913 - the options of a command line
+def command(
     file: Annotated[Path | None, typer.Argument(help="A recording: diagnose that.", show_default=False)] = None,
     *,
     serial: Annotated[

@@ -31,7 +31,7 @@ class Echo:
     as_csv: bool
 
 
-def command(  # noqa: PLR0913 - the options of a command line
+def command(
     topic: TopicName,
     *,
     count: Annotated[int, typer.Option(min=0, help="Stop after so many messages; 0: never.")] = 0,

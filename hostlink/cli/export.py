@@ -2,14 +2,16 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import msgspec
 import typer
 
 from hostlink.cli.output import show_progress, write, write_error
 from hostlink.errors import ConfigError, HostlinkError
-from hostlink.recording.reader import Reader
+
+if TYPE_CHECKING:
+    from hostlink.recording.export import Exported
 
 
 class Format(StrEnum):
@@ -29,13 +31,23 @@ class _Facts(TypedDict):
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="An MCAP file, as `hostlink record` made it; a bag of ROS 1; a folder or file of rosbag2.",
+            show_default=False,
+        ),
+    ],
+    topics: Annotated[list[str] | None, typer.Argument(help="Names, or patterns: '/robot_0/*'. None: all.")] = None,
     *,
     format_: Annotated[
         Format,
         typer.Option("--to", help="csv: a folder, a table a topic; ros2: MCAP with CDR; rosbag2: SQLite; ros1: a .bag"),
     ],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Else beside the recording.")] = None,
+    skip_unknown: Annotated[
+        bool, typer.Option("--skip-unknown", help="Leave out topics that cannot be converted; else they are an error.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="JSON, for programs.")] = False,
 ) -> None:
     """Write a recording in a format that other programs read: spreadsheets, `ros2 bag play`, `rosbag play`."""
@@ -44,32 +56,35 @@ def command(
         raise ConfigError("--output", f"{target} is there already; choose another name, or remove it")
     show_progress(f"writing {target}")
     try:
-        facts = _csv(file, target) if format_ is Format.CSV else _ros(file, target, format_)
+        done = _export(file, target, format_, topics or [], skips_unknown=skip_unknown)
     except OSError as error:
         raise HostlinkError(f"{target}: {error.strerror or error}") from error
     finally:
         show_progress("")
     if as_json:
+        facts: _Facts = {
+            "output": str(target),
+            "messages": done.messages,
+            "left_out": done.left_out,
+            "damage": done.damage,
+        }
         write(msgspec.json.encode(facts).decode())
         return
-    for topic, reason in facts["left_out"].items():
+    for topic, reason in done.left_out.items():
         write_error(f"{topic} is left out: {reason}")
-    for damage in facts["damage"]:
+    for damage in done.damage:
         write_error(f"{file}: {damage}")
-    write(f"{target}: {facts['messages']} messages")
+    write(f"{target}: {done.messages} messages")
 
 
-def _csv(file: Path, target: Path) -> _Facts:
-    from hostlink.recording.export_csv import export_csv  # noqa: PLC0415 - numpy and the codec, for this format alone
+def _export(file: Path, target: Path, format_: Format, topics: list[str], *, skips_unknown: bool) -> "Exported":
+    from hostlink.recording.source import open_source  # noqa: PLC0415 - numpy and the codec, when they are used
 
-    reader = Reader(file)
-    lines = export_csv(reader, target)
-    return {"output": str(target), "messages": sum(lines.values()), "left_out": {}, "damage": reader.damage}
+    source = open_source(file)
+    if format_ is Format.CSV:
+        from hostlink.recording.export_csv import export_csv  # noqa: PLC0415 - as above
 
-
-def _ros(file: Path, target: Path, format_: Format) -> _Facts:
+        return export_csv(source, target, topics=topics, skips_unknown=skips_unknown)[0]
     from hostlink.recording.export_ros import RosFormat, export_ros  # noqa: PLC0415 - as above
 
-    reader = Reader(file)
-    done = export_ros(reader, target, RosFormat(format_.value))
-    return {"output": str(target), "messages": done.messages, "left_out": done.left_out, "damage": reader.damage}
+    return export_ros(source, target, RosFormat(format_.value), topics=topics, skips_unknown=skips_unknown)

@@ -12,6 +12,7 @@ from hostlink.cli.recording_info import show_recording
 from hostlink.client import DEFAULT_URL
 
 _RECORDING = ".mcap"
+_BAG_METADATA = "metadata.yaml"  # of a folder of rosbag2
 
 
 def command(
@@ -40,8 +41,8 @@ def command(
 
 
 def is_recording(name: str) -> bool:
-    """Whether it is meant as a file; what can be no file's name is one of the graph."""
+    """Whether it is meant as a file or a folder of rosbag2; what can be no file's name is one of the graph."""
     try:
-        return name.endswith(_RECORDING) or Path(name).is_file()
+        return name.endswith(_RECORDING) or Path(name).is_file() or (Path(name) / _BAG_METADATA).is_file()
     except (OSError, ValueError):  # too long, or with a zero byte
         return False

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 from hostlink.cli.driving import Driving
 from hostlink.client import Event, Host, Refusal, Robot, RobotState
-from hostlink.errors import HostlinkError, UnknownTopic
+from hostlink.errors import HostlinkError, RefusalKind, UnknownTopic
 
 TICK_S = 0.02
 
@@ -53,13 +53,13 @@ async def watched_robot(host: Host, state: RobotState) -> AsyncIterator["Watched
 
 
 class KeyDriver:
-    """Sends the velocity of the keys as commands, each for the device that was there when the motion began."""
+    """Sends the velocity of the keys as commands."""
 
     def __init__(self, robot: Robot, driving: Driving, watched: WatchedRobot) -> None:
         self.refusal = ""
         self._robot, self._driving, self._watched = robot, driving, watched
         self._refused: Refusal | None = None
-        self._link: int | None = None  # None: nothing moves
+        self._is_moving = False
 
     async def send_what_is_due(self) -> None:
         """What is refused must be released and pressed again, unless somebody more important drives for a while."""
@@ -67,24 +67,23 @@ class KeyDriver:
         self._refused = refused
         if refused is not None and refused is not before:  # one more command was refused
             self.refusal = refused.reason
-            if refused.kind != "RobotHeld" or refused.is_locked:
+            if refused.kind != RefusalKind.HELD:
                 self._driving.bar(_now_s())
-        elif refused is None and self._link is not None:  # what moves it was accepted; a zero always is
+        elif refused is None and self._is_moving:  # what moves it was accepted; a zero always is
             self.refusal = ""
         velocity = self._driving.due(_now_s())
         if velocity is not None:
             await self.send(velocity)
 
     async def send(self, velocity: tuple[float, float]) -> None:
-        """A zero is meant for whichever device is there."""
-        is_moving = velocity != (0.0, 0.0)
-        self._link = (self._link or self._watched.state["link"]) if is_moving else None
-        await self._robot.command(*velocity, link=self._link)
+        """Send one velocity."""
+        self._is_moving = velocity != (0.0, 0.0)
+        await self._robot.command(*velocity)
 
     async def stop(self) -> None:
         """Stop the robot, whoever drives. A connection that is lost shows by the next command."""
         try:
-            await self._robot.stop()
+            await self._robot.stop(wait_s=0.0)
             self.refusal = ""
         except HostlinkError as error:
             self.refusal = str(error)

@@ -11,7 +11,7 @@ from typing import Annotated, assert_never
 import typer
 
 from hostlink.cli.output import show_progress, write
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
@@ -119,7 +119,7 @@ def _require(library: str | None) -> None:
         ConfigError: the library is not installed.
     """
     if library is not None and importlib.util.find_spec(library) is None:
-        raise ConfigError("hostlink lab", f"needs {library}: run  pip install 'hostlink[lab]'")
+        raise LibraryMissing("hostlink lab", library, "lab")
 
 
 def _read(file: Path) -> WorldParameters:

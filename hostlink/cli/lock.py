@@ -1,7 +1,6 @@
 """`hostlink lock`: the emergency stop, of a robot or of all of them."""
 
 import asyncio
-import json as json_text
 from typing import Annotated
 
 import typer
@@ -9,8 +8,8 @@ import typer
 from hostlink.cli.arguments import Json, RobotName, Token, Url
 from hostlink.cli.chosen_robots import chosen
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import write
-from hostlink.client import DEFAULT_URL, RobotState
+from hostlink.cli.stop import report
+from hostlink.client import DEFAULT_URL
 
 
 def command(
@@ -21,14 +20,20 @@ def command(
     token: Token = None,
     json: Json = False,
 ) -> None:
-    """Emergency stop of a robot, or of all of them: zero at once, and no command until `hostlink unlock`."""
-    locked = asyncio.run(_lock(url, token, robot, reason))
-    lines = (f"{each['name']} is locked: {each.get('lock_reason')}" for each in locked)
-    write(*([json_text.dumps(locked)] if json else lines))
+    """Emergency stop of a robot, or of all of them: zero at once, and no command until `hostlink unlock`.
+
+    It measures whether they stand, too; exit status 1: not all do.
+    """
+    asyncio.run(_lock(url, token, robot, reason, json=json))
 
 
-async def _lock(url: str, token: str | None, name: str | None, reason: str) -> list[RobotState]:
+async def _lock(url: str, token: str | None, name: str | None, reason: str, *, json: bool) -> None:
     async with connected(url, token) as host:
-        for each in await chosen(host, name):
-            await host.robot(each["name"]).lock(reason)
-        return await chosen(host, name)
+        names = [robot["name"] for robot in await chosen(host, name)]
+        if len(names) == 1:
+            measured = {names[0]: await host.robot(names[0]).lock(reason)}
+        else:  # none waits for the measurement of another
+            for each in names:
+                await host.robot(each).lock(reason, wait_s=0.0)
+            measured = {each: found for each, found in (await host.standstill()).items() if each in names}
+        await report(host, name, measured, done=f"is locked: {reason}", json=json)

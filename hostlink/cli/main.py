@@ -9,7 +9,6 @@ import shlex
 import signal
 import sys
 from collections.abc import Iterable, Mapping
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
@@ -73,6 +72,7 @@ PANELS = {
         "inspect": "Decode a recording of a link.",
     },
 }
+MODULES = {"serve": "serve_command"}  # where the module has not the name of the command
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
 FAILED, MISUSED = 1, 2
 UsageError: Any = typer.BadParameter.__base__  # click's own, which newer versions of typer have inside of themselves
@@ -94,7 +94,7 @@ def build_app(wanted: str | None) -> typer.Typer:
 
 
 def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool) -> None:
-    module: Any = importlib.import_module(f"hostlink.cli.{name.replace('-', '_')}") if is_wanted else None
+    module: Any = importlib.import_module(module_of(name)) if is_wanted else None
     if hasattr(module, "app"):
         app.add_typer(module.app, name=name, short_help=text, rich_help_panel=panel)
     else:
@@ -107,6 +107,11 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
             rich_help_panel=panel,
             context_settings=context,
         )(function)
+
+
+def module_of(command: str) -> str:
+    """Where a command is."""
+    return f"hostlink.cli.{MODULES.get(command, command.replace('-', '_'))}"
 
 
 def main() -> None:
@@ -200,7 +205,7 @@ def _open_standard_descriptors() -> None:
 
 def _show_version(is_wanted: bool) -> None:
     if is_wanted:
-        write(f"hostlink {version('hostlink')}")
+        write(f"hostlink {importlib.import_module('importlib.metadata').version('hostlink')}")
         raise typer.Exit
 
 

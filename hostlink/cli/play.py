@@ -3,9 +3,10 @@
 import asyncio
 import contextlib
 import fnmatch
+import math
 import os
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -16,11 +17,11 @@ from hostlink.cancellation import raise_if_cancelled
 from hostlink.cli.addresses import parse_address
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.output import show_progress, show_question, write_error
-from hostlink.client import DEFAULT_URL, connect
+from hostlink.client import DEFAULT_URL, Robot, connect
 from hostlink.errors import BadRequest, ConfigError, HostlinkError
 from hostlink.recording.channel import DEVICE, ROS1, VELOCITY, Channel
 from hostlink.recording.playing import Due, drives, is_drive, may_move, robots_of, schedule
-from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.recording.reader import Reader, StoredMessage, Wanted
 from hostlink.recording.tables import Decoders
 from hostlink.sim.played_device import PlayedDevice, PlayedTopic
 
@@ -42,9 +43,10 @@ class Pace:
     start_s: float
     is_looped: bool
     is_stepped: bool
+    max_pause_s: float = math.inf  # that a longer pause of the recording is played as
 
 
-def command(  # noqa: PLR0913 - each is an option of the command line
+def command(
     file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
     topics: Annotated[list[str] | None, typer.Argument(help="Of --as-program: names, or patterns.")] = None,
     *,
@@ -53,6 +55,9 @@ def command(  # noqa: PLR0913 - each is an option of the command line
     rate: Annotated[float, typer.Option(min=0.01, max=100.0, help="2 is twice as fast.")] = 1.0,
     start: Annotated[float, typer.Option(min=0.0, help="Seconds to leave out at the beginning.")] = 0.0,
     loop: Annotated[bool, typer.Option("--loop", help="Again and again, until Ctrl-C.")] = False,
+    max_pause: Annotated[
+        float, typer.Option(min=0.0, help="Seconds that a longer pause of the recording is played as; 0: as it was.")
+    ] = 60.0,
     step: Annotated[bool, typer.Option("--step", help="Enter sends the next message.")] = False,
     as_program: Annotated[
         bool, typer.Option("--as-program", help="Publish these topics to robots that are there; no Twist.")
@@ -67,7 +72,7 @@ def command(  # noqa: PLR0913 - each is an option of the command line
 
     They obey nobody. With --as-program or --drive no device is played: messages go to robots that are there.
     """
-    pace = Pace(rate, start, loop, step)
+    pace = Pace(rate, start, loop, step, max_pause or math.inf)
     if drive is not None and (step or as_program):
         raise ConfigError("--drive", "goes without --step and --as-program: a robot is driven at the recorded times")
     if drive is not None:
@@ -90,15 +95,17 @@ async def play_devices(file: Path, pace: Pace, address: tuple[str, int], wanted:
         raise BadRequest(f"{file} has no such robot; there are: {there}")
     devices = {name: _device(name, file, found) for name, found in robots.items()}
 
+    def is_wanted(channel: Channel) -> bool:
+        return channel.robot in devices and channel.origin == DEVICE
+
     async def put(message: StoredMessage) -> None:
-        device = devices.get(message.channel.robot)
-        if device is not None and message.channel.origin == DEVICE:
-            device.publish(message.channel.topic, message.payload)
-            await device.drained()
+        device = devices[message.channel.robot]
+        device.publish(message.channel.topic, message.payload)
+        await device.drained()
 
     async with _connected(devices, address):
         write_error(f"playing {', '.join(sorted(devices))}; Ctrl-C ends it")
-        count = await _play(file, pace, put)
+        count = await _play(file, pace, is_wanted, put)
     dropped = sum(device.dropped for device in devices.values())
     left_out = sum(device.left_out for device in devices.values())
     without = f", {dropped} of them while no host was there" if dropped else ""
@@ -158,17 +165,21 @@ def _device(name: str, file: Path, channels: list[Channel]) -> PlayedDevice:
 
 async def publish_topics(url: str, token: str | None, file: Path, pace: Pace, topics: list[str]) -> None:
     decoders = Decoders()
+
+    def is_wanted(channel: Channel) -> bool:
+        is_readable = channel.encoding == ROS1 and not channel.content
+        return is_readable and not may_move(channel) and _matches(channel.topic, topics)
+
+    if not any(map(is_wanted, _channels_of(file))):
+        raise BadRequest(f"{file} has no topic {' '.join(topics)} that may be published; velocities need --drive")
     async with connect(url, token=token, reconnect=False) as host:
 
         async def put(message: StoredMessage) -> None:
-            channel = message.channel
-            if channel.encoding != ROS1 or may_move(channel) or not _matches(channel.topic, topics):
-                return
             fields = decoders.decode(message)
             if fields is not None:
-                await host.publish(channel.topic, fields, type_name=channel.type_name)
+                await host.publish(message.channel.topic, fields, type_name=message.channel.type_name)
 
-        write_error(f"{await _play(file, pace, put)} messages played, of them those of {' '.join(topics)}")
+        write_error(f"{await _play(file, pace, is_wanted, put)} messages played, those of {' '.join(topics)}")
 
 
 async def drive_robot(url: str, token: str | None, file: Path, pace: Pace, robot: str, recorded: list[str]) -> None:
@@ -181,19 +192,29 @@ async def drive_robot(url: str, token: str | None, file: Path, pace: Pace, robot
     async with connect(url, token=token, reconnect=False) as host:
         driven = host.robot(robot)
         write_error(f"driving {robot} as {names[0]} was driven; Ctrl-C stops it, and so does whoever stops the robot")
-        count = 0
-        while True:
-            due_messages = schedule(Reader(file).messages(), rate=pace.rate, start_s=pace.start_s)
-            clock = Clock(pace, "velocities")
-            for due in drives(due_messages, names[0], topic, rate=pace.rate):
-                await clock.reach(due.at_s)
-                await driven.drive(due.velocity.linear_x_m_s, due.velocity.angular_z_rad_s, is_yielding=True)
-                clock.count += 1
-            count += clock.done()
-            if not pace.is_looped:
-                break
-        await driven.stop()
+        count = await drive_as_recorded(driven, file, pace, names[0], topic)
     write_error(f"{count} velocities driven")
+
+
+async def drive_as_recorded(driven: Robot, file: Path, pace: Pace, recorded: str, topic: str) -> int:
+    """Drive as a robot of the recording was driven by this topic, and stop; returns how many velocities there were.
+
+    Raises:
+        HostlinkError: a velocity is refused.
+    """
+    count = 0
+    while True:
+        due_messages = _schedule(file, pace, is_drive)
+        clock = Clock(pace, "velocities")
+        for due in drives(due_messages, recorded, topic, rate=pace.rate):
+            await clock.reach(due.at_s)
+            await driven.drive(due.velocity.linear_x_m_s, due.velocity.angular_z_rad_s)
+            clock.count += 1
+        count += clock.done()
+        if not pace.is_looped:
+            break
+    await driven.stop(wait_s=0.0)
+    return count
 
 
 class Clock:
@@ -232,22 +253,41 @@ class Clock:
         return self.count
 
 
-async def _play(file: Path, pace: Pace, put: Put) -> int:
-    """Put every message when it is due; returns how many.
+def _schedule(file: Path, pace: Pace, wanted: Wanted) -> Iterator[Due]:
+    """The messages of the channels that are wanted, by steady time; says which pauses it cuts."""
+    begin_ns = _begin_ns(file)
+    messages = Reader(file).messages(wanted, after_s=pace.start_s)
+    for due in schedule(
+        messages, begin_ns=begin_ns, rate=pace.rate, start_s=pace.start_s, max_pause_s=pace.max_pause_s
+    ):
+        if due.cut_s:
+            show_progress("")
+            whole_s = due.cut_s + pace.max_pause_s
+            write_error(f"a pause of {whole_s:.1f} s is played as {pace.max_pause_s:g} s (--max-pause)")
+        yield due
+
+
+def _begin_ns(file: Path) -> int | None:
+    """The steady time of the recording's first message; None: there is none."""
+    return next((message.steady_ns for message in Reader(file).messages()), None)
+
+
+async def _play(file: Path, pace: Pace, wanted: Wanted, put: Put) -> int:
+    """Put every message that is wanted when it is due; returns how many.
 
     Raises:
         RecordingFailed: the file cannot be read.
     """
     count = 0
     while True:
-        count += await _play_once(file, pace, put)
+        count += await _play_once(file, pace, wanted, put)
         if not pace.is_looped:
             return count
 
 
-async def _play_once(file: Path, pace: Pace, put: Put) -> int:
+async def _play_once(file: Path, pace: Pace, wanted: Wanted, put: Put) -> int:
     clock = Clock(pace, "messages")
-    for due in schedule(Reader(file).messages(), rate=pace.rate, start_s=pace.start_s):
+    for due in _schedule(file, pace, wanted):
         if pace.is_stepped:
             await _ask(due)
         else:
@@ -271,12 +311,11 @@ def _read_line() -> str:
 
 def _channels_of(file: Path) -> list[Channel]:
     """In a first look at the file."""
-    reader = Reader(file)
-    for number, _ in enumerate(reader.messages(), 1):
-        if number % 50_000 == 0:
-            show_progress(f"reading {file}: {number} messages")
-    show_progress("")
-    return reader.channels
+    show_progress(f"reading {file}")
+    try:
+        return Reader(file).read_channels()
+    finally:
+        show_progress("")
 
 
 def _matches(topic: str, patterns: list[str]) -> bool:

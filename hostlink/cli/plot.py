@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hostlink.cli.output import show_progress, write, write_error
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
 
 SUFFIXES = (".pdf", ".png", ".svg")
 
@@ -26,20 +26,27 @@ def command(
     if target.suffix not in SUFFIXES:
         raise ConfigError("--output", f"{target} must end in one of {', '.join(SUFFIXES)}")
     if importlib.util.find_spec("matplotlib") is None:
-        raise ConfigError("plot", "needs matplotlib: pip install 'hostlink[plot]'")
-    from hostlink.recording.plot import draw_fields, draw_map  # noqa: PLC0415 - after what can be refused at once
-    from hostlink.recording.tables import read  # noqa: PLC0415
+        raise LibraryMissing("plot", "matplotlib", "plot")
+    # matplotlib and the codec, after what can be refused at once
+    from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
+    from hostlink.recording.source import open_source  # noqa: PLC0415
 
+    source = open_source(file)
     show_progress(f"reading {file}")
-    tables = read(file)
-    show_progress("")
-    for damage in tables.damage:
+    try:
+        if map_:
+            paths = read_paths(source)
+        else:
+            lines = read_lines(source, fields or [])
+    finally:
+        show_progress("")
+    for damage in source.damage:
         write_error(f"{file}: {damage}")
     try:
         if map_:
-            draw_map(tables, target)
+            draw_map(paths, target)
         else:
-            draw_fields(tables, fields or [], target)
+            draw_fields(lines, target)
     except OSError as error:
         raise HostlinkError(f"{target}: {error.strerror or error}") from error
     write(str(target))

@@ -21,7 +21,7 @@ POLL_S = 0.5
 _PATH = "/api/recordings"
 
 
-def command(  # noqa: PLR0913 - each is an option of the command line
+def command(
     topics: Annotated[list[str] | None, typer.Argument(help="Names, or patterns: '/robot_0/*'. None: all.")] = None,
     *,
     output: Annotated[

@@ -6,23 +6,17 @@ import signal
 import threading
 from collections.abc import Iterator
 
-from hostlink.errors import HostlinkError
 from hostlink.hub.reloader import Reloader
 
 
 @contextlib.contextmanager
 def reload_signal(reloader: Reloader) -> Iterator[None]:
     """Answer it within the block; what is wrong is logged, and nothing changes."""
-
-    def reload() -> None:
-        with contextlib.suppress(HostlinkError):
-            reloader.reload()
-
     if threading.current_thread() is not threading.main_thread():  # no signal arrives there
         yield
         return
     loop = asyncio.get_running_loop()
-    loop.add_signal_handler(signal.SIGUSR1, reload)
+    loop.add_signal_handler(signal.SIGUSR1, reloader.request)
     try:
         yield
     finally:

@@ -1,34 +1,26 @@
 """`hostlink ros1`: the daemon in place of rosserial_python: its names, arguments and parameters."""
 
-import asyncio
 import dataclasses
+import importlib
+import re
 import shlex
 import sys
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hostlink import logs
 from hostlink.cli.addresses import MAX_PORT, parse_serial
-from hostlink.cli.check import check
-from hostlink.cli.descriptors import fitted, limit
-from hostlink.cli.output import write, write_error
-from hostlink.cli.serve import merge, serve, with_master
+from hostlink.cli.output import write
+from hostlink.cli.serve_command import merge, open_device_port, with_master
 from hostlink.config import Config, Ros1Config, SerialConfig, load
 from hostlink.errors import ConfigError
-from hostlink.graphs.ros1.names import Names, NodeArguments, joined, parse_arguments
-from hostlink.graphs.ros1.rpc import Master, Rpc, Unreachable
-from hostlink.graphs.ros1.xml_rpc import BadXml, Refused
-from hostlink.messages.catalog import Catalog
+from hostlink.graphs.ros1.names import NodeArguments, parse_arguments
 
 NODE = "serial_node"
 PORT, BAUD, TCP_PORT = "/dev/ttyUSB0", 57600, 11411  # rosserial_python's own
-GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read where the node has none of its own
 TCP = "tcp"  # instead of a serial port
-RETRY_S = 1.0
 
 PACKAGE, NODE_FILE = "hostlink", "serial_node.py"
 PACKAGE_XML = """<?xml version="1.0"?>
@@ -36,9 +28,17 @@ PACKAGE_XML = """<?xml version="1.0"?>
   <name>hostlink</name>
   <version>{version}</version>
   <description>hostlink in the place of rosserial_python</description>
-  <maintainer email="nobody@localhost">hostlink</maintainer>
+  <maintainer email="hostlink@example.com">hostlink</maintainer>
   <license>MIT</license>
+  <buildtool_depend>catkin</buildtool_depend>
 </package>
+"""
+# The node is a shell script: catkin_install_python would have Python read it.
+CMAKE_LISTS = """cmake_minimum_required(VERSION 3.5)
+project(hostlink)
+find_package(catkin REQUIRED)
+catkin_package()
+install(PROGRAMS scripts/serial_node.py DESTINATION ${CATKIN_PACKAGE_BIN_DESTINATION})
 """
 
 _EPILOG = (
@@ -47,7 +47,7 @@ _EPILOG = (
 )
 
 
-def command(  # noqa: PLR0913 - each is an option of the command line
+def command(
     words: Annotated[
         list[str] | None, typer.Argument(metavar="[PORT | tcp [TCP_PORT]] [NAME:=VALUE]...", help=_EPILOG)
     ] = None,
@@ -89,14 +89,21 @@ def command(  # noqa: PLR0913 - each is an option of the command line
         return
     if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
         raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
-    logs.configure(level=log_level)
     arguments = parse_arguments(words or ())
     settings = merge(load(config) if config else Config(), listen=None, serial=None, api=api, messages=messages)
     node = _node(settings.ros1, arguments, master=master, host=host, namespace=namespace)
+    settings = dataclasses.replace(settings, ros1=node)
     options = _Options(tcp, serial, baud)
-    with_devices(settings, {}, arguments.others, options)  # what is wrong is reported before the master is waited for
-    Catalog(settings.message_folders)
-    asyncio.run(_run(dataclasses.replace(settings, ros1=node), arguments, options))
+    plain = with_devices(settings, {}, arguments.others, options)  # wrong arguments are reported before all else
+    listening = [] if is_port_at_master(arguments.others, options) else open_device_port(plain.tcp)
+    if settings.message_folders:  # what is wrong in them is reported before the master is waited for
+        importlib.import_module("hostlink.messages.catalog").Catalog(settings.message_folders)
+    master_parameters = importlib.import_module("hostlink.cli.ros1_parameters")
+    parameters, listening = master_parameters.read(node, arguments.parameters, plain.tcp, listening)
+    settings = with_devices(settings, parameters, arguments.others, options)
+    listening = listening or open_device_port(settings.tcp)
+    importlib.import_module("hostlink.logs").configure(level=log_level)
+    importlib.import_module("hostlink.cli.serve").run(settings, listening, None, ends_with_graph=True)
 
 
 def _write_package(folder: Path) -> list[str]:
@@ -109,7 +116,9 @@ def _write_package(folder: Path) -> list[str]:
     node = package / "scripts" / NODE_FILE
     try:
         node.parent.mkdir(parents=True, exist_ok=True)
-        (package / "package.xml").write_text(PACKAGE_XML.format(version=version("hostlink")))
+        version = importlib.import_module("importlib.metadata").version("hostlink")
+        (package / "package.xml").write_text(PACKAGE_XML.format(version=_catkin_version(version)))
+        (package / "CMakeLists.txt").write_text(CMAKE_LISTS)
         node.write_text(f'#!/bin/sh\nexec {shlex.quote(str(Path(sys.argv[0]).absolute()))} ros1 "$@"\n')
         node.chmod(0o755)
     except OSError as error:
@@ -121,6 +130,13 @@ def _write_package(folder: Path) -> list[str]:
     ]
 
 
+def _catkin_version(text: str) -> str:
+    """Three numbers, as catkin has them: without what pip knows beside, as in 0.2.0.dev1."""
+    found = re.match(r"\d+(?:\.\d+)*", text)
+    numbers = found[0].split(".") if found else []
+    return ".".join((*numbers, "0", "0", "0")[:3])
+
+
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Options:
     """Of the command line, with two dashes."""
@@ -128,14 +144,6 @@ class _Options:
     tcp: int | None
     serial: str | None
     baud: int | None
-
-
-async def _run(config: Config, arguments: NodeArguments, options: _Options) -> None:
-    names = Names(joined(config.ros1.namespace, config.ros1.name))
-    parameters = await _parameters(config.ros1, names, arguments.parameters)
-    settings = with_devices(config, parameters, arguments.others, options)
-    write_error(*(f"warning: {warning}" for warning in await check(settings, descriptors=limit())))
-    await serve(fitted(settings, limit()), ends_with_graph=True)
 
 
 def _node(config: Ros1Config, arguments: NodeArguments, *, master: str, host: str | None, namespace: str) -> Ros1Config:
@@ -151,50 +159,9 @@ def _node(config: Ros1Config, arguments: NodeArguments, *, master: str, host: st
     )
 
 
-async def _parameters(config: Ros1Config, names: Names, given: Mapping[str, str]) -> dict[str, Any]:
-    """Those of the node that concern its port; what was given is set at the master, as every node of ROS does.
-
-    A master that is not there yet is waited for, as every node of ROS does: the port may be known to it alone.
-    """
-    rpc = Rpc()
-    master = Master(rpc, config.master, names.node)
-    is_told = False
-    try:
-        while True:
-            try:
-                return await _read(master, names, given)
-            except Unreachable as error:
-                if not is_told:
-                    write_error(f"hostlink: waiting for the master at {config.master}: {error}")
-                is_told = True
-            await asyncio.sleep(RETRY_S)
-    finally:
-        await rpc.aclose()
-
-
-async def _read(master: Master, names: Names, given: Mapping[str, str]) -> dict[str, Any]:
-    for name, text in given.items():
-        try:
-            await master.call("setParam", names.resolve(f"~{name}"), scalar(text))
-        except (BadXml, Refused) as error:
-            raise ConfigError(f"_{name}:={text}", f"the master cannot have it: {error}") from error
-    found: dict[str, Any] = {}
-    for key, name in (("tcp_port", GLOBAL_TCP_PORT), ("port", "~port"), ("baud", "~baud"), ("tcp_port", "~tcp_port")):
-        try:
-            found[key] = await master.call("getParam", names.resolve(name))
-        except Refused:  # it is not set
-            continue
-    return found
-
-
-def scalar(text: str) -> bool | int | float | str:
-    """A parameter of the command line, as ROS reads it: a number, true or false, else a text."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return {"true": True, "false": False}.get(text.lower(), text)
+def is_port_at_master(others: tuple[str, ...], options: _Options) -> bool:
+    """Whether parameters of the master decide on which TCP port devices are served."""
+    return options.tcp is None and options.serial is None and others in ((), (TCP,))
 
 
 def with_devices(config: Config, parameters: Mapping[str, Any], others: tuple[str, ...], options: _Options) -> Config:

@@ -46,7 +46,7 @@ class _Request:
     picture: Path | None
 
 
-def command(  # noqa: PLR0913 - the options of a command line
+def command(
     robot: Annotated[str, typer.Argument(help="Its name.", show_default=False)],
     *,
     speed: Annotated[float, typer.Option(help="Of the wheels, m/s; below zero: backwards.")] = 0.2,

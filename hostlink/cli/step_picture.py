@@ -4,7 +4,7 @@ import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 
-from hostlink.errors import ConfigError
+from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.robot.step_response import Record
 
 SUFFIXES = (".pdf", ".png", ".svg")
@@ -24,7 +24,7 @@ def require_picture(path: Path) -> None:
     if not path.parent.is_dir():
         raise ConfigError("--picture", f"there is no folder {path.parent}")
     if importlib.util.find_spec(LIBRARY) is None:
-        raise ConfigError("--picture", "needs matplotlib: pip install 'hostlink[pictures]'")
+        raise LibraryMissing("--picture", "matplotlib", "pictures")
 
 
 def draw_picture(path: Path, title: str, records: Mapping[str, Record]) -> None:

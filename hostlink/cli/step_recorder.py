@@ -10,7 +10,7 @@ from typing import Any
 from hostlink.cli.drivers import driver
 from hostlink.cli.step_stages import Stage, Wheel
 from hostlink.client import PRIORITY, Host, Mailbox, Robot, RobotState
-from hostlink.errors import DeviceGone, HostlinkError, RobotHeld, UnknownTopic
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, UnknownTopic
 from hostlink.robot.step_response import Record, Sample, make_record
 
 TICK_S = 0.02
@@ -76,13 +76,15 @@ async def connected_state(robot: Robot) -> RobotState:
     Raises:
         HostlinkError: there is no such robot.
         DeviceGone: it is not connected.
-        RobotHeld: it is locked, or somebody at least as important drives it.
+        CommandRefused: it is locked.
+        HostlinkError: a source of the same or a higher priority drives it.
     """
     state = await robot.state()
     if not state["connected"]:
         raise DeviceGone(robot.name)
     if state.get("locked"):
-        raise RobotHeld(robot.name, state["holder"], lock_reason=str(state.get("lock_reason") or ""))
+        reason = f"{robot.name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {robot.name}"
+        raise CommandRefused(robot.name, RefusalKind.LOCKED, reason)
     if state["holder"] is not None and not _is_less_important(state):
         raise HostlinkError(f"{robot.name}: {driver(state)} drives it; end that first")
     return state
@@ -141,7 +143,6 @@ class StepRecorder:
         self._samples: list[Samples] = []
         self._is_measured = False  # a message came
         self._has_commanded = False
-        self._link: int | None = None
         self._ran_at_s = 0.0
         self._commanded_at_s = -math.inf
 
@@ -173,13 +174,13 @@ class StepRecorder:
         finally:
             if self._may_move:
                 with contextlib.suppress(HostlinkError):  # without a connection the daemon has stopped it
-                    await self._robot.stop()
+                    await self._robot.stop(wait_s=0.0)
 
     @property
     def _may_move(self) -> bool:
         """Whether it moves as commanded here; a stop would end another's drive, too."""
         refusal = self._robot.refusal
-        return self._has_commanded and (refusal is None or refusal.kind != "RobotHeld")
+        return self._has_commanded and (refusal is None or refusal.kind != RefusalKind.HELD)
 
     async def _stand(self, messages: Mailbox[dict[str, Any]]) -> None:
         """Stop the robot, and keep the last half second of its standing."""
@@ -199,11 +200,10 @@ class StepRecorder:
     async def _take_over(self) -> None:
         """Stop what somebody less important drives; he may have begun since."""
         state = await connected_state(self._robot)
-        self._link = state["link"]
         if state["holder"] is not None:
             self._has_commanded = True
-            await self._robot.command(CREEP_M_S, 0.0, link=self._link)
-        await self._robot.stop()
+            await self._robot.command(CREEP_M_S, 0.0)
+        await self._robot.stop(wait_s=0.0)
 
     def _stands(self) -> bool:
         """For half a second; what came before that is forgotten."""
@@ -225,19 +225,21 @@ class StepRecorder:
             await asyncio.sleep(min(TICK_S, max(0.0, end_s - _now_s())))
             self._receive(messages, stage)
             if _now_s() > self._arrivals_s[-1] + SILENCE_S:
-                raise HostlinkError(f"{self._source.topic} has fallen silent; the robot is stopped")
+                raise HostlinkError(f"{self._source.topic} has fallen silent; the robot was sent a stop")
 
     async def _command(self, stage: Stage) -> None:
         now_s = _now_s()
         if now_s > self._ran_at_s + LONGEST_PAUSE_S:
-            raise HostlinkError(f"this program did not run for {now_s - self._ran_at_s:.1f} s; the robot is stopped")
+            raise HostlinkError(
+                f"this program did not run for {now_s - self._ran_at_s:.1f} s; the robot was sent a stop"
+            )
         self._ran_at_s = now_s
         refusal = self._robot.refusal
         if refusal is not None:
             raise HostlinkError(refusal.reason)
         if now_s >= self._commanded_at_s + COMMAND_INTERVAL_S:
             self._has_commanded, self._commanded_at_s = True, now_s
-            await self._robot.command(stage.linear_m_s, stage.angular_rad_s, link=self._link)
+            await self._robot.command(stage.linear_m_s, stage.angular_rad_s)
 
     def _receive(self, messages: Mailbox[dict[str, Any]], stage: Stage) -> None:
         for message in messages.pop_all():

@@ -14,11 +14,12 @@ from hostlink.cli.connecting import connected
 from hostlink.cli.driving import LAYOUTS, Driving
 from hostlink.cli.key_driver import TICK_S, KeyDriver, watched_robot
 from hostlink.cli.keys import Key, KeyReader
-from hostlink.cli.standstill import Standstill
 from hostlink.cli.teleop_screen import UNLOCK_KEY, OwnState, lost_screen, screen
 from hostlink.cli.terminal import Terminal, draw, key_terminal, size
-from hostlink.client import DEFAULT_URL, Host, connect
+from hostlink.client import DEFAULT_URL, Host, RobotState, connect
+from hostlink.client.views import Twist
 from hostlink.errors import ConfigError, HostlinkError, UnknownTopic
+from hostlink.robot.standstill import DriveWatch, Speeds
 
 PRIORITY = 60  # a person at the keys comes before a program
 DRAW_INTERVAL_S = 0.2
@@ -81,7 +82,7 @@ async def _choose(host: Host, name: str | None) -> str:
 
 async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> None:
     robot, driving = host.robot(name, priority=PRIORITY), keyboard.driving
-    draw_at_s, standstill = 0.0, Standstill()
+    draw_at_s, watch = 0.0, DriveWatch()
     async with watched_robot(host, await robot.state()) as watched:
         driver = KeyDriver(robot, driving, watched)
         try:
@@ -89,14 +90,25 @@ async def _drive(host: Host, name: str, keyboard: "_Keyboard", layout: str) -> N
                 await _obey(keyboard, driver)
                 if _now_s() >= draw_at_s:
                     draw_at_s = _now_s() + DRAW_INTERVAL_S
-                    standstill.observe(watched.state, _now_s())
-                    own = OwnState(robot.client_name, driver.refusal, standstill.warning)
+                    _observe(watch, watched.state)
+                    own = OwnState(robot.client_name, driver.refusal, watch.warning)
                     draw(screen(watched.state, driving, _now_s(), own, layout=layout, width=size()[0] - 1))
                 await keyboard.wait(TICK_S)
         finally:
             driving.stop()
             with contextlib.suppress(HostlinkError):  # with the connection gone the daemon stops the robot
                 await driver.finish()
+
+
+def _observe(watch: DriveWatch, state: RobotState) -> None:
+    odometry = state["odometry"]
+    measured = None if odometry is None else _speeds(odometry["twist"])
+    age_s = 0.0 if odometry is None else odometry["age_s"]
+    watch.observe(_speeds(state["velocity"]), measured, _now_s(), age_s=age_s)
+
+
+def _speeds(twist: Twist) -> Speeds:
+    return Speeds(twist["linear_m_s"], twist["angular_rad_s"])
 
 
 async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:

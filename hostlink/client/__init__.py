@@ -33,13 +33,15 @@ from hostlink.client.views import (
     TopicState,
     Twist,
 )
-from hostlink.errors import HostlinkError
+from hostlink.errors import CommandRefused, HostlinkError, Refused
+from hostlink.robot.standstill import Standstill, StandstillState
 
 __all__ = [
     "DEFAULT_URL",
     "PRIORITY",
     "BlockingHost",
     "BlockingRobot",
+    "CommandRefused",
     "ConnectionChange",
     "Driven",
     "Event",
@@ -52,8 +54,11 @@ __all__ = [
     "Pose",
     "RawMessage",
     "Refusal",
+    "Refused",
     "Robot",
     "RobotState",
+    "Standstill",
+    "StandstillState",
     "Stream",
     "TopicState",
     "Twist",

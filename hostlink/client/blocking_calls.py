@@ -7,9 +7,10 @@ from typing import Any
 from hostlink.client.host import Host
 from hostlink.client.http_client import REQUEST_TIMEOUT_S
 from hostlink.client.loop_thread import LoopThread
-from hostlink.client.robot import PRIORITY, Robot
+from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.streams import Messages, Opened, PlainAnswer, Stream, in_thread
 from hostlink.client.views import ConnectionChange, Driven, Event, Odometry, RawMessage, Refusal, RobotState, TopicState
+from hostlink.robot.standstill import Standstill
 
 
 class BlockingRobot:
@@ -46,55 +47,61 @@ class BlockingRobot:
         """
         return self._loop.run(self._robot.state())
 
-    def drive(self, linear_m_s: float, angular_rad_s: float, *, is_yielding: bool = False) -> Driven:
+    def drive(self, linear_m_s: float, angular_rad_s: float) -> Driven:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
 
         m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command, with what the robot's
         limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and goes on driving;
-        `stop()` stops and lets go. With `is_yielding` a stop of anybody ends it as a refusal does: for motions that
-        no person oversees.
+        `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
                 with a higher priority drives it or it is locked, the numbers are not finite, there is no connection to
                 hostlink. Also once after the velocity that was held before was dropped: by a cut of the connection, by
-                such a refusal, because the robot's device connected again or this program did not run for half a
-                second.
+                such a refusal, by a stop, because the robot's device connected again or this program did not run for
+                half a second. The `drive()` after that one drives again.
+            CommandRefused: one of these, with `kind` for programs.
         """
-        return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s, is_yielding=is_yielding))
+        return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s))
 
-    def command(self, linear_m_s: float, angular_rad_s: float, *, link: int | None = None) -> None:
-        """Send one velocity, which lasts for half a second and is not repeated: for who decides ten times a second.
+    def command(self, linear_m_s: float, angular_rad_s: float, *, epoch: int | None = None) -> None:
+        """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
 
-        It does not wait for the answer; `refusal` has it. `link` is the number of the device's connection for which it
-        is meant, as in `state()`: when the device has connected again, the command is refused. A command that the
-        network delivers too late is refused anyway.
+        It does not wait for the answer; `refusal` has it. Commands less than half a second apart are one motion: after
+        a stop, a lock or a reconnection of the device the motion is refused, until a zero or half a second without
+        commands ends it. A command that the network delivers too late is refused, too. `epoch` is the robot's, as in
+        `state()`, when the decision was made: after an interruption since then the command is refused.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
-        return self._loop.run(self._robot.command(linear_m_s, angular_rad_s, link=link))
+        return self._loop.run(self._robot.command(linear_m_s, angular_rad_s, epoch=epoch))
 
     @property
     def refusal(self) -> Refusal | None:
         """Why the newest `command` that was answered was refused; None: it was not."""
         return self._robot.refusal
 
-    def stop(self) -> None:
-        """Stop, whoever drives, as fast as the robot's decelerations allow.
+    def stop(self, *, wait_s: float = WAIT_S) -> Standstill:
+        """Stop, whoever drives, as fast as the robot's decelerations allow; returns what was measured since.
+
+        The stop is sent at once. The measurement takes until the robot stands, `wait_s` seconds at most; 0 does not
+        wait. A source that was driving must let go before it can drive again.
 
         Raises:
             HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
         """
-        return self._loop.run(self._robot.stop())
+        return self._loop.run(self._robot.stop(wait_s=wait_s))
 
-    def lock(self, reason: str) -> None:
+    def lock(self, reason: str, *, wait_s: float = WAIT_S) -> Standstill:
         """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
+
+        Returns what was measured since, as `stop` does.
 
         Raises:
             HostlinkError: hostlink was not reached within a second.
         """
-        return self._loop.run(self._robot.lock(reason))
+        return self._loop.run(self._robot.lock(reason, wait_s=wait_s))
 
     def unlock(self) -> None:
         """Let it be driven again; nothing that was held before drives it.
@@ -171,6 +178,22 @@ class HostCalls:
         50, teleop 60.
         """
         return BlockingRobot(self._loop, self._host.robot(name, priority=priority))
+
+    def stop_all(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
+        """Stop every robot, whoever drives; returns what was measured of each since, as `Robot.stop` does.
+
+        Raises:
+            HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
+        """
+        return self._loop.run(self._host.stop_all(wait_s=wait_s))
+
+    def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
+        """Whether each robot stands, by odometry that comes from now on, for `wait_s` seconds at most.
+
+        Raises:
+            HostlinkError: hostlink was not reached.
+        """
+        return self._loop.run(self._host.standstill(wait_s=wait_s))
 
     def publish(self, topic: str, message: Mapping[str, Any], *, type_name: str = "", priority: int = PRIORITY) -> None:
         """Send one message; fields that are missing are zero. `type_name` may be left out when the topic is known.

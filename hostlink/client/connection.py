@@ -18,7 +18,7 @@ from aiohttp import WSMsgType
 from hostlink.client.encoding import encode
 from hostlink.client.http_client import REQUEST_TIMEOUT_S, HttpClient
 from hostlink.client.views import Event
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, Refused
 
 PING_INTERVAL_S = 0.2
 SILENCE_S = 0.6  # three pings without an answer; the robot's lease is 0.5 s, so it stands by then
@@ -113,7 +113,7 @@ class Connection:
         if answer is None:
             raise self.lost()
         if answer["op"] == "status":
-            raise HostlinkError(str(answer["msg"]))
+            raise refused_by(answer)
         return answer
 
     async def events(self, path: str) -> AsyncGenerator[Event, None]:
@@ -235,6 +235,11 @@ class Connection:
             else:
                 return
             await self._discard()
+
+
+def refused_by(status: Message) -> Refused:
+    """The error of a `status`; that of an older daemon has no kind."""
+    return Refused(str(status.get("kind", Refused.kind)), str(status["msg"]))
 
 
 def waits() -> Iterator[float]:

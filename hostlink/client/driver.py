@@ -10,20 +10,34 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from hostlink.client.connection import Connection, Message
 from hostlink.client.views import Driven, Refusal
-from hostlink.errors import HostlinkError
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
+from hostlink.robot.admission import LEASE_S
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
 _COMMAND = "command:"
-LEASE_S = 0.5  # after it without a command the daemon has stopped the robot
+
 ANSWER_TIMEOUT_S = 1.0
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while the computer sleeps, where there is one
 calling_thread: contextvars.ContextVar[threading.Thread | None] = contextvars.ContextVar("calling_thread", default=None)
+
+
+def boot_s() -> float:
+    """Seconds since this computer was started, with those that it slept."""
+    return time.clock_gettime(_CLOCK)
+
+
+@dataclass(slots=True)
+class _Stream:
+    """Single commands that make one motion, and the epoch at which the daemon admitted the first one."""
+
+    number: int
+    epoch: int | None = None
 
 
 @dataclass(slots=True)
@@ -31,9 +45,7 @@ class _Repeated:
     number: int
     request: Mapping[str, Any]
     sent_s: float
-    is_yielding: bool
-    link: int | None = None  # of the device that accepted it; None: not answered yet
-    stops: int | None = None  # of the robot, as that answer counts them; None: it does not
+    epoch: int | None = None  # of the robot that accepted it; None: not answered yet
     thread: threading.Thread | None = field(default_factory=calling_thread.get)  # None: the connection's own
 
 
@@ -45,13 +57,16 @@ class Driver:
     the robot stands, and the next `drive` raises why, once, instead of driving.
     """
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: Connection, clock: Callable[[], float] = boot_s) -> None:
+        """`clock`: in seconds; it goes on while the computer sleeps."""
         self.refusals: dict[str, Refusal | None] = {}  # by robot: of the newest answered `command`
         self.client_name: str | None = None  # as the daemon's newest answer calls this connection
-        self._connection = connection
+        self._connection, self._now_s = connection, clock
         self._numbers = itertools.count(1)
         self._repeated: dict[str, _Repeated] = {}
         self._broken: dict[str, str] = {}
+        self._told: dict[str, int] = {}  # by robot: the epoch of an interruption that the program was told of
+        self._streams: dict[str, _Stream] = {}
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
         connection.handlers["drive_result"].append(self._receive_answer)
         connection.handlers["status"].append(self._receive_status)
@@ -67,12 +82,8 @@ class Driver:
         threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
         return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
-    async def drive(
-        self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int, *, is_yielding: bool = False
-    ) -> Driven:
+    async def drive(self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
-
-        `is_yielding`: a stop of anybody since the command before refuses it, and breaks off what is repeated.
 
         Raises:
             HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
@@ -84,12 +95,13 @@ class Driver:
             self.stop_repeating(robot)
             raise
         if (reason := self._broken.pop(robot, None)) is not None:
+            await self._tell(robot, priority)
             raise HostlinkError(f"{robot} was stopped, drive again if it is still meant: {reason}")
-        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, _now_s(), is_yielding)
+        repeated = self._repeated[robot] = _Repeated(next(self._numbers), request, self._now_s())
         try:
             answer = await self._command(repeated, before)
             driven = _driven(answer)
-            repeated.link, repeated.stops, repeated.sent_s = int(answer["link"]), answer.get("stops"), _now_s()
+            repeated.epoch, repeated.sent_s = int(answer["epoch"]), self._now_s()
         except KeyError as missing:
             self.stop_repeating(robot)
             raise HostlinkError(f"hostlink is of another version than this one: its answer has no {missing}") from None
@@ -102,28 +114,54 @@ class Driver:
         return driven
 
     async def _command(self, repeated: _Repeated, before: _Repeated | None) -> Message:
-        """For the device that was driven before, if one was: else a new one would be driven on without notice."""
-        self._sent_s[str(repeated.request["robot"])] = repeated.sent_s
-        link, stops = (None, None) if before is None else (before.link, before.stops)
-        request = {**repeated.request, "sent_s": repeated.sent_s, "link": link}
-        if repeated.is_yielding:
-            request["stops"] = stops
+        """Command with the epoch of the motion before: what was interrupted since must not go on without notice.
+
+        After an interruption that this program was told of, the epoch is the one since then.
+        """
+        robot = str(repeated.request["robot"])
+        self._sent_s[robot] = repeated.sent_s
+        epoch = self._told.pop(robot, None) if before is None else before.epoch
+        request = {**repeated.request, "sent_s": repeated.sent_s, "epoch": epoch}
         answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
-            raise HostlinkError(str(answer["reason"]))
+            self._note_told(robot, answer)
+            raise refused(robot, answer)
         self._remember_name(answer)
         return answer
 
+    async def _tell(self, robot: str, priority: int) -> None:
+        """Note the epoch at which the program is told that its motion was broken off: it may be later than the refusal.
+
+        The answer to a zero has it; the program has let go. Without a connection there is none to know.
+        """
+        request = {**_request(robot, 0.0, 0.0, priority), "sent_s": self._now_s()}
+        with contextlib.suppress(HostlinkError):
+            self._note_told(robot, await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S))
+
+    def _note_told(self, robot: str, answer: Message) -> None:
+        """The program learns of an interruption, by an error: when it drives again, it means it."""
+        if (epoch := answer.get("epoch")) is not None:
+            self._told[robot] = int(epoch)
+
     async def command(
-        self, robot: str, velocity: tuple[float, float], priority: int, *, link: int | None = None
+        self, robot: str, velocity: tuple[float, float], priority: int, *, epoch: int | None = None
     ) -> None:
         """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
+
+        Commands less than a lease apart are one stream, and carry the epoch of its beginning. A command with an epoch
+        of its own begins another one.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection.
         """
-        self._sent_s[robot] = _now_s()
-        request = {"id": f"{_COMMAND}{robot}", "sent_s": self._sent_s[robot], "link": link, "is_stream": True}
+        now_s = self._now_s()
+        stream = self._streams.get(robot)
+        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity == (0.0, 0.0)
+        if stream is None or is_over or epoch is not None:
+            stream = self._streams[robot] = _Stream(next(self._numbers))
+        self._sent_s[robot] = now_s
+        epoch = stream.epoch if epoch is None else epoch
+        request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
         await self._connection.send(_request(robot, *velocity, priority) | request)
 
     def stop_repeating(self, robot: str) -> None:
@@ -136,7 +174,7 @@ class Driver:
 
         It is never too late, and not repeated; without a connection nothing is on its way.
         """
-        if _now_s() <= self._sent_s.pop(robot, float("-inf")) + LEASE_S:
+        if self._now_s() <= self._sent_s.pop(robot, float("-inf")) + LEASE_S:
             with contextlib.suppress(HostlinkError):
                 await self._connection.send({**_request(robot, 0.0, 0.0, priority), "id": f"zero:{robot}"})
 
@@ -152,18 +190,16 @@ class Driver:
         while True:
             await asyncio.sleep(REPEAT_INTERVAL_S)
             for robot, repeated in list(self._repeated.items()):
-                if repeated.link is not None:
+                if repeated.epoch is not None:
                     await self._repeat(robot, repeated)
 
     async def _repeat(self, robot: str, repeated: _Repeated) -> None:
-        now_s = _now_s()
+        now_s = self._now_s()
         if now_s > repeated.sent_s + LEASE_S:
             self._break(robot, f"this program did not run for {now_s - repeated.sent_s:.1f} s")
             return
         repeated.sent_s = self._sent_s[robot] = now_s
-        request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "link": repeated.link}
-        if repeated.is_yielding:
-            request["stops"] = repeated.stops
+        request = {"id": f"repeat:{repeated.number}", "sent_s": now_s, "epoch": repeated.epoch}
         with contextlib.suppress(HostlinkError):  # the connection reports its loss to everybody
             await self._connection.send({**repeated.request, **request})
 
@@ -171,20 +207,24 @@ class Driver:
         """Of a command that nobody waits for."""
         self._remember_name(answer)
         key = str(answer["id"])
-        is_locked = bool(answer.get("is_locked"))
-        refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]), is_locked)
+        refusal = None if answer["result"] else Refusal(str(answer["kind"]), str(answer["reason"]))
         if key.startswith(_COMMAND):
-            self.refusals[key.removeprefix(_COMMAND)] = refusal
+            number, _, robot = key.removeprefix(_COMMAND).partition(":")
+            self.refusals[robot] = refusal
+            stream = self._streams.get(robot)
+            if refusal is None and stream is not None and stream.epoch is None and number == str(stream.number):
+                stream.epoch = int(answer["epoch"])
         elif refusal is not None:
             for robot, repeated in list(self._repeated.items()):
                 if key == f"repeat:{repeated.number}":
+                    self._note_told(robot, answer)
                     self._break(robot, refusal.reason)
 
     def _receive_status(self, status: dict[str, Any]) -> None:
         """A token that may only read gets no other answer."""
         key = str(status.get("id"))
         if key.startswith(_COMMAND):
-            self.refusals[key.removeprefix(_COMMAND)] = Refusal("NoRole", str(status["msg"]))
+            self.refusals[key.partition(":")[2].partition(":")[2]] = Refusal("NoRole", str(status["msg"]))
 
     def _remember_name(self, answer: Message) -> None:
         self.client_name = answer.get("client", self.client_name)  # a refusal has none, an older daemon neither
@@ -194,9 +234,15 @@ class Driver:
         self._broken[robot] = reason
 
 
+def refused(robot: str, answer: Message) -> HostlinkError:
+    """The error of an answer that refuses a command."""
+    kind, reason = str(answer["kind"]), str(answer["reason"])
+    return CommandRefused(robot, RefusalKind(kind), reason) if kind in set(RefusalKind) else Refused(kind, reason)
+
+
 def _request(robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> dict[str, Any]:
     if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
-        raise HostlinkError(f"{robot}: a velocity must be made of finite numbers")
+        raise CommandRefused(robot, RefusalKind.NOT_FINITE, f"{robot}: a velocity must be made of finite numbers")
     velocity = {"linear": float(linear_m_s), "angular": float(angular_rad_s)}
     return {"op": "drive", "robot": robot, **velocity, "priority": priority}
 
@@ -204,7 +250,3 @@ def _request(robot: str, linear_m_s: float, angular_rad_s: float, priority: int)
 def _driven(answer: Message) -> Driven:
     velocity = answer["velocity"]
     return Driven(velocity["linear_m_s"], velocity["angular_rad_s"], answer["is_limited"], answer.get("limited_by"))
-
-
-def _now_s() -> float:
-    return time.clock_gettime(_CLOCK)

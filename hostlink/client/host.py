@@ -9,13 +9,14 @@ from typing import Any, cast
 from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
 from hostlink.client.graph_watch import Graphs, GraphWatch
-from hostlink.client.http_client import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, HttpClient
+from hostlink.client.http_client import CLOSE_TIMEOUT_S, REQUEST_TIMEOUT_S, HttpClient, measured
 from hostlink.client.mailbox import Mailbox
-from hostlink.client.robot import PRIORITY, Robot
+from hostlink.client.robot import PRIORITY, WAIT_S, Robot
 from hostlink.client.services import Answer, ProvidedServices
 from hostlink.client.topics import RawSubscription, Subscription, Topics
 from hostlink.client.views import ConnectionChange, Event, RobotState, TopicState
 from hostlink.errors import HostlinkError
+from hostlink.robot.standstill import Standstill
 
 
 class Host:
@@ -93,6 +94,26 @@ class Host:
         50, teleop 60.
         """
         return Robot(name, priority, http=self._http, driver=self._driver, connection=self._connection)
+
+    async def stop_all(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
+        """Stop every robot, whoever drives; returns what was measured of each since, as `Robot.stop` does.
+
+        Raises:
+            HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
+        """
+        return await self._measured("POST", "/api/stop", wait_s)
+
+    async def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
+        """Whether each robot stands, by odometry that comes from now on, for `wait_s` seconds at most.
+
+        Raises:
+            HostlinkError: hostlink was not reached.
+        """
+        return await self._measured("GET", "/api/standstill", wait_s)
+
+    async def _measured(self, method: str, path: str, wait_s: float) -> dict[str, Standstill]:
+        answer = await self._http.request(method, f"{path}?wait_s={wait_s:g}", timeout_s=wait_s + REQUEST_TIMEOUT_S)
+        return {robot["name"]: measured(robot) for robot in answer["robots"]}
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -252,23 +273,18 @@ class Host:
         self._topics.raise_refusals()
 
     async def stop_driven(self, *, of_ended_threads: bool = False) -> None:
-        """Stop what this connection drives, all at once: a robot whose stop is not answered delays no other's.
+        """Let go of what this connection drives: it stops, and another source that waits may drive on.
 
-        It waits a second at most: nothing is repeated then, and the daemon stops whoever is left. `of_ended_threads`:
+        It waits a second at most: nothing is repeated then, and the daemon stops what is left. `of_ended_threads`:
         only what threads drove that are over.
         """
         names = self._driver.robots_of_ended_threads if of_ended_threads else self._driver.robots
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSE_TIMEOUT_S), asyncio.TaskGroup() as tasks:
-                for name in names:
-                    tasks.create_task(self._stop(name), name=f"stop {name}")
         for name in names:
             self._driver.stop_repeating(name)
-
-    async def _stop(self, name: str) -> None:
-        # RuntimeError: at the end of a program no name is resolved; then the end of the connection stops it
-        with contextlib.suppress(HostlinkError, RuntimeError):  # of one; the others are stopped
-            await self.robot(name).stop()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                for name in names:
+                    await self._driver.send_zero(name, PRIORITY)
 
     async def _round_trip(self) -> None:
         self._topics.is_settled = True  # nothing that is published from now on

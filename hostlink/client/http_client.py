@@ -14,7 +14,8 @@ import msgspec
 from hostlink.client.encoding import encode
 from hostlink.client.event_stream import EventStream
 from hostlink.client.views import Event
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, Refused
+from hostlink.robot.standstill import Standstill, StandstillState
 
 DEFAULT_PORT = 9090  # of an address that is a host alone
 REQUEST_TIMEOUT_S = 5.0
@@ -104,6 +105,14 @@ class HttpClient:
         except (aiohttp.ClientError, OSError) as error:
             raise HostlinkError(self._explain(error)) from error
 
+    async def measure(self, path: str, wait_s: float) -> Standstill:
+        """What a robot does after a stop that has arrived; a daemon that does not answer has not undone the stop."""
+        try:
+            answer = await self.request("GET", f"{path}?wait_s={wait_s:g}", timeout_s=wait_s + REQUEST_TIMEOUT_S)
+        except HostlinkError as error:
+            return Standstill(StandstillState.UNKNOWN, reason=str(error))
+        return measured(answer)
+
     async def download(self, path: str) -> AsyncIterator[bytes]:
         """The pieces of a file.
 
@@ -147,12 +156,13 @@ class HttpClient:
         if not isinstance(answer, dict):
             raise HostlinkError(f"{self.url}{path}: {self._advise(status)}")
         if "error" in answer:
-            raise HostlinkError(self._reason(answer["error"], status))
+            told = answer["error"]
+            kind, reason = (told.get("kind"), told.get("reason")) if isinstance(told, dict) else ("", told)
+            raise Refused(str(kind), self._reason(str(kind), reason, status))
         return answer
 
-    def _reason(self, error: Any, status: int) -> str:
+    def _reason(self, kind: str, reason: Any, status: int) -> str:
         """The daemon's own words, and what to do where they do not say it."""
-        kind, reason = (error.get("kind"), error.get("reason")) if isinstance(error, dict) else ("", error)
         match status:
             case HTTPStatus.UNAUTHORIZED:
                 return f"hostlink at {self.url} refuses: {self._advise(status)}"
@@ -188,6 +198,12 @@ class HttpClient:
             case _:
                 cause = f"is `hostlink serve` running there? ({error})"
         return f"no hostlink at {self.url}: {cause}"
+
+
+def measured(robot: Mapping[str, Any]) -> Standstill:
+    """What was measured of a robot, in an answer of the REST API."""
+    standstill = dict(robot["standstill"])
+    return Standstill(StandstillState(standstill.pop("state")), **standstill)
 
 
 def _parts(url: str) -> SplitResult:

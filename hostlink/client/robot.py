@@ -6,10 +6,12 @@ from urllib.parse import quote
 
 from hostlink.client.connection import Connection
 from hostlink.client.driver import Driver
-from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient
+from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
 from hostlink.client.views import Driven, Odometry, Refusal, RobotState
+from hostlink.robot.standstill import Standstill
 
 PRIORITY = 50  # of a program; a person at the keys is 60
+WAIT_S = 1.5  # for the odometry of a robot that was stopped
 
 
 class Robot:
@@ -42,60 +44,70 @@ class Robot:
         """
         return cast(RobotState, await self._http.request("GET", self._path))
 
-    async def drive(self, linear_m_s: float, angular_rad_s: float, *, is_yielding: bool = False) -> Driven:
+    async def drive(self, linear_m_s: float, angular_rad_s: float) -> Driven:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
 
         m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command, with what the robot's
         limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and goes on driving;
-        `stop()` stops and lets go. With `is_yielding` a stop of anybody ends it as a refusal does: for motions that
-        no person oversees.
+        `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
                 with a higher priority drives it or it is locked, the numbers are not finite, there is no connection to
                 hostlink. Also once after the velocity that was held before was dropped: by a cut of the connection, by
-                such a refusal, because the robot's device connected again or this program did not run for half a
-                second.
+                such a refusal, by a stop, because the robot's device connected again or this program did not run for
+                half a second. The `drive()` after that one drives again.
+            CommandRefused: one of these, with `kind` for programs.
         """
-        return await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority, is_yielding=is_yielding)
+        return await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority)
 
-    async def command(self, linear_m_s: float, angular_rad_s: float, *, link: int | None = None) -> None:
-        """Send one velocity, which lasts for half a second and is not repeated: for who decides ten times a second.
+    async def command(self, linear_m_s: float, angular_rad_s: float, *, epoch: int | None = None) -> None:
+        """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
 
-        It does not wait for the answer; `refusal` has it. `link` is the number of the device's connection for which it
-        is meant, as in `state()`: when the device has connected again, the command is refused. A command that the
-        network delivers too late is refused anyway.
+        It does not wait for the answer; `refusal` has it. Commands less than half a second apart are one motion: after
+        a stop, a lock or a reconnection of the device the motion is refused, until a zero or half a second without
+        commands ends it. A command that the network delivers too late is refused, too. `epoch` is the robot's, as in
+        `state()`, when the decision was made: after an interruption since then the command is refused.
 
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
-        await self._driver.command(self.name, (linear_m_s, angular_rad_s), self.priority, link=link)
+        await self._driver.command(self.name, (linear_m_s, angular_rad_s), self.priority, epoch=epoch)
 
     @property
     def refusal(self) -> Refusal | None:
         """Why the newest `command` that was answered was refused; None: it was not."""
         return self._driver.refusals.get(self.name)
 
-    async def stop(self) -> None:
-        """Stop, whoever drives, as fast as the robot's decelerations allow.
+    async def stop(self, *, wait_s: float = WAIT_S) -> Standstill:
+        """Stop, whoever drives, as fast as the robot's decelerations allow; returns what was measured since.
+
+        The stop is sent at once. The measurement takes until the robot stands, `wait_s` seconds at most; 0 does not
+        wait. A source that was driving must let go before it can drive again.
 
         Raises:
             HostlinkError: hostlink was not reached within a second; what this script held ends anyway.
         """
         self._driver.stop_repeating(self.name)
         try:
-            await self._http.request("POST", f"{self._path}/stop", timeout_s=CLOSE_TIMEOUT_S)
+            path = f"{self._path}/stop?wait_s=0"
+            answer = await self._http.request("POST", path, timeout_s=CLOSE_TIMEOUT_S)
         finally:
             await self._driver.send_zero(self.name, self.priority)
+        return await self._http.measure(f"{self._path}/standstill", wait_s) if wait_s > 0 else measured(answer)
 
-    async def lock(self, reason: str) -> None:
+    async def lock(self, reason: str, *, wait_s: float = WAIT_S) -> Standstill:
         """The emergency stop: zero at once, and every command of everybody is refused until `unlock`.
+
+        Returns what was measured since, as `stop` does.
 
         Raises:
             HostlinkError: hostlink was not reached within a second.
         """
         self._driver.stop_repeating(self.name)
-        await self._http.request("POST", f"{self._path}/lock", {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
+        path = f"{self._path}/lock?wait_s=0"
+        answer = await self._http.request("POST", path, {"reason": reason}, timeout_s=CLOSE_TIMEOUT_S)
+        return await self._http.measure(f"{self._path}/standstill", wait_s) if wait_s > 0 else measured(answer)
 
     async def unlock(self) -> None:
         """Let it be driven again; nothing that was held before drives it.

@@ -7,10 +7,10 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hostlink.client.connection import Connection
+from hostlink.client.connection import Connection, refused_by
 from hostlink.client.mailbox import Mailbox
 from hostlink.client.views import RawMessage
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, Refused
 
 Subscription = Mailbox[dict[str, Any]]
 RawSubscription = Mailbox[RawMessage]
@@ -34,7 +34,7 @@ class Topics:
         self._numbers = itertools.count(1)
         self._subscribed: dict[str, _Subscribed] = {}
         self._advertised: dict[str, Mapping[str, Any]] = {}
-        self._refusals: dict[str, str] = {}
+        self._refusals: dict[str, Refused] = {}  # by topic
         self.is_settled = True  # nothing was published since the daemon has read all of it
         connection.handlers["publish"].append(self._deliver)
         connection.handlers["status"].append(self._receive_refusal)
@@ -57,15 +57,16 @@ class Topics:
         await self._publish(topic, {"raw": base64.b64encode(payload).decode(), **_typed(type_name)}, priority)
 
     async def _publish(self, topic: str, message: Mapping[str, Any], priority: int) -> None:
-        if refusal := self.pop_refusal(topic):
-            raise HostlinkError(refusal)
+        if (refusal := self._refusals.pop(topic, None)) is not None:
+            raise refusal
         request = {"op": "publish", "id": f"publish:{topic}", "topic": topic, "priority": priority}
         self.is_settled = False
         await self._connection.send({**request, **message})
 
     def pop_refusal(self, topic: str) -> str:
         """Why a message that was published on the topic was refused since the last call; empty if none was."""
-        return self._refusals.pop(topic, "")
+        refusal = self._refusals.pop(topic, None)
+        return "" if refusal is None else refusal.reason
 
     def raise_refusals(self) -> None:
         """Report each refusal that nobody has been told, once.
@@ -73,10 +74,12 @@ class Topics:
         Raises:
             HostlinkError: there are some.
         """
-        refusals = "; ".join(self._refusals.values())
+        refusals = list(self._refusals.values())
         self._refusals.clear()
+        if len(refusals) > 1:
+            raise Refused(refusals[0].kind, "; ".join(refusal.reason for refusal in refusals))
         if refusals:
-            raise HostlinkError(refusals)
+            raise refusals[0]
 
     @contextlib.asynccontextmanager
     async def advertise(self, topic: str, type_name: str, *, is_latched: bool) -> AsyncIterator[None]:
@@ -148,11 +151,11 @@ class Topics:
                 subscribed.mailbox.put(subscribed.read(message["msg"]))
 
     def _receive_refusal(self, message: dict[str, Any]) -> None:
-        key, reason = str(message.get("id", "")), str(message["msg"])
+        key, refusal = str(message.get("id", "")), refused_by(message)
         if key in self._subscribed:
-            self._subscribed[key].mailbox.put(HostlinkError(reason))
+            self._subscribed[key].mailbox.put(refusal)
         elif key.startswith("publish:"):
-            self._refusals[key.removeprefix("publish:")] = reason
+            self._refusals[key.removeprefix("publish:")] = refusal
 
 
 def _read_raw(message: dict[str, Any]) -> RawMessage:

@@ -80,11 +80,10 @@ class Driven(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """Why a command was refused: a kind for programs (`RobotHeld`, `BadRequest`, ...), a reason for people."""
+    """Why a command was refused: a kind for programs (`locked`, `held`, `disarmed`, ...), a reason for people."""
 
     kind: str
     reason: str
-    is_locked: bool = False  # by an emergency stop
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,13 +5,17 @@ import re
 from collections import deque
 
 from hostlink.diagnosis.evidence import RECENT_S, Complaint, EarlierLink, Evidence, Tally
+from hostlink.host_pauses import HostPauses
 from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import OVERHEAD_BYTES
+from hostlink.protocol.negotiation import TIME_PERIOD_S
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import Rejection
 
 SAMPLE_INTERVAL_S = 1.0
+TOGETHER_S = TIME_PERIOD_S[0]  # requests for the time that are closer have waited together on their way
+STAMPS_SAMPLES = 10  # a DeviceClock believes a step after 5 s, and a device sets its clock every 2.5 s
 REVIVALS_S = 60.0  # a board that starts anew four times a minute does so for a reason
 _KEPT = 16  # intervals and revivals: more add nothing
 _ERROR = 3  # rosserial: the level of a log line
@@ -37,9 +41,13 @@ class LinkMonitor:
         self._early_non_rosserial = b""
         self._unknown_before = 0  # the last negotiation: what it has explained
         self._is_provoked = False  # a device sends a request for the time with its topics
+        self._is_fresh = False  # the last request for the time: it was read when it was sent
+        self._excluded = Tally()  # what was lost while the host was away
+        self._stamps_behind_s: deque[float] = deque(maxlen=STAMPS_SAMPLES)
         self._fell_silent = False
+        self._was_host_away = False  # since the last request for the time: a device that had no answers is silent
         self._time_requested_at_s: float | None = None
-        self._previous_at_s: float | None = None
+        self._previous_at_s = -math.inf  # the last request for the time, also one that was provoked
         self._intervals_s: deque[float] = deque(maxlen=_KEPT)
         self._revived_at_s: deque[float] = deque(maxlen=_KEPT)
         self._device_complaint = ""
@@ -52,19 +60,22 @@ class LinkMonitor:
         self._samples.clear()
         self._samples.append((now_s, self._total()))
 
-    def observe(self, event: events.Event, now_s: float) -> None:
-        """Note an event of the session."""
+    def observe(self, event: events.Event, now_s: float, *, has_waited: bool = False) -> None:
+        """Note an event of the session; `has_waited`: it was read right after the host was away."""
         match event:
             case events.TopicsRequested(reason):
                 self._is_provoked = True
-                self._fell_silent |= reason == "no_time_requests"
+                self._fell_silent |= reason == "no_time_requests" and not self._was_host_away
             case events.TimeRequested():
-                self._note_time_request(now_s)
+                self._note_time_request(now_s, has_waited=has_waited)
             case events.TopicsNegotiated():
+                if self._negotiated_at_s is None and self._session.counts.unknown_ids:
+                    self._begin_anew(now_s)  # it was running: what came began in the middle of a frame, or had waited
                 self._unknown_before = self._session.counts.unknown_ids
                 if self._negotiated_at_s is None:
                     self._negotiated_at_s = now_s
-                    self._early_non_rosserial = self._session.non_rosserial.tail
+                    if not self._excluded.skipped_bytes:
+                        self._early_non_rosserial = self._session.non_rosserial.tail
             case events.DeviceLogged(_, text) if _TOO_LARGE_TEXT in text:
                 self._device_complaint = text
             case events.DeviceLogged(level, text) if level == _ERROR and (found := _COMPLAINT.fullmatch(text)):
@@ -76,6 +87,34 @@ class LinkMonitor:
         """Remember the counts: the recent ones are a difference to them."""
         if now_s >= self._samples[-1][0] + SAMPLE_INTERVAL_S / 2:
             self._samples.append((now_s, self._total()))
+            offset_ns = self._session.device_clock.offset_ns
+            if offset_ns is not None:
+                self._stamps_behind_s.append(offset_ns / 1e9)
+
+    def exclude_waited(self) -> None:
+        """The host was away since the last sample: what was lost since then is not the device's doing."""
+        self._exclude(since=self._samples[-1][1])
+        self._was_host_away = True
+
+    def _begin_anew(self, now_s: float) -> None:
+        self._exclude(since=Tally())
+        self._samples.clear()
+        self._samples.append((now_s, self._total()))
+
+    def _exclude(self, since: Tally) -> None:
+        total, before = self._total(), self._excluded
+        self._excluded = Tally(
+            skipped_bytes=before.skipped_bytes + total.skipped_bytes - since.skipped_bytes,
+            bad_checksums=before.bad_checksums + total.bad_checksums - since.bad_checksums,
+            wrong_sizes=before.wrong_sizes + total.wrong_sizes - since.wrong_sizes,
+        )
+        self._stamps_behind_s.clear()
+        self._fell_silent = False
+
+    @property
+    def sampled_at_s(self) -> float:
+        """When the counts were remembered last."""
+        return self._samples[-1][0]
 
     @property
     def was_negotiated(self) -> bool:
@@ -91,26 +130,31 @@ class LinkMonitor:
         now_s: float,
         *,
         silent_s: float,
+        pauses: HostPauses | None = None,
         earlier: tuple[EarlierLink, ...] = (),
         end: str | None = None,
         host_clock: str = "",
         numbered: str = "",
     ) -> Evidence:
-        """All that is known now; the arguments are what the link itself cannot know."""
+        """All that is known now; the arguments are what the link itself cannot know.
+
+        Times count while the host runs, `silent_s` too: while it is paused, nobody listens.
+        """
+        host = HostPauses() if pauses is None else pauses
         session, total = self._session, self._total()
         before = next((tally for at_s, tally in self._samples if at_s >= now_s - RECENT_S), self._samples[-1][1])
         recent = _difference(total, before)
         return Evidence(
-            age_s=now_s - self._opened_at_s,
+            age_s=host.awake_s(self._opened_at_s, now_s),
             silent_s=silent_s,
             total=total,
             recent=recent,
             baud=self.baud,
             requests=session.counts.topic_requests,
-            negotiated_s=_ago(self._negotiated_at_s, now_s),
-            time_requested_s=_ago(self._time_requested_at_s, now_s),
+            negotiated_s=_ago(self._negotiated_at_s, now_s, host),
+            time_requested_s=_ago(self._time_requested_at_s, now_s, host),
             time_intervals_s=tuple(self._intervals_s),
-            stamps_behind_s=None if session.device_clock.offset_ns is None else session.device_clock.offset_ns / 1e9,
+            stamps_behind_s=self._stamps(),
             early_non_rosserial=self._early_non_rosserial,
             non_rosserial=session.non_rosserial.tail[-recent.skipped_bytes :] if recent.skipped_bytes else b"",
             is_protocol_1=session.non_rosserial.is_protocol_1,
@@ -134,21 +178,34 @@ class LinkMonitor:
         text, at_s = self._complaints[what]
         return Complaint(text, now_s - at_s)
 
-    def _note_time_request(self, now_s: float) -> None:
-        if self._is_provoked:
-            self._is_provoked = False
-            self._previous_at_s = None
+    def _note_time_request(self, now_s: float, *, has_waited: bool) -> None:
+        """An interval counts from a request that was read when it was sent: of others nobody knows when that was."""
+        interval_s, self._previous_at_s = now_s - self._previous_at_s, now_s
+        is_provoked, self._is_provoked = self._is_provoked, False
+        are_together = interval_s < TOGETHER_S
+        was_fresh, self._is_fresh = self._is_fresh, not (is_provoked or are_together or has_waited)
+        was_host_away, self._was_host_away = self._was_host_away, self._was_host_away and has_waited
+        if is_provoked:
+            if was_host_away:  # the device had no answers and gave up: its requests begin anew with this one
+                self._time_requested_at_s = now_s
             return
-        if self._previous_at_s is not None:
-            self._intervals_s.append(now_s - self._previous_at_s)
+        if was_fresh and not are_together and not has_waited:
+            self._intervals_s.append(interval_s)
         if self._fell_silent and self._time_requested_at_s is not None:
             self._revived_at_s.append(now_s)
         self._fell_silent = False
-        self._time_requested_at_s = self._previous_at_s = now_s
+        self._time_requested_at_s = now_s
+
+    def _stamps(self) -> float | None:
+        """The least that the device's stamps were off lately: what waited on its way has older ones for a while."""
+        if len(self._stamps_behind_s) < STAMPS_SAMPLES:
+            return None
+        return min(self._stamps_behind_s, key=abs)
 
     def _total(self) -> Tally:
+        """What was counted, without what was lost while the host was away."""
         counts, rejected = self._session.counts, self._session.rejected
-        return Tally(
+        total = Tally(
             bytes_from_device=counts.bytes_from_device,
             frames=counts.frames_from_device,
             skipped_bytes=counts.skipped_bytes,
@@ -156,6 +213,7 @@ class LinkMonitor:
             bad_checksums=rejected.get(Rejection.CHECKSUM.value, 0) + rejected.get(Rejection.LENGTH_CHECKSUM.value, 0),
             wrong_sizes=rejected.get(Rejection.WRONG_SIZE.value, 0),
         )
+        return _difference(total, self._excluded)
 
     def _too_small(self) -> list[str]:
         """What does not fit: by the sizes that the device announced, by what was refused, by what it logged."""
@@ -173,8 +231,8 @@ def _is_too_small(info: TopicInfo, fixed_bytes: int | None) -> bool:
     return fixed_bytes is not None and 0 < info.buffer_bytes < fixed_bytes + OVERHEAD_BYTES
 
 
-def _ago(at_s: float | None, now_s: float) -> float | None:
-    return None if at_s is None else now_s - at_s
+def _ago(at_s: float | None, now_s: float, host: HostPauses) -> float | None:
+    return None if at_s is None else host.awake_s(at_s, now_s)
 
 
 def _difference(now: Tally, before: Tally) -> Tally:

@@ -28,6 +28,7 @@ REBOOTS = 3  # in a minute
 SHORT_LIFE_S = 30.0  # a link that lasted longer did not end in a boot loop
 CLOCK_ERROR = 0.04  # ceramic resonators are within 0.5 %, RC oscillators within 2 or 3 %
 STAMPS_BEHIND_S = 1.0  # a device adds one round trip to the time that it receives: some tens of milliseconds
+JITTER_S = 0.5  # a request may be so late on its way, and those after it seem early: a radio, a busy host
 CLOCK_INTERVALS = 3  # the median of three stands one outlier
 WHEEL_S = 600.0  # a wheel shows what is wrong with it only while it is driven, and the person may be at it
 WEAK_DBM = -80  # as firmware/esp8266 has it: below it packets are lost and sent again
@@ -58,6 +59,8 @@ def _non_rosserial(evidence: Evidence) -> tuple[str, str] | None:
     recent, sample = evidence.recent, evidence.non_rosserial
     if evidence.is_protocol_1:
         return "protocol_1", ""
+    if evidence.negotiated_s is None and evidence.age_s < JUDGED_S:
+        return None  # a device that was running when the host came is read from the middle of a frame
     if recent.skipped_bytes >= NON_ROSSERIAL_BYTES:
         if is_text(sample):
             is_boot = any(word in sample for word in BOOT_WORDS)
@@ -191,7 +194,8 @@ def _clock_trouble(evidence: Evidence) -> str | None:
     if len(evidence.time_intervals_s) < CLOCK_INTERVALS:
         return None
     interval_s = median(evidence.time_intervals_s)
-    is_fast = interval_s < TIME_REQUEST_S * (1 - CLOCK_ERROR)  # a late one may be a slow loop's, an early one may not
+    early_s = TIME_REQUEST_S * len(evidence.time_intervals_s) - sum(evidence.time_intervals_s)
+    is_fast = interval_s < TIME_REQUEST_S * (1 - CLOCK_ERROR) and early_s >= JITTER_S  # a slow one may be a slow loop's
     return f"the device asks every {interval_s:.2f} s, not every {TIME_REQUEST_S:g} s" if is_fast else None
 
 

@@ -16,7 +16,13 @@ _GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class Connection:
-    """TCP, UDP or serial. Nothing is read or written before the first `step`: until then the daemon does that."""
+    """TCP, UDP or serial. Reading and writing are the daemon's before the first `step`, unless it hangs.
+
+    | call              | while the daemon        | writes                      | reads, closes |
+    |-------------------|-------------------------|-----------------------------|---------------|
+    | `hold`, repeated  | hangs, and may go on    | zeros                       | never         |
+    | `step`, repeated  | is gone                 | zeros, then id 11           | all, at last  |
+    """
 
     def __init__(self, descriptor: int, topic_ids: tuple[int, ...], claim_bytes: int) -> None:
         self.descriptor = descriptor
@@ -25,7 +31,9 @@ class Connection:
         self._is_udp = not self._is_serial and _is_udp(descriptor)
         if self._is_udp and claim_bytes <= DATAGRAM_BYTES:
             claim_bytes = 0  # such a frame left as one datagram, whole or not at all
+        self._topic_ids, self._claim_bytes = topic_ids, claim_bytes
         self._writer = StopWriter(topic_ids, claim_bytes)
+        self._zeros = self._writer  # of `hold`
         self._is_readable = True  # until its end has come
         self._is_begun = self._is_finished = False
 
@@ -37,6 +45,21 @@ class Connection:
                 os.close(self.descriptor)
             except OSError:
                 pass  # the port has vanished; it is closed all the same
+
+    def begin_hold(self) -> None:
+        """The daemon hangs: zeros are due from now on."""
+        self._zeros = StopWriter(self._topic_ids, self._claim_bytes, is_end=False)
+
+    def hold(self, now_s: float) -> float | None:
+        """Write the zeros that are due and have room, `now_s` after `begin_hold`; returns when to call it again.
+
+        None: there is nothing more to write. An error is left to the daemon, whose connection it is.
+        """
+        try:
+            self._write(self._zeros, now_s)
+        except OSError:
+            return None
+        return now_s if self._zeros.has_waiting else self._zeros.next_s()
 
     def events(self, now_s: float) -> int:
         """What poll() should wait for."""
@@ -55,7 +78,7 @@ class Connection:
             if events & _GONE and not events & select.POLLIN and not self._is_udp:
                 self.close()
                 return
-            self._write(now_s)
+            self._write(self._writer, now_s)
             if events & (select.POLLIN | _GONE):
                 self._discard()
             if self.is_open and self._writer.is_done():
@@ -79,10 +102,10 @@ class Connection:
         if self._is_serial and self._unsent_bytes() > STALE_BYTES:  # old commands would take too long
             termios.tcflush(self.descriptor, termios.TCOFLUSH)
 
-    def _write(self, now_s: float) -> None:
+    def _write(self, writer: StopWriter, now_s: float) -> None:
         try:
-            while waiting := self._writer.pop_due(now_s):
-                self._writer.written(self._send(waiting) if self._is_udp else os.write(self.descriptor, waiting))
+            while waiting := writer.pop_due(now_s):
+                writer.written(self._send(waiting) if self._is_udp else os.write(self.descriptor, waiting))
         except BlockingIOError:
             return  # poll() returns when there is room
 

@@ -17,12 +17,13 @@ from pathlib import Path
 
 import structlog
 
-from hostlink.guardian.records import ANSWER_BYTES, decode_answer, encode_goodbye, encode_ping
+from hostlink.guardian.records import ANSWER_BYTES, decode_answer, encode_beat, encode_goodbye, encode_ping
 from hostlink.guardian.roster import Roster, Watched
 
 log = structlog.get_logger()
 
 PING_S = 2.0
+BEAT_S = 0.2  # between two beats while robots are driven; a second without one is a daemon that hangs
 ANSWER_S = 5.0  # it answers within milliseconds, on a loaded machine within a second: after that it is stuck
 REAP_S = 0.02
 GOODBYE_S = 0.2  # a guardian that does not end by itself is killed; it has nothing to do any more
@@ -83,6 +84,9 @@ class Guardian:
         self._pause_s = SHORTEST_PAUSE_S
         self._missing = ""  # why the last start failed
         self._is_incomplete = False
+        self._driven = set[int]()  # of the last beat
+        self._beat_s = 0.0  # when it was sent
+        self._stopped = 0  # robots that the process has stopped because no beat came
 
     # -- what the daemon reports --------------------------------------------------------------------------------------
 
@@ -98,6 +102,15 @@ class Guardian:
         self._roster.release(number)
         self._send_next()
 
+    def beat(self, driven: set[int]) -> None:
+        """The loop runs, and these links have robots that may move."""
+        now_s = asyncio.get_running_loop().time()
+        is_news = bool(driven - self._driven) or (not driven and bool(self._driven))
+        if not (is_news or (driven and now_s >= self._beat_s + BEAT_S)):
+            return
+        self._driven, self._beat_s = driven, now_s
+        self._send_beat()
+
     def start(self) -> None:
         """Start the process, now or as soon as it can be."""
         loop = asyncio.get_running_loop()
@@ -106,12 +119,14 @@ class Guardian:
         except OSError as error:
             self._miss(error.strerror or str(error))
             return
-        self._missing, self._ping, self._is_incomplete = "", None, False
+        self._missing, self._ping, self._is_incomplete, self._stopped = "", None, False, 0
         self._started_at_s = loop.time()
         log.info("guardian.started", pid=self._process.pid)
         loop.add_reader(self._channel, self._receive)
         self._later(self._ping_s, self._check)
         self._send_next()
+        if self._driven:
+            self._send_beat()
 
     def goodbye(self) -> None:
         """The daemon has stopped the robots by itself: end the process, which sends nothing."""
@@ -145,6 +160,11 @@ class Guardian:
             self._roster.confirm(has_descriptor=descriptor is not None)
         loop.remove_writer(self._channel)
 
+    def _send_beat(self) -> None:
+        if self._channel is not None:
+            with contextlib.suppress(OSError):  # no room: it is stuck or gone, which `_check` and `_receive` notice
+                self._channel.send(encode_beat(self._driven))
+
     def _receive(self) -> None:
         assert self._channel is not None  # noqa: S101 - a reader is removed with its channel
         try:
@@ -157,7 +177,11 @@ class Guardian:
             self._lose("ended")
             return
         if self._ping is not None:
-            self._compare(decode_answer(answer), self._ping[1])
+            connections, stopped = decode_answer(answer)
+            self._compare(connections, self._ping[1])
+            if stopped != self._stopped:
+                log.warning("guardian.stopped_robots", robots=stopped - self._stopped)
+                self._stopped = stopped
         self._ping = None
 
     def _compare(self, connections: int, sent: int) -> None:

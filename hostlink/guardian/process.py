@@ -1,4 +1,4 @@
-"""The guardian's process: it holds a duplicate of each robot's connection, and stops them all when the daemon is gone.
+"""The guardian's process: a duplicate of each robot's connection, to stop them when the daemon is gone or hangs.
 
 The standard library only, and of that what is small: `socket` imports enum, which alone takes 0.6 MiB.
 """
@@ -13,31 +13,57 @@ import time
 from hostlink.guardian.connection import Connection
 from hostlink.guardian.frames import INTERVAL_S, ZEROS
 from hostlink.guardian.records import (
+    BEAT,
     DESCRIPTOR_BYTES,
     GOODBYE,
+    MAX_RECORD_BYTES,
     PING,
-    RECORD_BYTES,
     RELEASE,
     decode,
+    decode_beat,
     encode_answer,
 )
+from hostlink.remains import SALVAGE, of_process, remove_empty
 
+HANG_S = 1.0  # after the last beat, while a robot is driven; the daemon sends one every 0.2 s
+HOLD_POLL_S = 0.01  # while a device takes nothing
 LINGER_S = 0.5  # after the last byte: a device may take all of it before its connection is closed
 END_S = ZEROS * INTERVAL_S + LINGER_S
 POLL_S = 0.01  # whether a serial port has sent all: the kernel sends no event
 OOM_SCORE = b"-1000"  # the kernel ends others first; needs a privilege
 NAME = b"guardian"  # in ps and top
 _ANCILLARY_BYTES = _socket.CMSG_SPACE(DESCRIPTOR_BYTES)
+_CLOEXEC = _socket.MSG_CMSG_CLOEXEC
 
 
 def main(descriptor: int) -> None:
     """Serve the daemon at the other end of this socket until it sends its goodbye or is gone."""
     prepare()
+    daemon = os.getppid()
     channel = _socket.socket(fileno=descriptor)
     connections: dict[int, Connection] = {}
-    if not listen(channel, connections):
+    is_driven = listen(channel, connections)
+    if is_driven is not None:
         stop(list(connections.values()))
+        channel.close()
+        save_remains(daemon, is_driven=is_driven)
     os._exit(0)  # closes what is guarded, without the interpreter's own shutdown
+
+
+def save_remains(daemon: int, *, is_driven: bool) -> None:
+    """Start a process that writes incidents out of what the daemon has left in memory. Signals stay blocked in it.
+
+    A service manager's next start of the daemon does it as well, and would wait for this process to end.
+    """
+    if not is_driven:
+        remove_empty(daemon)
+    if "NOTIFY_SOCKET" in os.environ or not of_process(daemon):
+        return
+    command = [sys.executable, "-c", SALVAGE, sys.argv[1], str(daemon)]
+    try:
+        os.posix_spawn(sys.executable, command, os.environ)
+    except OSError:
+        return  # the next start does it
 
 
 def prepare() -> None:
@@ -66,20 +92,46 @@ def write(path: str, text: bytes) -> None:
         os.close(descriptor)
 
 
-def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
-    """Keep what the daemon passes until its end of the channel closes; whether a goodbye came before."""
+def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool | None:
+    """Keep what the daemon passes until its end of the channel closes; returns whether robots were driven then.
+
+    None: a goodbye came before.
+    While robots are driven and no beat comes for HANG_S, they are sent zeros. The daemon may go on afterwards.
+    """
+    poll = select.poll()
+    poll.register(channel.fileno(), select.POLLIN)
+    driven: list[int] = []  # none: no beat is expected
+    held: list[Connection] = []  # that are sent zeros
+    is_driven, beat_s, stopped = False, 0.0, 0
     while True:
+        now_s = time.monotonic()
+        if driven and now_s >= beat_s + HANG_S and not poll.poll(0):  # what has come is read first
+            held = [connections[number] for number in driven if number in connections]
+            for connection in held:
+                connection.begin_hold()
+            stopped += len(held)
+            driven = []
+        held, wait_s = hold(held, now_s - beat_s - HANG_S)
+        if driven:
+            wait_s = beat_s + HANG_S - now_s
+        if wait_s is not None and not poll.poll(max(0.0, wait_s) * 1000):
+            continue
         try:
-            record, ancillary, _, _ = channel.recvmsg(RECORD_BYTES, _ANCILLARY_BYTES)
+            record, ancillary, _, _ = channel.recvmsg(MAX_RECORD_BYTES, _ANCILLARY_BYTES, _CLOEXEC)
         except ConnectionResetError:  # it ended with answers unread; what it sent before is still here
             continue
         if not record:
-            return False
+            return is_driven
+        if record[:1] == BEAT:
+            numbers = decode_beat(record)
+            driven, held, beat_s = list(connections if numbers is None else numbers), [], time.monotonic()
+            is_driven = bool(driven)
+            continue
         kind, number, topic_ids, claim_bytes = decode(record)
         if kind == GOODBYE:
-            return True
+            return None
         if kind == PING:
-            answer(channel, len(connections))
+            answer(channel, len(connections), stopped)
             continue
         old = connections.pop(number, None)
         if old is not None:
@@ -89,10 +141,25 @@ def listen(channel: _socket.socket, connections: dict[int, Connection]) -> bool:
             connections[number] = Connection(descriptor, topic_ids, claim_bytes)
 
 
-def answer(channel: _socket.socket, count: int) -> None:
+def hold(connections: list[Connection], now_s: float) -> tuple[list[Connection], float | None]:
+    """Write the zeros that are due, `now_s` after the daemon began to hang; returns who is owed more, and in how long.
+
+    A write of a few frames is one call, so nothing of a daemon that goes on comes between.
+    """
+    owed, next_s = [], END_S
+    if now_s < END_S:
+        for connection in connections:
+            due_s = connection.hold(now_s) if connection.is_open else None
+            if due_s is not None:
+                owed.append(connection)
+                next_s = min(next_s, due_s)
+    return owed, max(HOLD_POLL_S, next_s - now_s) if owed else None
+
+
+def answer(channel: _socket.socket, count: int, stopped: int) -> None:
     """Without waiting for a daemon that does not read."""
     try:
-        channel.send(encode_answer(count), _socket.MSG_DONTWAIT)
+        channel.send(encode_answer(count, stopped), _socket.MSG_DONTWAIT)
     except OSError:
         return  # the next record, or its end, decides what to do
 

@@ -11,4 +11,5 @@ class Counts:
 
     refused: Counter[str] = field(default_factory=Counter)  # connections not served or evicted, by cause
     datagrams_dropped: Counter[str] = field(default_factory=Counter)  # of UDP, either way, by cause
+    velocities_replaced: Counter[str] = field(default_factory=Counter)  # of clients, by a newer one, by their kind
     graphs: dict[str, Callable[[], Mapping[str, int]]] = field(default_factory=dict)  # of each that the hub is part of

@@ -25,6 +25,7 @@ from hostlink.messages.fields import Field
 from hostlink.protocol.control import Parameter, TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
+from hostlink.robot.admission import Admission
 from hostlink.robot.directory import is_played
 from hostlink.robot.velocity import TWIST_TYPE
 from hostlink.robot.velocity_gate import Limits, VelocityGate
@@ -128,6 +129,10 @@ class Device:
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
+    def announced_again(self) -> None:
+        """It has announced what it had: a board that restarted behind a line that stayed has received nothing yet."""
+        self._parts.topics.send_latched(self.link)
+
     def stand(self) -> None:
         """Zero to whatever it can be driven by: it may be a robot that has come back and obeys an old command."""
         for info in filter(is_velocity, self.infos):
@@ -214,7 +219,8 @@ class Device:
             drivable = self._drivable(info, robot)
             self._parts.gates.attach(drivable, self.link)
         if drivable is None:
-            subscription = DeviceSubscription(self._sender(info, robot), is_gate=False)
+            is_reset = _is_reset(info, robot)
+            subscription = DeviceSubscription(self._sender(info, robot), is_gate=False, is_command=is_reset)
         else:
             subscription = DeviceSubscription(partial(self._parts.gates.receive, drivable), is_gate=True)
         topic = self._parts.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
@@ -225,10 +231,8 @@ class Device:
         """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose."""
         if robot is None:
             shown = self.shown.of(info.name)
-            return Drivable(name=shown, velocity_topic=info.name, gate=VelocityGate(shown, UNLIMITED))
-        gate = VelocityGate(robot.name, limits_of(robot.config), claims=robot.gate.claims)
-        if robot.gate.lock_reason is not None:
-            gate.lock(robot.gate.lock_reason)
+            return Drivable(name=shown, velocity_topic=info.name, gate=VelocityGate(Admission(shown), UNLIMITED))
+        gate = VelocityGate(robot.gate.admission, limits_of(robot.config))
         return Drivable(name=robot.name, velocity_topic=info.name, gate=gate)
 
     def _sender(self, info: TopicInfo, robot: Robot | None) -> Receive:
@@ -241,7 +245,7 @@ class Device:
                 robot.odometry.expect_reset(message.at_s)
             send(message)
 
-        return reset if robot is not None and info.name == robot.topics.reset else send
+        return reset if _is_reset(info, robot) else send
 
     def _md5_sums(self, service: str) -> tuple[str, str]:
         sums = {info.kind: info.md5 for info in self.infos if info.name == service}
@@ -250,6 +254,10 @@ class Device:
     def _call(self, name: str, payload: bytes) -> None:
         self.link.session.call(name, payload)
         self.link.wake()
+
+
+def _is_reset(info: TopicInfo, robot: Robot | None) -> bool:
+    return robot is not None and info.name == robot.topics.reset
 
 
 class EarlyMessages:

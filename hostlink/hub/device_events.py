@@ -72,6 +72,8 @@ class DeviceEvents:
         if event.is_changed:
             link.last_frame = b""  # its id may be another's now
             self._receivers.identities.announce(link, event.topics)
+        else:
+            self._devices[link.number].announced_again()
 
     def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
         drivables = self._receivers.gates.of_link(link)

@@ -5,6 +5,7 @@ import concurrent.futures.thread  # noqa: F401 - asyncio imports it for its firs
 import dataclasses
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import structlog
@@ -15,8 +16,10 @@ from hostlink.diagnosis.host_clock import HostClock
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
 from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
+from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.robot_events import EventKind, RobotEvents
+from hostlink.hub.stall_watch import slept_s
 from hostlink.link.capture_buffer import Captured
 from hostlink.link.link import Link, LinkEnd
 from hostlink.logs import printable
@@ -28,6 +31,7 @@ log = structlog.get_logger()
 
 ENDED_LINKS = 16  # with their buffers 2 MiB at most
 EARLIER_S = 60.0  # what ended before that explains nothing now
+AWAY_S = 12.0  # a device that gets no answers for 11 s gives up, as docs/protocol.md#time has it
 LOG_AGAIN_S = 60.0  # a device that comes back every second does not fill the log
 MAX_LOGGED = 256
 MAX_ANNOUNCED = 4  # negotiations with other topics than before, the last of a link: a capture is read by them
@@ -44,6 +48,7 @@ class Diagnosis:
     findings: list[Finding] = field(default_factory=list)
     end: LinkEnd | None = None
     ended_at_s: float = 0.0
+    was_host_away: bool = False  # shortly before the link ended: why it did is not the device's doing
     last_evidence: Evidence | None = None  # of a link that has ended, until it is evaluated
     robot: str = ""  # what its robot is called here
     own_name: str = ""  # what that calls itself, if it had to be given a number
@@ -96,8 +101,14 @@ class Diagnosis:
 class Diagnoses:
     """Owns the diagnoses. `run` updates each of them once a second; the rest of the hub only passes events."""
 
-    def __init__(self, isolation: Isolation | None = None, events: RobotEvents | None = None) -> None:
-        """`events` has each new finding."""
+    def __init__(
+        self,
+        isolation: Isolation | None = None,
+        events: RobotEvents | None = None,
+        pauses: Callable[[float], HostPauses] = never_paused,
+    ) -> None:
+        """`events` has each new finding; `pauses`: when the host itself did not run."""
+        self._pauses = pauses
         self._events = RobotEvents() if events is None else events
         words()  # read now: later there may be no descriptor for it
         self._isolation = Isolation(reraises=True) if isolation is None else isolation
@@ -137,13 +148,18 @@ class Diagnoses:
         if diagnosis is not None:
             if isinstance(event, events.TopicsNegotiated):
                 diagnosis.note_topics()
-            diagnosis.monitor.observe(event, _now_s())
+            now_s = _now_s()
+            diagnosis.monitor.observe(event, now_s, has_waited=not self._pauses(now_s).has_recovered(now_s))
 
     def finish(self, link: Link, end: LinkEnd) -> None:
         """A link has ended; its diagnosis and its buffers are kept for a while."""
         diagnosis = self._live.pop(link.number, None)
         if diagnosis is not None:
             diagnosis.end, diagnosis.ended_at_s = end, _now_s()
+            pauses = self._pauses(diagnosis.ended_at_s)
+            diagnosis.was_host_away = pauses.was_paused(diagnosis.ended_at_s - AWAY_S)
+            if pauses.was_paused(diagnosis.monitor.sampled_at_s):
+                diagnosis.monitor.exclude_waited()
             diagnosis.last_evidence = self._evidence(diagnosis, diagnosis.ended_at_s)
             self.ended.append(diagnosis)
 
@@ -169,11 +185,10 @@ class Diagnoses:
         """Update every diagnosis, again and again, until cancelled."""
         while True:
             now_s = _now_s()
-            self._host_clock = self._clock.check(now_s, time.time_ns())
+            self._host_clock = self._clock.check(now_s + slept_s(), time.time_ns())
             for diagnosis in list(self._live.values()):
                 with self._isolation.around("diagnosis", link=diagnosis.link.number):
-                    diagnosis.monitor.sample(now_s)
-                    await self._evaluate(diagnosis, self._evidence(diagnosis, now_s))
+                    await self._observe(diagnosis)
                 await asyncio.sleep(0)  # a thousand links are diagnosed one by one, between their messages
             for diagnosis in list(self.ended):
                 if diagnosis.last_evidence is not None:
@@ -181,6 +196,20 @@ class Diagnoses:
                     with self._isolation.around("diagnosis", link=diagnosis.link.number):
                         await self._evaluate(diagnosis, evidence)
             await asyncio.sleep(SAMPLE_INTERVAL_S)
+
+    async def _observe(self, diagnosis: Diagnosis) -> None:
+        """Judge a live link, unless this process was paused: what is seen of a device right afterwards is not its own.
+
+        The findings stay as they are until it has recovered.
+        """
+        now_s = _now_s()
+        pauses = self._pauses(now_s)
+        if not pauses.has_recovered(now_s):
+            return
+        if pauses.was_paused(diagnosis.monitor.sampled_at_s):
+            diagnosis.monitor.exclude_waited()
+        diagnosis.monitor.sample(now_s)
+        await self._evaluate(diagnosis, self._evidence(diagnosis, now_s))
 
     async def _evaluate(self, diagnosis: Diagnosis, evidence: Evidence) -> None:
         """In a thread where bytes must be examined: the first model of a speed takes part of a second."""
@@ -194,6 +223,7 @@ class Diagnoses:
                 self._log(diagnosis, each)
 
     def _evidence(self, diagnosis: Diagnosis, now_s: float) -> Evidence:
+        pauses = self._pauses(now_s)
         earlier = tuple(
             EarlierLink(
                 end="" if other.end is None else other.end.value,
@@ -201,11 +231,12 @@ class Diagnoses:
                 was_negotiated=other.monitor.was_negotiated,
             )
             for other in self.ended
-            if other.is_same_device(diagnosis) and now_s - other.ended_at_s < EARLIER_S
+            if other.is_same_device(diagnosis) and not other.was_host_away and now_s - other.ended_at_s < EARLIER_S
         )
         return diagnosis.monitor.evidence(
             now_s,
-            silent_s=now_s - diagnosis.link.received_at_s,
+            silent_s=pauses.awake_s(diagnosis.link.received_at_s, now_s),
+            pauses=pauses,
             earlier=earlier,
             end=None if diagnosis.end is None else diagnosis.end.value,
             host_clock=self._host_clock,

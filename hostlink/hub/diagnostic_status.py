@@ -8,10 +8,9 @@ from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.robot import Robot
 
-PREFIX = "hostlink: "  # by which an aggregator selects these: "node: component" is the usual form of a name
 STALE_AFTER_S = 10.0  # a robot that comes back sooner has only rebooted, or its network had a gap
 
-Status = dict[str, Any]  # a DiagnosticStatus, to be encoded
+Status = dict[str, Any]  # a DiagnosticStatus, to be encoded; the name of the node is put before its name
 
 
 class Level(IntEnum):
@@ -115,7 +114,7 @@ def _link_figures(diagnosis: Diagnosis) -> dict[str, str]:
 def _status(name: str, level: Level, message: str, hardware_id: str, values: Mapping[str, str]) -> Status:
     return {
         "level": int(level),
-        "name": PREFIX + name,
+        "name": name,
         "message": message,
         "hardware_id": hardware_id,
         "values": [{"key": key, "value": value} for key, value in values.items()],

@@ -28,6 +28,7 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.robots import Robots
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/DiagnosticArray"
+NODE = "hostlink"
 INTERVAL_S = 1.0
 ARRAY_STATUSES = 8  # of one array: a status takes about a tenth of a millisecond
 _NS_PER_S = 1_000_000_000
@@ -43,8 +44,11 @@ class DiagnosticsTopic:
         robots: Robots,
         isolation: Isolation,
         refused: Counter[str],
+        namespace: str,
     ) -> None:
+        """`namespace`: of the node in a graph where several daemons share the topic; "/": of the only one."""
         self._participant = participant
+        self._node = "/".join([NODE, *filter(None, namespace.split("/"))])
         self._diagnoses, self._robots, self._isolation = diagnoses, robots, isolation
         self._refused = refused
         self._topic = participant.advertise(TOPIC, TYPE)
@@ -58,7 +62,7 @@ class DiagnosticsTopic:
 
     async def _publish(self) -> None:
         makers = self._makers() if self._topic.has_subscribers else iter(())
-        while statuses := [make() for make in itertools.islice(makers, ARRAY_STATUSES)]:
+        while statuses := [self._named(make()) for make in itertools.islice(makers, ARRAY_STATUSES)]:
             if self._topic.type is None:
                 return
             secs, nsecs = divmod(time.time_ns(), _NS_PER_S)
@@ -67,6 +71,10 @@ class DiagnosticsTopic:
                 payload = self._topic.type.encode({"header": header, "status": statuses})
                 self._participant.publish(TOPIC, payload)
             await asyncio.sleep(0)
+
+    def _named(self, status: Status) -> Status:
+        """`node: component` is the usual form of a name, by which an aggregator selects."""
+        return {**status, "name": f"{self._node}: {status['name']}"}
 
     def _makers(self) -> Iterator[Callable[[], Status]]:
         """What makes each status: the daemon's first, then robots by name, other devices, ports."""

@@ -7,7 +7,6 @@ from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.locked_streams import LockedStreams
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
 from hostlink.robot.velocity_gate import VelocityGate
 
@@ -21,7 +20,6 @@ class Drivable:
     gate: VelocityGate
     link: Link | None = None
     echoes: dict[str, Topic] = field(default_factory=dict)  # topics of its gate, where all receive what it sent
-    streams: LockedStreams = field(default_factory=LockedStreams)
     last_frame: bytes = b""  # its zero, as the device receives it
     sent: Velocity = ZERO
     sent_at_s: float = 0.0

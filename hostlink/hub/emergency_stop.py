@@ -16,8 +16,10 @@ from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robots import Robots
+from hostlink.hub.standstills import Standstills
 from hostlink.logs import printable
 from hostlink.robot.presence import SURE_S
+from hostlink.robot.standstill import StandstillState, sentence
 
 log = structlog.get_logger()
 
@@ -29,9 +31,9 @@ _LOCK, _UNLOCK = "lock", "unlock"
 class EmergencyStop:
     """Which robots are locked."""
 
-    def __init__(self, robots: Robots, gates: Gates, participant: Participant) -> None:
+    def __init__(self, robots: Robots, gates: Gates, standstills: Standstills, participant: Participant) -> None:
         """`participant` serves the services."""
-        self._robots, self._gates, self._participant = robots, gates, participant
+        self._robots, self._gates, self._standstills, self._participant = robots, gates, standstills, participant
         self._locked: dict[str, Robot] = {}
 
     def stop(self, robot: Robot | RemoteRobot, reason: str = LOCK_REASON) -> None:
@@ -74,8 +76,7 @@ class EmergencyStop:
         if robot.gate.lock_reason is not None:
             log.warning("robot.unlocked", robot=robot.name, reason=robot.gate.lock_reason)
             self._gates.events.note(EventKind.UNLOCKED, robot.name, reason=robot.gate.lock_reason)
-        for drivable in self._gates.beside(robot):
-            drivable.gate.unlock()
+        self._gates.unlock(self._gates.beside(robot))
         self._locked.pop(robot.name, None)
         self._robots.put_away(robot)
 
@@ -93,23 +94,31 @@ class EmergencyStop:
         """Provide the services of the robot of this name; nobody else may provide services of these names."""
 
         async def lock(_: Mapping[str, object]) -> Mapping[str, object]:
-            self.stop(self._robots.find(name))
+            robot, now_s = self._robots.find(name), asyncio.get_running_loop().time()
+            self.stop(robot)
             await self._gates.settled()
-            return {"success": True, "message": f"{name} is locked until {name}/{_UNLOCK} is called"}
+            measured = (await self._standstills.measure([robot], now_s))[0]
+            text = f"{name} is locked until {name}/{_UNLOCK} is called; {sentence(name, measured)}"
+            return {"success": measured.state is not StandstillState.MOVES, "message": text}
 
         async def unlock(_: Mapping[str, object]) -> Mapping[str, object]:
             self.release(self._robots.find(name))
             await self._gates.settled()
             return {"success": True, "message": f"{name} may be driven"}
 
-        for service, answer in ((_LOCK, lock), (_UNLOCK, unlock)):
-            self._participant.provide(f"{name}/{service}", _TYPE, answer)
+        for service, answer in zip(own_services(name), (lock, unlock), strict=True):
+            self._participant.provide(service, _TYPE, answer)
 
     def withdraw(self, name: str) -> None:
         """The robot of this name is forgotten, unless there is another."""
         if not self._robots.has(name):
-            for service in (_LOCK, _UNLOCK):
-                self._participant.withdraw(f"{name}/{service}")
+            for service in own_services(name):
+                self._participant.withdraw(service)
+
+
+def own_services(name: str) -> tuple[str, str]:
+    """The names of the services that hostlink has for the robot of this name."""
+    return f"{name}/{_LOCK}", f"{name}/{_UNLOCK}"
 
 
 def _is_surely_there(robot: Robot) -> bool:

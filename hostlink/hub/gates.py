@@ -2,27 +2,30 @@
 
 import asyncio
 import contextlib
+import weakref
 from collections.abc import Callable, Hashable, Iterable
 
 import structlog
 
-from hostlink.errors import BadRequest, DeviceGone, HostlinkError, WrongType
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
+from hostlink.host_pauses import HostPauses
 from hostlink.hub.drivable import Drivable
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.message import PROGRAM_PRIORITY, Message
+from hostlink.hub.message import Message
 from hostlink.hub.node import address_of
 from hostlink.hub.remote_robot import Elsewhere, RemoteRobot
 from hostlink.hub.robot import Robot
-from hostlink.hub.robot_events import EventKind, RobotEvents
+from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvents
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.link.link import Link, LinkEnd
+from hostlink.robot.admission import LEASE_S, Admission, Command
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
 
-TICK_S = 0.05  # how late the end of a lease may be noticed
+TICK_S = 0.05  # between two steps of a ramp; the end of a lease is not waited past
 MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop comes in between
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
 MAX_GUARDED = 16  # velocity topics of a device that the guard stops; each that comes must be sent to it
@@ -40,6 +43,8 @@ class Gates:
         self._isolation, self._guardian = isolation, guard
         self._of_link: dict[Link, list[Drivable]] = {}
         self._topic_ids: dict[Link, list[int]] = {}  # that the guard knows
+        self._driven = set[int]()  # links, as the guard knows them
+        self._remote: weakref.WeakSet[RemoteRobot] = weakref.WeakSet()  # that were commanded here
         self._active: dict[Drivable, None] = {}  # whose gate may have something to send
         self._wake = asyncio.Event()
         self._stalls = StallWatch()
@@ -49,6 +54,7 @@ class Gates:
     def attach(self, drivable: Drivable, link: Link) -> None:
         """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.link, drivable.last_frame = link, b""
+        drivable.gate.admission.connect(_now_s())
         drivable.gate.restart()
         if link not in self._of_link:
             self._of_link[link], self._topic_ids[link] = [], []
@@ -65,6 +71,7 @@ class Gates:
                 self._send_last_zero(drivable, link)
             drivable.link = None
             drivable.echoes.clear()
+            drivable.gate.admission.disconnect(_now_s())
             drivable.gate.restart()
             self._activate(drivable)
         if self._topic_ids.pop(link, None) and self._guardian is not None:
@@ -90,96 +97,105 @@ class Gates:
     # -- driving ------------------------------------------------------------------------------------------------------
 
     def receive(self, drivable: Drivable, message: Message) -> None:
-        """The gate's end of a velocity topic: a Twist is a command of who published it.
+        """The gate's end of a velocity topic: a Twist is a command of its publisher.
 
         Raises:
             HostlinkError: as `command`.
-            WrongType: it is none.
-            BadRequest: it arrived a lease ago or earlier, and means nothing any more; or a lock has interrupted it.
+            WrongType: it is not a Twist.
         """
         if message.type_name != TWIST_TYPE:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        check_age(drivable, message)
-        velocity = Velocity.decode(message.payload)
-        self.follow(drivable, velocity, message)
+        self.follow(drivable, Velocity.decode(message.payload), message)
 
-    def follow(self, drivable: Drivable | RemoteRobot, velocity: Velocity, message: Message) -> None:
-        """Obey the velocity of a message that was published: its source goes on without waiting for answers.
-
-        Raises:
-            HostlinkError: as `command`.
-            BadRequest: a lock has interrupted it.
-        """
-        check_stream(drivable, velocity, message.source)
-        self.command(drivable, velocity, owner=message.source, priority=message.priority, now_s=message.at_s)
-
-    def command(
+    def follow(
         self,
         drivable: Drivable | RemoteRobot,
         velocity: Velocity,
+        message: Message,
         *,
-        owner: Hashable,
-        priority: int = PROGRAM_PRIORITY,
-        now_s: float | None = None,
-        stops: int | None = None,
-    ) -> Velocity:
-        """Drive for the length of a lease; returns the velocity after the limits.
-
-        `stops`: as the sender knew them, of a robot of another daemon, which refuses the command after a stop since.
+        stamp_age_s: float | None = None,
+    ) -> None:
+        """Obey a velocity that was published. A joystick at rest publishes zeros beside the driver: that is no error.
 
         Raises:
-            DeviceGone: the device is not connected, or the daemon stops.
-            RobotHeld: another drives with a higher priority, or it is locked.
-            BadRequest: the velocity is not finite, or the daemon stood still and the command may be old.
-            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
+            HostlinkError: as `command`.
         """
-        if isinstance(drivable, RemoteRobot):
-            if self.is_closed:
-                raise DeviceGone(drivable.name, ENDING)
-            self._check_pause(velocity)
-            return drivable.command(velocity, owner=owner, priority=priority, stops=stops)
-        now_s = _now_s() if now_s is None else now_s
-        facts = {"owner": str(owner), "address": address_of(owner), "priority": priority, "velocity": velocity}
+        command = Command(
+            velocity,
+            message.source,
+            message.priority,
+            message.at_s,
+            epoch=message.epoch,
+            stamp_age_s=stamp_age_s,
+        )
         try:
-            limited = self._command(drivable, velocity, owner=owner, priority=priority, now_s=now_s)
+            self.command(drivable, command)
+        except CommandRefused as refused:
+            if not (velocity.is_zero and refused.kind is RefusalKind.HELD):
+                raise
+
+    def command(self, drivable: Drivable | RemoteRobot, command: Command) -> Velocity:
+        """Drive for the length of a lease, if the command is admitted; returns the velocity after the limits.
+
+        Raises:
+            CommandRefused: the robot's admission has refused it, or the daemon stops.
+            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then its source drives no more.
+            DeviceGone: another daemon has the robot, and does not answer.
+        """
+        velocity = command.velocity
+        assert isinstance(velocity, Velocity)  # noqa: S101 - of every command of a robot
+        owner = command.source
+        facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
+        try:
+            limited = self._command(drivable, command, velocity)
         except HostlinkError as error:
-            self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
+            if isinstance(drivable, Drivable) and not velocity.is_zero:
+                self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
             raise
-        self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
+        if isinstance(drivable, Drivable):
+            self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
 
-    def _command(
-        self, drivable: Drivable, velocity: Velocity, *, owner: Hashable, priority: int, now_s: float
-    ) -> Velocity:
+    def _command(self, drivable: Drivable | RemoteRobot, command: Command, velocity: Velocity) -> Velocity:
         if self.is_closed:
-            raise DeviceGone(drivable.name, ENDING)
-        if drivable.link is None:
-            raise DeviceGone(drivable.name)
-        self._check_pause(velocity)
+            raise CommandRefused(drivable.name, RefusalKind.ENDING, f"{drivable.name}: {ENDING}")
+        now_s = _now_s()
+        self._notice_pause(now_s)
+        command = command._replace(received_s=min(command.received_s, self.came_s(now_s)))
+        if isinstance(drivable, RemoteRobot):
+            self._remote.add(drivable)
+            return drivable.command(command, velocity, now_s)
         gate = drivable.gate
         # Two zeros of one moment would leave a slow line as one.
         is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
-        limited = gate.command(owner, velocity, priority=priority, now_s=now_s)
-        if gate.owner in (owner, None) and not is_stopping:  # another's idle zero is nothing that the device must hear
+        limited = gate.command(command, velocity, now_s=now_s)
+        if not is_stopping:
             refusal = self._send_news(drivable)
             if refusal is not None:
-                gate.release(owner, now_s=now_s)
+                gate.admission.withdraw(command.source)
+                gate.stop(now_s=now_s)
                 raise refusal
-        beside = self._of_link[drivable.link]
+        beside = self._of_link.get(drivable.link, []) if drivable.link is not None else []
         if len(beside) > 1 and not velocity.is_zero:
-            self._overrule(beside, drivable, owner, priority)
+            self._overrule(beside, drivable, command.source, command.priority)
         return limited
 
-    def _check_pause(self, velocity: Velocity) -> None:
-        """Whether a velocity that arrives now may be old, here or for another daemon, which cannot know it."""
-        if not velocity.is_zero:
-            self._stalls.check(_now_s())
+    def came_s(self, now_s: float) -> float:
+        """Since when something that is read at this moment may have waited for it."""
+        return now_s - self._stalls.late_s(now_s)
+
+    def _notice_pause(self, now_s: float) -> None:
+        """Interrupt every robot, here or of another daemon, if this process has just gone on after a pause."""
+        since_s = self._stalls.pop_pause(now_s)
+        if since_s is not None:
+            for admission in self._admissions(self._active) | {robot.gate.admission for robot in self._remote}:
+                admission.interrupt(now_s, since_s=since_s)
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
         """Stop what somebody less important drives of the same robot; its next command is refused."""
         for other in beside:
             gate = other.gate
-            is_other = gate is not drivable.gate and gate.claims is drivable.gate.claims
+            is_other = gate is not drivable.gate and gate.admission is drivable.gate.admission
             if is_other and gate.owner != owner and gate.priority is not None and gate.priority < priority:
                 self._note_stop(other, "overruled", str(gate.owner_name))
                 gate.stop(now_s=_now_s())
@@ -189,12 +205,16 @@ class Gates:
         """A source of commands is gone: what it drives stops."""
         if self.elsewhere is not None:
             self.elsewhere.release(owner)
+        for robot in self._remote:
+            robot.gate.admission.withdraw(owner)
         now_s = _now_s()
         for drivable in list(self._active):
-            is_driving = drivable.gate.owner == owner
-            drivable.gate.release(owner, now_s=now_s)  # also what it has claimed without driving now
+            gate = drivable.gate
+            is_driving = gate.owner == owner
+            gate.admission.withdraw(owner)  # also what it holds without driving now
             if is_driving:
-                self._note_stop(drivable, "owner left", str(owner))
+                gate.stop(now_s=now_s)
+                self._note_stop(drivable, OWNER_LEFT, str(owner))
                 self._send_news(drivable)
 
     def stop(self, robot: Robot | RemoteRobot) -> None:
@@ -255,7 +275,21 @@ class Gates:
         Raises:
             HostlinkError: the zero does not fit a device; its gate is locked all the same.
         """
-        self._apply(lambda gate: gate.lock(reason), drivables)
+        drivables = list(drivables)
+        for admission in self._admissions(drivables):
+            admission.lock(reason, _now_s())
+        for drivable in drivables:
+            drivable.gate.counts.locks += 1
+        self._apply(VelocityGate.stop_at_once, drivables)
+
+    def unlock(self, drivables: Iterable[Drivable]) -> None:
+        """Admit commands again; nothing moves by it."""
+        for admission in self._admissions(drivables):
+            admission.unlock(_now_s())
+
+    def pauses(self, now_s: float) -> HostPauses:
+        """When this process did not run."""
+        return self._stalls.pauses(now_s)
 
     def close(self) -> None:
         """The daemon ends: no command is accepted any more, for good."""
@@ -267,32 +301,42 @@ class Gates:
         """Step every gate that is active; sleep while none is."""
         while True:
             now_s = _now_s()
+            self._notice_pause(now_s)
             self._stalls.beat(now_s)
+            driven = set[int]()
             for number, drivable in enumerate(list(self._active), 1):
                 if number % MAX_STEPS == 0:
                     await asyncio.sleep(0)
                     now_s = _now_s()
                 if drivable.gate.may_move or (drivable.gate.is_active and drivable.link is not None):
                     self._step(drivable, now_s)
-                elif not drivable.gate.is_claimed(now_s):
+                elif not drivable.gate.admission.is_held(now_s):
                     self._active.pop(drivable, None)
+                if drivable.link is not None and drivable.gate.may_move:
+                    driven.add(drivable.link.number)
+            self._beat(driven)
             if self._active:
-                await asyncio.sleep(TICK_S)
+                due_s = min(now_s + TICK_S, *(drivable.gate.lease_ends_s for drivable in self._active))
+                self._stalls.expect(due_s)
+                await asyncio.sleep(due_s - now_s)
             else:
                 await self._idle()
 
     async def _idle(self) -> None:
-        """Wait until a gate is active, or for a beat while there are any, here or elsewhere."""
+        """Wait until a gate is active, or for a beat: what was paused must be known of every link."""
         self._wake.clear()
-        is_watching = bool(self._of_link) or self.elsewhere is not None
-        if not is_watching:
-            self._stalls.rest()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(BEAT_S if is_watching else None):
+            async with asyncio.timeout(BEAT_S):
                 await self._wake.wait()
 
     def _stop(self, drivables: Iterable[Drivable]) -> None:
-        now_s = _now_s()
+        now_s, drivables = _now_s(), list(drivables)
+        for admission in self._admissions(drivables):
+            admission.interrupt(now_s)
+        for drivable in drivables:
+            drivable.gate.counts.stops += 1
+            if drivable.gate.owner is not None:
+                self._note_stop(drivable, WAS_STOPPED, str(drivable.gate.owner))
         self._apply(lambda gate: gate.stop(now_s=now_s), drivables)
 
     def _apply(self, change: Callable[[VelocityGate], None], drivables: Iterable[Drivable]) -> None:
@@ -303,6 +347,11 @@ class Gates:
             refusal = self._send_news(drivable) or refusal
         if refusal is not None:
             raise refusal
+
+    @staticmethod
+    def _admissions(drivables: Iterable[Drivable]) -> set[Admission]:
+        """Of these, each once: the velocity topics of one robot share one."""
+        return {drivable.gate.admission for drivable in drivables}
 
     def _activate(self, drivable: Drivable) -> None:
         self._active[drivable] = None
@@ -327,12 +376,16 @@ class Gates:
 
     def _send(self, drivable: Drivable, now_s: float, *, is_news: bool) -> HostlinkError | None:
         gate, link = drivable.gate, drivable.link
-        previous_owner, is_first = gate.owner, gate.is_new_device
+        previous_owner, is_first, was_let_go = gate.owner, gate.is_new_device, gate.is_let_go
         velocity = gate.step(now_s)
         if previous_owner is not None and gate.owner is None:
-            self._note_stop(drivable, "no command came", str(previous_owner))
+            was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
+            reason = HOST_AWAY if was_away else LET_GO if was_let_go else LEASE_ENDED
+            self._note_stop(drivable, reason, str(previous_owner))
         if velocity is None or link is None:
             return None
+        if not velocity.is_zero and link.number not in self._driven:
+            self._beat(self._driven | {link.number})  # before it moves
         is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
         if is_repeat and now_s < drivable.sent_at_s + FEED_INTERVAL_S:
             return None
@@ -364,6 +417,12 @@ class Gates:
                     link.session.send_last(drivable.last_frame)
             link.wake()
 
+    def _beat(self, driven: set[int]) -> None:
+        """Notify the guard that this process runs, and which links have robots that may move."""
+        self._driven = driven
+        if self._guardian is not None:
+            self._guardian.beat(driven)
+
     def _guard(self, drivable: Drivable, link: Link) -> None:
         """Let link and guard stop it when nobody else can; what subscribes to no velocity cannot be driven."""
         with contextlib.suppress(HostlinkError):
@@ -374,34 +433,6 @@ class Gates:
                 topic_ids.append(link.session.topic_id(drivable.velocity_topic))
                 longest_bytes = link.session.longest_to_device_bytes
                 self._guardian.watch(link.number, link.descriptor, topic_ids=topic_ids, claim_bytes=longest_bytes)
-
-
-def check_age(drivable: Drivable | RemoteRobot, message: Message) -> None:
-    """Whether a velocity may still be obeyed.
-
-    Raises:
-        BadRequest: it arrived a lease ago or earlier, and means nothing any more.
-    """
-    if _now_s() >= message.at_s + drivable.gate.lease_s:
-        raise BadRequest(f"{drivable.name}: the command waited longer than it holds")
-
-
-def check_stream(drivable: Drivable | RemoteRobot, velocity: Velocity, owner: Hashable) -> None:
-    """Whether a velocity may be obeyed whose source goes on without waiting for answers.
-
-    Raises:
-        BadRequest: it went on through a lock, and its source may not know; while that holds, `command` says so.
-    """
-    gate = drivable.gate
-    is_locked = gate.lock_reason is not None
-    is_admitted = drivable.streams.admit(
-        owner, is_zero=velocity.is_zero, is_locked=is_locked, now_s=_now_s(), lease_s=gate.lease_s
-    )
-    if not (is_admitted or is_locked):
-        raise BadRequest(
-            f"{drivable.name}: it was locked while this stream of velocities went on, which drives again after a zero, "
-            f"or {gate.lease_s:g} s without velocities"
-        )
 
 
 def _now_s() -> float:

@@ -16,6 +16,13 @@ class Guard(Protocol):
         """
         ...
 
+    def beat(self, driven: set[int]) -> None:
+        """This process runs, and these links have robots that may move; without a beat for a second they are stopped.
+
+        Call it at least ten times a second while there are any, and once when there are none any more.
+        """
+        ...
+
     def release(self, number: int) -> None:
         """A link has ended, or has no velocity topic any more."""
         ...

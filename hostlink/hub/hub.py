@@ -9,6 +9,7 @@ from typing import Any
 import structlog
 
 from hostlink.config import Config
+from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.counts import Counts
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
@@ -19,7 +20,8 @@ from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.guard import Guard
 from hostlink.hub.identities import Affected
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.links import Links, Surroundings
+from hostlink.hub.links import Links, Surroundings, addresses_of
+from hostlink.hub.listening import Listening
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.participant import Participant, Parts
@@ -31,10 +33,12 @@ from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
 from hostlink.hub.services import Services
+from hostlink.hub.standstills import Standstills
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.logs import log_what_is_missing
 from hostlink.messages.catalog import Catalog
+from hostlink.robot.robot_names import Places
 
 log = structlog.get_logger()
 
@@ -55,14 +59,16 @@ class Hub:
         self.config, self.catalog = config, catalog
         self.is_running = asyncio.Event()  # once set, it can `spawn`
         self.counts = Counts()
+        self.listening = Listening()  # who listens sets it
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
         changes = GraphChanges()
-        self.topics = TopicGraph(catalog, changes)
+        self.budget = ByteBudget()
+        self.topics = TopicGraph(catalog, changes, self.budget)
         self.services = Services(catalog, changes)
         self.events = RobotEvents()
         self.gates = Gates(self.isolation, guard, self.events)
-        self.diagnoses = Diagnoses(self.isolation, self.events)
+        self.diagnoses = Diagnoses(self.isolation, self.events, self.gates.pauses)
         views = GraphViews(self.topics, self.services, changes)
         self._parts = Parts(catalog, self.topics, self.services, self.gates, self.isolation, changes, views)
         self._share = FairShare()
@@ -73,11 +79,13 @@ class Hub:
             on_forgotten=self._forget_robot,
             on_change=functools.partial(changes.note, Kind.ROBOT),
         )
-        self.emergency_stop = EmergencyStop(self.robots, self.gates, self.join_daemon())
+        self.standstills = Standstills(self.gates)
+        self.emergency_stop = EmergencyStop(self.robots, self.gates, self.standstills, self.join_daemon())
         node = Node(DAEMON, is_daemon=True)
-        robot_topics = RobotTopicPublisher(config.robots, self.topics, self.gates, node, catalog)
+        robot_topics = RobotTopicPublisher(self.topics, self.gates, node, catalog)
         affected = Affected(self.topics, self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses)
-        around = Surroundings(self._parts, affected, node, Rosout(self.join_daemon()), self._share, self.spawn)
+        self.rosout = Rosout(self.join_daemon())
+        around = Surroundings(self._parts, affected, node, self.rosout, self._share, self.spawn)
         self.links = Links(around, config, self.parameters)
         self.remote_robots = RemoteRobots(
             self.robots, self.topics, self.gates, self.emergency_stop, self.links.new_number
@@ -108,19 +116,18 @@ class Hub:
         """The part of one more link or participant in what the loop does for all."""
         return Turns(self._share)
 
-    def reconfigure(self, config: Config) -> dict[str, str]:
+    def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
         """Other names and limits of robots from now on; returns the new names of those that are connected, by the old.
 
+        `places`: what `places_of` has made of the same settings.
+
         Raises:
-            ConfigError: limits of a robot cannot be kept; nothing has changed.
             ReloadRefused: a robot that is driven or locked would have another name; nothing has changed.
         """
-        for robot in config.robots.values():
-            limits_of(robot)
-        self.links.check(config)
+        self.links.check(places)
         self.config = config
         self.robots.reconfigure(config.robots)
-        return self.links.reconfigure(config)
+        return self.links.reconfigure(config, places)
 
     # -- participants -------------------------------------------------------------------------------------------------
 
@@ -162,7 +169,25 @@ class Hub:
         self.links.forget_robot(robot)
 
     def _diagnostics(self) -> DiagnosticsTopic:
-        return DiagnosticsTopic(self.join_daemon(), self.diagnoses, self.robots, self.isolation, self.counts.refused)
+        return DiagnosticsTopic(
+            self.join_daemon(),
+            self.diagnoses,
+            self.robots,
+            self.isolation,
+            self.counts.refused,
+            namespace=self.config.ros1.namespace,
+        )
+
+
+def places_of(config: Config) -> Places:
+    """Where the robots are configured to be; their limits are checked. For any thread: of thousands it takes a while.
+
+    Raises:
+        ConfigError: limits of a robot cannot be kept.
+    """
+    for robot in config.robots.values():
+        limits_of(robot)
+    return Places(addresses_of(config))
 
 
 async def _log_what_is_missing() -> None:

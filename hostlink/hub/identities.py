@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import dataclasses
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import structlog
@@ -24,6 +23,7 @@ from hostlink.logs import printable
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import MessageReceived
 from hostlink.robot.directory import Accepted, Directory, RobotTopicNames, Undecided
+from hostlink.robot.robot_names import Places
 
 log = structlog.get_logger()
 
@@ -76,16 +76,15 @@ class Identities:
     def forget_robot(self, robot: Robot) -> None:
         """It has been away for long."""
         self._directory.forget(robot.name)
-        self._affected.robot_topics.forget(robot)
         self._affected.emergency_stop.withdraw(robot.name)
 
-    def check_addresses(self, addresses: Mapping[str, str | None]) -> None:
+    def check_places(self, places: Places) -> None:
         """Whether robots may be named by these.
 
         Raises:
             ReloadRefused: they change the name of one that is driven or locked, and is known by it to who did that.
         """
-        for name in self._directory.misplaced(addresses):
+        for name in self._directory.misplaced(places):
             robot = self._affected.robots.get_here(name)
             if robot is None:
                 continue
@@ -94,9 +93,9 @@ class Identities:
             if robot.gate.lock_reason is not None:
                 raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
 
-    def reconfigure(self, addresses: Mapping[str, str | None]) -> dict[str, str]:
-        """Name robots by these addresses from now on; returns the new names of those that are connected, by the old."""
-        misplaced = self._directory.reconfigure(addresses)
+    def reconfigure(self, places: Places) -> dict[str, str]:
+        """Name robots by these places from now on; returns the new names of those that are connected, by the old."""
+        misplaced = self._directory.reconfigure(places)
         links = {name: link for name, link in misplaced.items() if link is not None}
         for link in links.values():
             self._leave_graph(self.devices[link])

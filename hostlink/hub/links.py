@@ -29,6 +29,7 @@ from hostlink.logs import of_peer, printable
 from hostlink.protocol.control import Parameter
 from hostlink.protocol.session import Session
 from hostlink.robot.directory import Directory
+from hostlink.robot.robot_names import Places
 from hostlink.transport.base import Transport
 
 log = structlog.get_logger()
@@ -66,7 +67,7 @@ class Links:
             name_of=self._service_name,
             turns=Turns(around.share),
         )
-        self._identities = Identities(around.affected, Directory(_addresses(config)), spawn=around.spawn)
+        self._identities = Identities(around.affected, Directory(addresses_of(config)), spawn=around.spawn)
         self._device_events = DeviceEvents(
             Receivers(
                 around.affected.gates,
@@ -95,6 +96,7 @@ class Links:
             on_event=self._device_events.react,
             share=self._around.share,
             wall_ns=self._read_wall_ns,
+            pauses=self._around.affected.gates.pauses,
         )
         self._identities.devices[link.number] = Device(link, self._around.parts, self._around.node)
         self._around.affected.diagnoses.begin(link)
@@ -159,18 +161,18 @@ class Links:
         """It has been away for long."""
         self._identities.forget_robot(robot)
 
-    def check(self, config: Config) -> None:
+    def check(self, places: Places) -> None:
         """Whether `reconfigure` may follow.
 
         Raises:
             ReloadRefused: a robot that is driven or locked would have another name.
         """
-        self._identities.check_addresses(_addresses(config))
+        self._identities.check_places(places)
 
-    def reconfigure(self, config: Config) -> dict[str, str]:
+    def reconfigure(self, config: Config, places: Places) -> dict[str, str]:
         """Other names of robots from now on; returns the new names of those that are connected, by the old."""
         self._config = config
-        return self._identities.reconfigure(_addresses(config))
+        return self._identities.reconfigure(places)
 
     # -- counts -------------------------------------------------------------------------------------------------------
 
@@ -215,5 +217,6 @@ async def _silence(links: list[Link]) -> None:
         await link.drained()
 
 
-def _addresses(config: Config) -> dict[str, str | None]:
+def addresses_of(config: Config) -> dict[str, str | None]:
+    """Where its robots are configured to be, by their names."""
     return {name: robot.address for name, robot in config.robots.items()}

@@ -12,12 +12,15 @@ MAX_PRIORITY = 100  # a person at keys or a joystick has 60
 class Message:
     """Bytes on their way from a device or a participant to every subscriber.
 
-    `stamp_ns` and `at_s` are wall time and loop time of the arrival. `priority` matters to a velocity gate alone.
+    `stamp_ns` and `at_s` are wall time and loop time of the arrival. `priority` and `epoch` are those of a
+    `Command`, and matter to a velocity gate alone.
     """
 
-    __slots__ = ("_decoded", "_made", "at_s", "payload", "priority", "source", "stamp_ns", "topic", "type", "type_name")
+    __slots__ = (
+        "_decoded", "_made", "at_s", "epoch", "payload", "priority", "source", "stamp_ns", "topic", "type", "type_name",
+    )  # fmt: skip
 
-    def __init__(  # noqa: PLR0913 - the fields of a record
+    def __init__(
         self,
         topic: str,
         type_name: str,
@@ -28,6 +31,7 @@ class Message:
         stamp_ns: int,
         at_s: float,
         priority: int = PROGRAM_PRIORITY,
+        epoch: int | None = None,
     ) -> None:
         self.topic = topic
         self.type_name = type_name
@@ -37,6 +41,7 @@ class Message:
         self.stamp_ns = stamp_ns
         self.at_s = at_s
         self.priority = priority
+        self.epoch = epoch
         self._decoded: dict[str, object] | None = None
         self._made: dict[Hashable, bytes] | None = None
 

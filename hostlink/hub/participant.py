@@ -10,6 +10,7 @@ from typing import ParamSpec
 
 from hostlink.cancellation import expire
 from hostlink.errors import BadRequest, DeviceGone, ServiceFailed, UnknownTopic, WrongType
+from hostlink.hub.byte_budget import OWN_LATCHED_BYTES, SHARES
 from hostlink.hub.gates import ENDING, Gates
 from hostlink.hub.graph import Graph
 from hostlink.hub.graph_changes import GraphChanges
@@ -26,7 +27,7 @@ from hostlink.hub.topic import Receive, Subscriber, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
-from hostlink.robot.freshness import Freshness
+from hostlink.robot.admission import Command
 from hostlink.robot.velocity import Velocity
 
 MAX_ADVERTISED = 256  # topics
@@ -78,7 +79,6 @@ class Participant(Node):
         self.has_left = False
         self.view = parts.views.of(group)  # of the graph; its news cost what has changed
         self._parts, self._on_end = parts, on_end
-        self._freshness = Freshness()
         self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
@@ -131,22 +131,41 @@ class Participant(Node):
             raise WrongType(topic, "a type with a definition", type_name or "none")
         return found
 
-    def publish(self, topic: str, payload: bytes, *, priority: int | None = None) -> None:
-        """Send a payload to all who subscribe; a velocity is a command at this priority.
+    def publish(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        priority: int | None = None,
+        at_s: float | None = None,
+        epoch: int | None = None,
+    ) -> None:
+        """Send a payload to all who subscribe; a velocity is a command at this priority, with this epoch.
+
+        `at_s` is the earliest time at which this daemon may have received it; None: now.
 
         Raises:
-            BadRequest: it may not publish, the velocity is not finite, or its own callback has sent this too often.
-            DeviceGone: the daemon stops, or the robot is not connected.
-            RobotHeld: another drives the robot with a higher priority, or it is locked.
+            BadRequest: it may not publish, or its own callback has sent this too often.
+            DeviceGone: the daemon stops.
+            CommandRefused: a robot's admission has refused the velocity.
             FrameTooLarge, WrongType: it does not fit a device; all others have it.
+            BadRequest: it is latched, and was delivered, but cannot be kept: there is too much.
         """
         self.check(Role.DRIVE, "publish")
         if self._parts.gates.is_closed:
             raise DeviceGone(topic, ENDING)
         known = self._parts.topics.find_or_none(topic)
         if known is not None:
+            before = known.latched.get(self)
+            is_kept = self not in known.latched or self._parts.topics.budget.can_latch(self, before, payload)
             with self._parts.topics.deliveries.sending(self):
-                known.publish(payload, source=self, priority=self.priority if priority is None else priority)
+                wanted_priority = self.priority if priority is None else priority
+                known.publish(payload, source=self, priority=wanted_priority, at_s=at_s, epoch=epoch)
+            if not is_kept:
+                raise BadRequest(
+                    f"{known.name}: delivered, but not kept for later subscribers: a participant may latch "
+                    f"{OWN_LATCHED_BYTES} bytes, all together {SHARES['latched']}"
+                )
 
     def subscribe(
         self,
@@ -170,7 +189,12 @@ class Participant(Node):
         if not self.is_daemon and len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
             raise BadRequest(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
         subscription = Subscription(
-            receive, on_throttled, interval_s=interval_s, queue_length=queue_length, group=self.group
+            receive,
+            on_throttled,
+            interval_s=interval_s,
+            queue_length=queue_length,
+            group=self.group,
+            share=self._parts.topics.budget["held_back"],
         )
         self._subscriptions[subscription] = None
         subscriber = Subscriber(subscription.receive, self, type_name, self.fail)
@@ -181,7 +205,7 @@ class Participant(Node):
             raise
 
         def close() -> None:
-            subscription.is_closed = True
+            subscription.end()
             subscription.close = nothing_to_close  # else the two keep each other until the garbage collector comes
             unsubscribe()
             self._subscriptions.pop(subscription, None)
@@ -264,44 +288,38 @@ class Participant(Node):
         velocity: Velocity,
         *,
         priority: int | None = None,
-        link: int | None = None,
+        received_s: float | None = None,
         sent_s: float | None = None,
-        stops: int | None = None,
+        epoch: int | None = None,
     ) -> Velocity:
         """Drive for the length of a lease; returns the velocity after the limits.
 
-        `link`: the connection for which it is meant, if not any; `sent_s`: when it was sent, by the sender's clock;
-        `stops`: the robot's, as the sender knew them: whoever has stopped it since refuses the command.
-
-        A command that was delayed on its way for longer than a lease is refused: a network that comes back must not
-        deliver a motion that nobody means any more. So is one for a device that has connected again since.
+        `received_s`, `sent_s` and `epoch` are those of a `Command`; `received_s` is now if it is None.
 
         Raises:
-            BadRequest: it may not drive, the command is late, or may be because the daemon stood still, or is for
-                another connection, or of before a stop, or it is not finite.
-            DeviceGone: the device is not connected, or the daemon stops.
-            RobotHeld: another drives with a higher priority, or the robot is locked.
+            BadRequest: this participant may not drive.
+            CommandRefused: the robot's admission has refused the command.
             FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then nobody drives.
+            DeviceGone: another daemon has the robot, and does not answer.
         """
         self.check(Role.DRIVE, "drive")
-        if stops not in (None, robot.gate.stops):
-            raise BadRequest(f"{robot.name}: somebody has stopped it since; drive again if it is still meant")
-        if sent_s is not None:
-            late_s = self._freshness.late_s(sent_s, asyncio.get_running_loop().time())
-            if late_s > robot.gate.lease_s:
-                raise BadRequest(f"{robot.name}: the command was {late_s:.1f} s on its way, longer than it holds")
-        if link is not None and robot.link is not None and robot.link.number != link:
-            raise BadRequest(f"{robot.name}: its device has connected again since; drive again if it is still meant")
-        wanted_priority = self.priority if priority is None else priority
+        command = Command(
+            velocity,
+            self,
+            self.priority if priority is None else priority,
+            asyncio.get_running_loop().time() if received_s is None else received_s,
+            sent_s,
+            epoch,
+        )
         with self._parts.topics.deliveries.sending(self):
-            return self._parts.gates.command(robot, velocity, owner=self, priority=wanted_priority, stops=stops)
+            return self._parts.gates.command(robot, command)
 
     async def driven(self, robot: Robot | RemoteRobot, limited: Velocity) -> Velocity:
         """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
 
         Raises:
             DeviceGone: the daemon that has the robot has not answered in time, or its device is not connected.
-            BadRequest, RobotHeld, FrameTooLarge, WrongType, UnknownTopic: it has refused the command.
+            CommandRefused, FrameTooLarge, WrongType, UnknownTopic: it has refused the command.
         """
         return await robot.elsewhere.answer(robot, self) if isinstance(robot, RemoteRobot) else limited
 

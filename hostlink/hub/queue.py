@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
+from hostlink.hub.byte_budget import OWN_QUEUE_BYTES, SHARES, Share
+
 MAX_MESSAGES = 1024
 MAX_BYTES = 8 * 1024 * 1024
 MAX_RESULTS = 256
@@ -28,12 +30,14 @@ class Queue(Generic[Item]):
     Everything leaves in the order in which it came. A participant that lets its results pile up is `is_too_slow`.
     """
 
-    def __init__(self, size_of: Callable[[Item], int], clock: Callable[[], float]) -> None:
-        """`size_of` an item in bytes; `clock` is the event loop's."""
+    def __init__(self, size_of: Callable[[Item], int], clock: Callable[[], float], share: Share | None = None) -> None:
+        """`size_of` an item in bytes; `clock` is the event loop's; `share`: of all queues together."""
         self.dropped = 0
         self.is_too_slow = False
         self.is_closed = False
         self._size_of, self._clock = size_of, clock
+        self._share = Share(SHARES["queues"]) if share is None else share
+        self._share.queues.add(self)
         self._order = 0
         self._messages = 0
         self._bytes = 0
@@ -55,6 +59,11 @@ class Queue(Generic[Item]):
         return self._bytes + self._result_bytes
 
     @property
+    def telemetry_bytes(self) -> int:
+        """Of what may be dropped."""
+        return self._bytes
+
+    @property
     def oldest_s(self) -> float | None:
         """When the oldest was put; None: nothing waits."""
         heads = [waiting[0].since_s for waiting in self._topics.values()]
@@ -71,19 +80,25 @@ class Queue(Generic[Item]):
         waiting.append(new)
         self._messages += 1
         self._bytes += new.size_bytes
+        self._share.held_bytes += new.size_bytes
         while self._messages > MAX_MESSAGES or self._bytes > MAX_BYTES:
-            self._drop(topic if len(waiting) > 1 else max(self._topics, key=lambda name: len(self._topics[name])))
+            self.drop_oldest(topic if len(waiting) > 1 else None)
+        if self._share.held_bytes > self._share.max_bytes:
+            self._make_room()
         self._news.set()
 
     def put_result(self, item: Item) -> None:
         """Queue an answer or an event."""
         new = self._waiting(item, None)
-        is_too_large = self._results and self._result_bytes + new.size_bytes > MAX_RESULT_BYTES
+        most_bytes = OWN_QUEUE_BYTES if self._share.is_over else MAX_RESULT_BYTES
+        is_too_large = self._results and self._result_bytes + new.size_bytes > most_bytes
         if is_too_large or len(self._results) >= MAX_RESULTS:
             self.is_too_slow = True
+            self._share.refused += self._share.is_over
         else:
             self._results.append(new)
             self._result_bytes += new.size_bytes
+            self._share.held_bytes += new.size_bytes
         self._note_room()
         self._news.set()
 
@@ -92,6 +107,7 @@ class Queue(Generic[Item]):
         for waiting in self._topics.pop(topic, ()):
             self._messages -= 1
             self._bytes -= waiting.size_bytes
+            self._share.held_bytes -= waiting.size_bytes
 
     def pop(self) -> Waiting[Item] | None:
         """The oldest of all, or None."""
@@ -99,6 +115,7 @@ class Queue(Generic[Item]):
         if self._results and (topic is None or self._results[0].order < self._topics[topic][0].order):
             result = self._results.popleft()
             self._result_bytes -= result.size_bytes
+            self._share.held_bytes -= result.size_bytes
             self._note_room()
             return result
         if topic is None:
@@ -110,6 +127,11 @@ class Queue(Generic[Item]):
         """The participant has ended: `is_closed` from now on, and `wait` returns."""
         self.is_closed = True
         self._news.set()
+
+    def clear(self) -> None:
+        """Nobody receives it any more: nothing is kept."""
+        while self.pop() is not None:
+            continue
 
     def wake(self) -> None:
         """Let `wait` return: a time limit has changed."""
@@ -128,6 +150,15 @@ class Queue(Generic[Item]):
         """Wait while results fill half of the queue: whoever requests more must read first."""
         await self._room.wait()
 
+    def _make_room(self) -> None:
+        """All queues together have too much: the largest loses its oldest telemetry, down to OWN_QUEUE_BYTES."""
+        while self._share.is_over:
+            largest = max(self._share.queues, key=lambda queue: queue.telemetry_bytes)
+            if largest.telemetry_bytes <= OWN_QUEUE_BYTES:
+                break
+            self._share.refused += 1
+            largest.drop_oldest()
+
     def _note_room(self) -> None:
         if len(self._results) > MAX_RESULTS // 2 or self._result_bytes > MAX_RESULT_BYTES // 2:
             self._room.clear()
@@ -138,8 +169,9 @@ class Queue(Generic[Item]):
         self._order += 1
         return Waiting(self._order, item, self._size_of(item), self._clock() if at_s is None else at_s)
 
-    def _drop(self, topic: str) -> None:
-        self._pop(topic)
+    def drop_oldest(self, topic: str | None = None) -> None:
+        """Drop and count the oldest of this topic, or of the one that has most."""
+        self._pop(max(self._topics, key=lambda name: len(self._topics[name])) if topic is None else topic)
         self.dropped += 1
 
     def _pop(self, topic: str) -> Waiting[Item]:
@@ -149,4 +181,5 @@ class Queue(Generic[Item]):
             del self._topics[topic]
         self._messages -= 1
         self._bytes -= oldest.size_bytes
+        self._share.held_bytes -= oldest.size_bytes
         return oldest

@@ -1,19 +1,28 @@
 """Reloader: reads the settings again, and changes what can be changed while it runs; all of it, or nothing."""
 
+import asyncio
+import contextlib
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import structlog
 
 from hostlink.config import Config
+from hostlink.detached import DetachedThread
 from hostlink.errors import HostlinkError, ReloadRefused
-from hostlink.hub.hub import Hub
-from hostlink.hub.reload import change
+from hostlink.hub.hub import Hub, places_of
+from hostlink.hub.reload import Change, change
+from hostlink.robot.robot_names import Places
 
 log = structlog.get_logger()
 
+READ_TIMEOUT_S = 10.0  # 20,000 robots take 2 to 4 s on a busy machine; longer waits are for a disk or a network
+MAX_LOGGED = 50  # settings in a line of the log
+
 Read = Callable[[], Config]
-Prepare = Callable[[Config], Callable[[], None]]  # refuses what is wrong, or returns what changes it
+Prepare = Callable[[Config], Callable[[], None]]  # refuses what is wrong, or returns what changes it; in a thread
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,36 +34,85 @@ class Reloaded:
     renamed: dict[str, str] = field(default_factory=dict)
 
 
+class _Prepared(NamedTuple):
+    """What was read, compared and checked; `applies` change the parts beside the hub."""
+
+    change: Change
+    places: Places
+    applies: list[Callable[[], None]]
+
+
 class Reloader:
-    """`read`: the settings as a new start would have them; None: there is no file."""
+    """`read`: the settings as a new start would have them; None: there is no file.
 
-    def __init__(self, hub: Hub, read: Read | None = None) -> None:
+    Files are read, and settings are compared and checked, in a thread: the loop goes on meanwhile.
+    """
+
+    def __init__(self, hub: Hub, read: Read | None = None, *, read_timeout_s: float = READ_TIMEOUT_S) -> None:
         self.prepares: list[Prepare] = []  # of the parts beside the hub
-        self._hub, self._read = hub, read
+        self._hub, self._read, self._read_timeout_s = hub, read, read_timeout_s
+        self._thread = DetachedThread("reload")
+        self._turn = asyncio.Lock()  # who comes meanwhile reads again afterwards: the file may have changed since
+        self._is_requested = False
 
-    def reload(self) -> Reloaded:
+    def request(self) -> None:
+        """Read the settings again soon; what is wrong with them is logged."""
+        if not self._is_requested:
+            self._is_requested = True
+            self._hub.spawn(self._reload_as_requested(), name="reload")
+
+    async def _reload_as_requested(self) -> None:
+        with contextlib.suppress(HostlinkError):
+            await self.reload()
+
+    async def reload(self) -> Reloaded:
         """Read the settings again.
 
         Raises:
-            ReloadRefused: the daemon was started without a file, or a robot that is driven or locked would be renamed.
+            ReloadRefused: the daemon was started without a file, a file cannot be read within READ_TIMEOUT_S, or a
+                robot that is driven or locked would be renamed.
             ConfigError: a setting is wrong.
         """
         try:
-            reloaded = self._reload()
+            async with self._turn:
+                self._is_requested = False
+                reloaded = await self._reload()
         except HostlinkError as error:
             log.warning("config.refused", reason=str(error))
             raise
         if reloaded != Reloaded():
-            facts = {"changed": reloaded.changed, "needs_restart": reloaded.needs_restart, "renamed": reloaded.renamed}
+            facts = {
+                "changed": _shown(reloaded.changed),
+                "needs_restart": _shown(reloaded.needs_restart),
+                "renamed": dict(itertools.islice(reloaded.renamed.items(), MAX_LOGGED)),
+            }
             log.warning("config.reloaded", **{name: fact for name, fact in facts.items() if fact})
         return reloaded
 
-    def _reload(self) -> Reloaded:
+    async def _reload(self) -> Reloaded:
         if self._read is None:
             raise ReloadRefused("this daemon was started without --config FILE: there is nothing to read again")
-        changes = change(self._hub.config, self._read())
-        applies = [prepare(changes.config) for prepare in self.prepares]
-        renamed = self._hub.reconfigure(changes.config)
-        for apply in applies:
+        if self._thread.is_busy:
+            raise ReloadRefused("an earlier reload still waits for a file; check the disk or network that has it")
+        read = self._read
+        try:
+            prepared = await self._thread.run(lambda: self._prepare(read), timeout_s=self._read_timeout_s)
+        except TimeoutError:
+            raise ReloadRefused(
+                f"the settings, or a file that they name, could not be read within {self._read_timeout_s:g} s; "
+                "nothing has changed"
+            ) from None
+        renamed = self._hub.reconfigure(prepared.change.config, prepared.places)
+        for apply in prepared.applies:
             apply()
-        return Reloaded(changes.changed, changes.needs_restart, renamed)
+        return Reloaded(prepared.change.changed, prepared.change.needs_restart, renamed)
+
+    def _prepare(self, read: Read) -> _Prepared:
+        """In the thread."""
+        changes = change(self._hub.config, read())
+        return _Prepared(changes, places_of(changes.config), [prepare(changes.config) for prepare in self.prepares])
+
+
+def _shown(names: tuple[str, ...]) -> tuple[str, ...]:
+    """As many as a line of the log may have."""
+    return names if len(names) <= MAX_LOGGED else (*names[:MAX_LOGGED], f"and {len(names) - MAX_LOGGED} more")

@@ -2,25 +2,25 @@
 
 import dataclasses
 import math
+import secrets
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from hostlink.errors import DeviceGone, RobotHeld
+from hostlink.errors import CommandRefused, DeviceGone
 from hostlink.hub.message import Message
 from hostlink.hub.refusals import Refusals
+from hostlink.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.locked_streams import LockedStreams
 from hostlink.robot.odometry_estimator import OdometrySnapshot
 from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import LEASE_S
 
 
 class Elsewhere(Protocol):
     """How the daemons that have other robots are reached. What is no coroutine does not wait."""
 
     def drive(
-        self, robot: "RemoteRobot", velocity: Velocity, *, owner: Hashable, priority: int, stops: int | None
+        self, robot: "RemoteRobot", velocity: Velocity, *, owner: Hashable, priority: int, epoch: int | None
     ) -> None:
         """Send a command of an owner; what it was refused for is raised by the next one, or by `answer`."""
         ...
@@ -59,14 +59,30 @@ class RemoteLink(NamedTuple):
 
 @dataclass(slots=True)
 class RemoteGate:
-    """What the other daemon reported of its gate."""
+    """What the other daemon reported of its gate, and the admission of commands that are sent there from here."""
 
+    admission: Admission
     owner_name: str | None = None
     priority: int | None = None
-    lock_reason: str | None = None
     current: Velocity = ZERO
-    lease_s: float = LEASE_S
-    stops: int | None = None  # as its daemon's newest answer to a command here has counted them
+    epoch: int | None = None  # of the admission there
+
+    @property
+    def lock_reason(self) -> str | None:
+        """Why the robot is locked; None: it is not."""
+        return self.admission.lock_reason
+
+    def report(self, *, epoch: int | None, lock_reason: str | None, now_s: float) -> None:
+        """Note what the other daemon says of its admission: what was interrupted there is interrupted here."""
+        admission = self.admission
+        if lock_reason is not None and admission.lock_reason != lock_reason:
+            admission.lock(lock_reason, now_s)
+        elif lock_reason is None and admission.lock_reason is not None:
+            admission.unlock(now_s)
+        elif self.epoch is not None and epoch is not None and epoch > self.epoch:
+            admission.interrupt(now_s)
+        if epoch is not None:  # a state may be older than an answer
+            self.epoch = epoch if self.epoch is None else max(epoch, self.epoch)
 
 
 class RemoteOdometry:
@@ -92,7 +108,7 @@ class RemoteOdometry:
         return dataclasses.replace(self._newest, age_s=self._newest.age_s + now_s - self._at_s)
 
 
-@dataclass(slots=True, eq=False, kw_only=True)
+@dataclass(slots=True, eq=False, kw_only=True, weakref_slot=True)
 class RemoteRobot:
     """It has the shape of a Robot, for whoever shows robots."""
 
@@ -104,28 +120,28 @@ class RemoteRobot:
     link: RemoteLink | None = None
     is_played: bool = False  # its device is a recording
     also_at: tuple[str, ...] = ()  # other daemons that have a robot of this name; then it is not driven from here
-    streams: LockedStreams = field(default_factory=LockedStreams)
-    gate: RemoteGate = field(default_factory=RemoteGate)
+    gate: RemoteGate = field(init=False)
     odometry: RemoteOdometry = field(default_factory=RemoteOdometry)
     refusals: Refusals = field(default_factory=Refusals)
     followers: dict[Hashable, Callable[[Message | None], None]] = field(default_factory=dict)
 
-    def command(self, velocity: Velocity, *, owner: Hashable, priority: int, stops: int | None = None) -> Velocity:
-        """Send a command to the daemon that has the robot; returns it as it was sent.
+    def __post_init__(self) -> None:
+        self.gate = RemoteGate(Admission(self.name, epoch=secrets.randbits(EPOCH_BITS)))
 
-        `stops`: the robot's, as its sender knew them; a stop since refuses the command there.
+    def command(self, command: Command, velocity: Velocity, now_s: float) -> Velocity:
+        """Send a command to the daemon that has the robot, if it is admitted here; returns it as it was sent.
 
         Raises:
-            DeviceGone: it is not connected, or it is not known which robot is meant.
-            RobotHeld: it is locked, or as the answer to the owner's command before this one.
-            BadRequest, FrameTooLarge, WrongType: so was the owner's command before this one answered.
+            CommandRefused: it is not admitted; or as the answer to the command of its source before this one.
+            DeviceGone: it is not known which robot is meant, or its daemon does not answer.
+            FrameTooLarge, WrongType: so was the command of its source before this one answered.
         """
         self.check_unique()
-        if self.link is None:
-            raise DeviceGone(self.name, f"its device is not connected to {self.host}")
-        if self.gate.lock_reason is not None:
-            raise RobotHeld(self.name, None, lock_reason=self.gate.lock_reason)
-        self.elsewhere.drive(self, velocity, owner=owner, priority=priority, stops=stops)
+        decision = self.gate.admission.decide(command, now_s)
+        if decision.kind is not None:
+            raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder)
+        epoch = None if command.epoch is None else self.gate.epoch
+        self.elsewhere.drive(self, velocity, owner=command.source, priority=command.priority, epoch=epoch)
         return velocity
 
     def check_unique(self) -> None:

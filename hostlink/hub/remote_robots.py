@@ -8,7 +8,7 @@ import structlog
 
 from hostlink.errors import DeviceGone, HostlinkError, WrongType
 from hostlink.hub.emergency_stop import EmergencyStop
-from hostlink.hub.gates import Gates, check_age
+from hostlink.hub.gates import Gates
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
@@ -54,10 +54,15 @@ class RemoteRobots:
 
     def connect(self, robot: RemoteRobot, own_number: int | None) -> None:
         """Its device has this connection over there; None: none."""
+        now_s = asyncio.get_running_loop().time()
         if own_number is None:
+            if robot.link is not None:
+                robot.gate.admission.disconnect(now_s)
             robot.link = None
         elif robot.link is None or robot.link.own_number != own_number:
             robot.link = RemoteLink(self._new_number(), own_number)
+            robot.gate.admission.connect(now_s)
+            robot.gate.epoch = None  # it may have another beginning
 
     def offer(self, robot: RemoteRobot, velocities: Iterable[tuple[str, str]]) -> None:
         """It is driven by these topics, by name and type, while no device here has them."""
@@ -90,11 +95,9 @@ class RemoteRobots:
 
         Raises:
             HostlinkError: as `Gates.command`; also where a device here has the same topic.
-            BadRequest: it arrived a lease ago or earlier, or a lock has interrupted it.
         """
         if len(self._topics.find(message.topic).devices) > 1:
             raise DeviceGone(robot.name, f"{message.topic} is a topic here and at {robot.host}")
-        check_age(robot, message)
         if message.type_name == TWIST_TYPE:
             velocity = Velocity.decode(message.payload)
         elif message.type_name == TWIST_STAMPED_TYPE:

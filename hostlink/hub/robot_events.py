@@ -6,6 +6,12 @@ from collections.abc import Callable, Hashable, Mapping
 from enum import Enum
 from typing import NamedTuple
 
+LET_GO = "let go"  # why a drive stopped: its last velocity was a zero
+LEASE_ENDED = "no command came"  # why a drive stopped: its last velocity is too old
+OWNER_LEFT = "owner left"  # why a drive stopped: its source has ended its connection
+WAS_STOPPED = "stopped"  # why a drive stopped: by a stop
+HOST_AWAY = "hostlink did not run"  # the same, but nothing could come: the process was paused
+
 
 class EventKind(Enum):
     """What happened."""

@@ -10,7 +10,7 @@ from typing import Any
 import structlog
 
 from hostlink.config import RobotConfig
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.errors import HostlinkError
 from hostlink.hub.gates import Gates
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
@@ -44,17 +44,14 @@ class _Offer:
 class RobotTopicPublisher:
     """Offered while a robot is connected; a name that a device uses for the same is the device's.
 
-    Frame ids stay while a robot is known: the first robot has the plain ones, others have their name in front.
+    Frame ids have the robot's name in front, unless its configuration chooses others. They never depend on which robot
+    connects first.
     """
 
-    def __init__(
-        self, configs: Mapping[str, RobotConfig], graph: TopicGraph, gates: Gates, node: Node, catalog: Catalog
-    ) -> None:
+    def __init__(self, graph: TopicGraph, gates: Gates, node: Node, catalog: Catalog) -> None:
         """`node` publishes and subscribes."""
-        self._configs, self._graph, self._gates, self._node = configs, graph, gates, node
+        self._graph, self._gates, self._node = graph, gates, node
         self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE)}
-        self._frames: dict[str, FrameIds] = {}
-        self._plain = next(iter(configs)) if len(configs) == 1 else None  # the robot whose frames have no name before
         self._offers: dict[str, _Offer] = {}  # by robot
         self._commands: set[str] = set()  # topics of all offers
         self._candidates: defaultdict[str, dict[str, None]] = defaultdict(
@@ -84,12 +81,6 @@ class RobotTopicPublisher:
         if not self._offers:
             self._close_tf()
 
-    def forget(self, robot: Robot) -> None:
-        """The robot is forgotten; the plain frames may be another's."""
-        self._frames.pop(robot.name, None)
-        if self._plain == robot.name and robot.name not in self._configs:
-            self._plain = None
-
     def _relay(self, offer: _Offer, message: Message | None) -> None:
         """Publish what a pose of the robot means, where anybody subscribes."""
         if message is None:
@@ -112,8 +103,8 @@ class RobotTopicPublisher:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
     def _open(self, robot: Robot) -> None:
-        offer = self._offers[robot.name] = _Offer(robot, self._frames_of(robot))
-        offer.wanted = frozenset(resolve(name) for name in (_odom(robot), *command_topics(robot)) if name)
+        offer = self._offers[robot.name] = _Offer(robot, frames_of(robot.name, robot.config))
+        offer.wanted = frozenset(map(resolve, own_topics(robot)))
         for name in offer.wanted:
             self._candidates[name][robot.name] = None
         offer.odom = self._advertise(_odom(robot), ODOMETRY_TYPE, robot.shown.odometry)
@@ -179,39 +170,34 @@ class RobotTopicPublisher:
         return True
 
     def _receive_stamped(self, robot: Robot, message: Message) -> None:
-        """A TwistStamped, which is a command unless it is too old.
+        """Pass a TwistStamped on as a command of its publisher. A stamp of 0 is none.
 
         Raises:
             HostlinkError: as `Gates.command`.
         """
         fields: Mapping[str, Any] = message.decoded
-        self._check_age(robot, fields["header"]["stamp"])
-        velocity = Velocity.from_twist(fields["twist"])
-        self._gates.follow(robot, velocity, message)
+        stamp: Mapping[str, int] = fields["header"]["stamp"]
+        stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
+        stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
+        self._gates.follow(robot, Velocity.from_twist(fields["twist"]), message, stamp_age_s=stamp_age_s)
 
     def _publishes(self, robot: Robot, name: str) -> bool:
         topic = self._graph.find_or_none(name)
         return topic is not None and robot.link in topic.publishers
 
-    def _frames_of(self, robot: Robot) -> FrameIds:
-        if robot.name not in self._frames:
-            if self._plain is None and not self._configs:
-                self._plain = robot.name
-            prefix = "" if self._plain == robot.name else f"{robot.name}/"
-            odom, base = robot.config.odom_frame or f"{prefix}odom", robot.config.base_frame or f"{prefix}base_link"
-            self._frames[robot.name] = FrameIds(odom, base)
-        return self._frames[robot.name]
 
-    def _check_age(self, robot: Robot, stamp: Mapping[str, int]) -> None:
-        limit_s = robot.config.cmd_vel_max_age_s
-        stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
-        age_s = (time.time_ns() - stamp_ns) / _NS_PER_S
-        if limit_s is not None and stamp_ns and age_s > limit_s:
-            raise BadRequest(f"{robot.name}: the command is {age_s:.3f} s old, cmd_vel_max_age_s allows {limit_s:g}")
+def frames_of(name: str, config: RobotConfig) -> FrameIds:
+    """The frames of the robot of this name."""
+    return FrameIds(config.odom_frame or f"{name}/odom", config.base_frame or f"{name}/base_link")
 
 
 def _odom(robot: Robot) -> str:
     return _chosen(robot.config.odom_topic, f"{robot.name}/odom")
+
+
+def own_topics(robot: Robot) -> list[str]:
+    """The names of all topics that hostlink has for a robot, as they are configured: a graph may have namespaces."""
+    return [name for name in (_odom(robot), *command_topics(robot)) if name]
 
 
 def command_topics(robot: Robot) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import math
+import secrets
 from collections.abc import Callable, Hashable, Mapping
 
 import structlog
@@ -15,12 +16,14 @@ from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
+from hostlink.robot.admission import EPOCH_BITS, Admission
 from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
 from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
+
 
 MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no new one is accepted
 
@@ -173,6 +176,7 @@ class Robots:
         for robot in list(self._robots.values()):
             robot.config = self._config_of(robot.name, robot.topics.name)
             robot.odometry.change_fastest(_fastest(robot.config))
+            _configure(robot.gate.admission, robot.config)
             for drivable in self._gates.beside(robot):
                 drivable.gate.change_limits(limits_of(robot.config))
             if robot.name in configs:
@@ -215,10 +219,12 @@ class Robots:
             fastest=_fastest(config),
             correction=correction_of(config),
         )
+        admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
+        _configure(admission, config)
         return Robot(
             name=name,
             velocity_topic=topics.velocity,
-            gate=VelocityGate(name, limits_of(config)),
+            gate=VelocityGate(admission, limits_of(config)),
             config=config,
             odometry=odometry,
             topics=topics,
@@ -240,6 +246,11 @@ class Robots:
             self._gates.events.note(EventKind.FORGOTTEN, name)
             self._on_forgotten(robot)
             self._on_change(name)
+
+
+def _configure(admission: Admission, config: RobotConfig) -> None:
+    admission.resume_after_reconnect_s = config.resume_after_reconnect_s
+    admission.max_stamp_age_s = math.inf if config.cmd_vel_max_age_s is None else config.cmd_vel_max_age_s
 
 
 def _fastest(config: RobotConfig) -> Twist:

@@ -1,4 +1,4 @@
-"""Rosout: the logs of devices, in the daemon's log and as rosgraph_msgs/Log on /rosout."""
+"""Rosout: the logs of devices, in the daemon's log and as rosgraph_msgs/Log on /rosout; and warnings of the daemon."""
 
 import contextlib
 import time
@@ -16,6 +16,7 @@ log = structlog.get_logger()
 
 TOPIC, TYPE = "/rosout", "rosgraph_msgs/Log"
 _NS_PER_S = 1_000_000_000
+_WARNING = 2  # of rosserial's levels
 _METHODS = ("debug", "info", "warning", "error", "error")  # the log's, for each of rosserial's levels
 
 
@@ -30,9 +31,16 @@ class Rosout:
         """A device logs."""
         level, text = event.level, printable(event.text)
         getattr(log, _METHODS[level])("device.logged", level_name=LOG_LEVELS[level], text=text)
+        self._publish(level, link.peer, event.text)
+
+    def warn(self, name: str, text: str) -> None:
+        """Warn the users of a graph, as its node `name`; the daemon's own log is the caller's."""
+        self._publish(_WARNING, name, text)
+
+    def _publish(self, level: int, name: str, text: str) -> None:
         if self._topic.has_subscribers and self._topic.type is not None:
             secs, nsecs = divmod(time.time_ns(), _NS_PER_S)
-            line = {"level": 1 << level, "name": link.peer, "msg": event.text}
+            line = {"level": 1 << level, "name": name, "msg": text}
             header = {"stamp": {"secs": secs, "nsecs": nsecs}}
             with contextlib.suppress(HostlinkError):  # a device that subscribes may not take it
                 self._participant.publish(TOPIC, self._topic.type.encode({"header": header, **line}))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from hostlink.hub.byte_budget import Share
 from hostlink.hub.message import Message
 from hostlink.hub.node import is_of
 from hostlink.hub.throttle import Throttle
@@ -20,12 +21,21 @@ class Subscription:
         interval_s: float = 0.0,
         queue_length: int = 0,
         group: str = "",
+        share: Share | None = None,
     ) -> None:
-        """`group`: what it publishes is not received: messages that go out to a graph must not come again from it."""
+        """`group`: what it publishes is not received: messages that go out to a graph must not come again from it.
+
+        `share`: of what all subscriptions hold back.
+        """
         self.close: Callable[[], None] = nothing_to_close  # until it is in the graph
         self.is_closed = False  # then nothing is delivered, not even of what is on its way
         self._deliver, self._on_throttled, self._group = deliver, on_throttled, group
-        self._throttle = Throttle(interval_s=interval_s, queue_length=queue_length)
+        self._throttle = Throttle(interval_s=interval_s, queue_length=queue_length, share=share)
+
+    def end(self) -> None:
+        """Nothing is delivered any more, nor held back."""
+        self.is_closed = True
+        self._throttle.clear()
 
     def change(self, *, interval_s: float, queue_length: int) -> None:
         """Another pace from now on."""

@@ -6,11 +6,16 @@ import time
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
+import structlog
+
 from hostlink.errors import HostlinkError
+from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Node
 from hostlink.messages.message_type import MessageType
+
+log = structlog.get_logger()
 
 Receive = Callable[[Message], None]
 
@@ -31,6 +36,12 @@ class DeviceSubscription(NamedTuple):
 
     receive: Receive
     is_gate: bool
+    is_command: bool = False  # each message is acted on once, as a reset of the odometry
+
+    @property
+    def takes_latched(self) -> bool:
+        """Whether a message from before the subscription is sent: a velocity or another command is old by then."""
+        return not (self.is_gate or self.is_command)
 
 
 class Topic:
@@ -41,12 +52,12 @@ class Topic:
     """
 
     __slots__ = (
-        "__weakref__", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers", "devices",
-        "latched", "messages", "name", "publishers", "rank", "type", "type_name",
+        "__weakref__", "_budget", "_deliveries", "_expected", "_is_gated", "_numbers", "_snapshot", "_subscribers",
+        "devices", "latched", "messages", "name", "publishers", "rank", "type", "type_name",
     )  # fmt: skip
 
-    def __init__(self, name: str, deliveries: Deliveries | None = None) -> None:
-        """`deliveries`: those of the graph, for a topic that is in it."""
+    def __init__(self, name: str, deliveries: Deliveries | None = None, budget: ByteBudget | None = None) -> None:
+        """`deliveries` and `budget`: those of the graph, for a topic that is in it."""
         self.name = name
         self.type_name = ""  # until somebody names it
         self.type: MessageType | None = None
@@ -54,13 +65,16 @@ class Topic:
         self.messages = 0
         self.publishers: set[Hashable] = set()
         self.devices: dict[Hashable, DeviceSubscription] = {}
-        self.latched: dict[Hashable, bytes | None] = {}  # by publisher: its last message, for later subscribers
+        self.latched: dict[
+            Hashable, bytes | None
+        ] = {}  # by publisher: its last message, for later subscribers; newest last
         self._subscribers: dict[int, Subscriber] = {}
         self._numbers = itertools.count()
         self._expected: dict[str, int] = {}  # how many subscribers expect each type
         self._snapshot: tuple[Subscriber, ...] | None = ()  # None: to be made anew, as a message comes
         self._is_gated = False
         self._deliveries = Deliveries() if deliveries is None else deliveries
+        self._budget = ByteBudget() if budget is None else budget
 
     @property
     def subscribers(self) -> tuple[Subscriber, ...]:
@@ -135,7 +149,7 @@ class Topic:
     def forget_publisher(self, key: Hashable) -> None:
         """`key` publishes no more."""
         self.publishers.discard(key)
-        self.latched.pop(key, None)
+        self._budget.latch(key, self.latched.pop(key, None), None)
 
     def publish(
         self,
@@ -144,6 +158,7 @@ class Topic:
         source: Hashable,
         at_s: float | None = None,
         priority: int = PROGRAM_PRIORITY,
+        epoch: int | None = None,
     ) -> None:
         """Pass a payload to every device and subscriber but its source. `at_s`: loop time of its arrival, if not now.
 
@@ -154,7 +169,8 @@ class Topic:
             self.messages += 1
             self._keep(payload, source)
             return
-        message = self._message(payload, source, asyncio.get_running_loop().time() if at_s is None else at_s, priority)
+        at_s = asyncio.get_running_loop().time() if at_s is None else at_s
+        message = self._message(payload, source, at_s, priority, epoch)
         refusal = self._deliveries.run(self._pass_to_devices, message) if self.devices else None
         if not self._is_gated:
             self._deliveries.add(self._dispatch, message)
@@ -168,7 +184,9 @@ class Topic:
         else:
             self.messages += 1
 
-    def _message(self, payload: bytes, source: Hashable, at_s: float, priority: int) -> Message:
+    def _message(
+        self, payload: bytes, source: Hashable, at_s: float, priority: int, epoch: int | None = None
+    ) -> Message:
         return Message(
             self.name,
             self.type_name,
@@ -178,6 +196,7 @@ class Topic:
             stamp_ns=time.time_ns(),
             at_s=at_s,
             priority=priority,
+            epoch=epoch,
         )
 
     def _pass_to_devices(self, message: Message) -> HostlinkError | None:
@@ -191,9 +210,13 @@ class Topic:
         return refusal
 
     def _keep(self, payload: bytes, source: Hashable) -> None:
-        """For later subscribers, if its source latches."""
+        """For later subscribers, if its source latches, and there is room; else the one before is not kept either."""
         if self.latched and source in self.latched:
-            self.latched[source] = payload
+            before = self.latched.pop(source)  # the newest is the last of all
+            after = payload if self._budget.can_latch(source, before, payload) else None
+            self._budget["latched"].refused += after is None
+            self._budget.latch(source, before, after)
+            self.latched[source] = after
 
     def _dispatch(self, message: Message) -> None:
         self.messages += 1
@@ -217,6 +240,19 @@ class Topic:
         for source, payload in list(self.latched.items()):  # the callback may let one of them leave
             if payload is not None:
                 subscriber.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+
+    def send_latched(self, key: Hashable) -> None:
+        """Send the device `key` the last message of every publisher that latches, as far as it can take them."""
+        device = self.devices.get(key)
+        if device is None or not device.takes_latched or not self.latched:
+            return
+        at_s = asyncio.get_running_loop().time()
+        for source, payload in list(self.latched.items()):
+            if payload is not None:
+                try:
+                    device.receive(self._message(payload, source, at_s, PROGRAM_PRIORITY))
+                except HostlinkError as error:
+                    log.debug("message.refused", topic=self.name, reason=str(error))
 
 
 def rank_of(key: Hashable) -> int:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Hashable, Iterable
 
 from hostlink.errors import UnknownTopic, WrongType
+from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.deliveries import Deliveries
 from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.topic import DEVICE_RANK, PROGRAM_RANK, DeviceSubscription, Subscriber, Topic, rank_of
@@ -19,9 +20,10 @@ def resolve(name: str) -> str:
 class TopicGraph:
     """All topics of all devices and participants."""
 
-    def __init__(self, catalog: Catalog, changes: GraphChanges | None = None) -> None:
+    def __init__(self, catalog: Catalog, changes: GraphChanges | None = None, budget: ByteBudget | None = None) -> None:
         """`changes` are told of every topic, publisher and subscriber that comes or goes."""
         self.deliveries = Deliveries()
+        self.budget = ByteBudget() if budget is None else budget
         self._changes = GraphChanges() if changes is None else changes
         self._catalog = catalog
         self._topics: dict[str, Topic] = {}
@@ -83,7 +85,7 @@ class TopicGraph:
         return topic
 
     def subscribe_device(self, name: str, key: Hashable, subscription: DeviceSubscription, *, type_name: str) -> Topic:
-        """Note that the device `key` subscribes, and not to what was latched: an old command is no command.
+        """Note that the device `key` subscribes, and send it what was latched, but for commands.
 
         Raises:
             WrongType: it is in use with another type.
@@ -91,7 +93,13 @@ class TopicGraph:
         topic = self._open(name, type_name, rank_of(key))
         topic.add_device(key, subscription)
         self._note(key, topic)
+        topic.send_latched(key)
         return topic
+
+    def send_latched(self, key: Hashable) -> None:
+        """Send the device `key` again what was latched of the topics to which it subscribes: it may have restarted."""
+        for topic in list(self._of_key.get(key, {}).values()):
+            topic.send_latched(key)
 
     def unadvertise(self, name: str, key: Hashable) -> None:
         """`key` publishes the topic no more."""
@@ -135,7 +143,7 @@ class TopicGraph:
 
     def _open(self, name: str, type_name: str, rank: int) -> Topic:
         resolved = resolve(name)
-        topic = self._topics.get(resolved) or Topic(resolved, self.deliveries)
+        topic = self._topics.get(resolved) or Topic(resolved, self.deliveries, self.budget)
         type_ = self._catalog.message(type_name) if type_name else None
         plain_name = type_.name if type_ is not None else type_name
         if plain_name and plain_name != topic.type_name:

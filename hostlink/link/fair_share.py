@@ -176,6 +176,7 @@ class TurnReader:
         """Nothing is read any more."""
         self._is_stopped = True
         self._read = self._on_end = _read_nothing  # else it and its owner keep each other until a collection
+        self._source = _NOTHING
 
     def receive(self) -> None:
         """Bytes have come, or the end has."""
@@ -200,6 +201,16 @@ class TurnReader:
         if self._source.unread_bytes and not self._is_stopped:
             self._read()
         self.receive()
+
+
+class _Nothing:
+    """The source of a TurnReader after `stop`."""
+
+    unread_bytes = 0
+    is_ended = True
+
+
+_NOTHING: Source = _Nothing()
 
 
 def _read_nothing() -> None:

@@ -15,10 +15,11 @@ import structlog
 
 from hostlink.cancellation import raise_if_cancelled
 from hostlink.config import LinkConfig
+from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
 from hostlink.link.fair_share import FairShare, Turns
-from hostlink.link.piece_size import PieceSize
+from hostlink.link.piece_size import FIRST_BYTES, PieceSize
 from hostlink.link.trouble import Trouble
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
@@ -31,6 +32,7 @@ log = structlog.get_logger()
 
 LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due
+AGAIN_S = 0.1  # how often it is looked whether what was put off may be done
 
 
 class LinkEnd(Enum):
@@ -73,9 +75,10 @@ class Link:
 
     __slots__ = (
         "__weakref__", "_config", "_context", "_end", "_failure", "_finished", "_from_device", "_idle_limit_s",
-        "_is_behind", "_is_drained", "_is_write_due", "_now_s", "_on_event", "_piece", "_reader", "_regular_limit_s",
-        "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns", "address",
-        "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s", "session",
+        "_is_behind", "_is_drained", "_is_write_due", "_now_s", "_on_event", "_pauses", "_piece", "_reader",
+        "_regular_limit_s", "_rest", "_timer", "_timer_s", "_to_device", "_transport", "_trouble", "_turns", "_wall_ns",
+        "address", "command_latency", "kind", "last_frame", "number", "opened_at_s", "peer", "received_at_s",
+        "session",
     )  # fmt: skip
 
     def __init__(
@@ -88,8 +91,12 @@ class Link:
         on_event: Callable[["Link", Event], None],
         share: FairShare | None = None,
         wall_ns: Callable[[], int] = time.time_ns,
+        pauses: Callable[[float], HostPauses] = never_paused,
     ) -> None:
-        """`share`: of the event loop, with all other links; `wall_ns`: the time that the device is given."""
+        """`share`: of the event loop, with all other links; `wall_ns`: the time that the device is given.
+
+        `pauses`: when the host itself did not run, until the time that it is called with.
+        """
         self.number = number
         self.kind, self.peer = transport.kind, transport.peer
         self.address = transport.address
@@ -102,8 +109,10 @@ class Link:
         self._transport = transport
         self._config = config
         self._on_event, self._wall_ns = on_event, wall_ns
+        self._pauses = pauses
         self._turns = Turns(FairShare() if share is None else share)
-        self._reader = self._turns.reader(transport, self._read_guarded, partial(self._guarded, self._read_end))
+        self._rest = b""  # of a piece that is read in parts
+        self._reader = self._turns.reader(self, self._read_guarded, partial(self._guarded, self._read_end))
         self._piece = PieceSize()
         self._is_drained = asyncio.Event()
         self._is_behind = asyncio.Event()  # nothing more may be written: not yet open, not keeping up, at an end
@@ -236,12 +245,25 @@ class Link:
     def _read(self) -> None:
         """One piece, so that others may have their turn between two."""
         now_s = self.received_at_s = self._now_s()
-        data = self._transport.read(self._piece.size_bytes)
+        data = self._rest or self._transport.read(self._piece.size_bytes)
+        self._rest = b""
+        if self._piece.is_crowded(data):
+            data, self._rest = data[:FIRST_BYTES], data[FIRST_BYTES:]
         self._from_device.add(data, now_s)
         self._dispatch(self.session.receive(data, now_s=now_s), now_s)
         ended_s = self._turns.end(now_s)
         self._piece.update(ended_s - now_s)
         self._trouble.report(self.session, ended_s)
+
+    @property
+    def unread_bytes(self) -> int:
+        """What has come and was not read."""
+        return len(self._rest) + self._transport.unread_bytes
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether nothing more will come."""
+        return self._transport.is_ended
 
     def _read_end(self) -> None:
         self._transport.read(1)  # raises what broke the connection
@@ -288,10 +310,25 @@ class Link:
         self._begin()
         while True:
             await self._is_behind.wait()
-            async with asyncio.timeout(self._config.write_timeout_s):  # a TimeoutError is an OSError: broken
-                await self._transport.drain()
+            await self._drain()
             self._is_behind.clear()
             self._write(self._now_s())
+
+    async def _drain(self) -> None:
+        """Wait for a device that is behind; while the host pauses it is not the device that is slow.
+
+        Raises:
+            OSError: the connection is gone, or the device takes nothing.
+        """
+        began_s = self._now_s()
+        while True:
+            try:
+                async with asyncio.timeout(self._config.write_timeout_s):
+                    return await self._transport.drain()
+            except TimeoutError:  # an OSError: broken
+                if not self._pauses(self._now_s()).was_paused(began_s):
+                    raise
+                began_s = self._now_s()
 
     def _write_due(self) -> None:
         if self._is_write_due:
@@ -306,15 +343,26 @@ class Link:
             outgoing = session.pop_frame(now_s=now_s, wall_ns=self._wall_ns())
             if outgoing is not None:
                 self._send(outgoing, now_s)
-            elif session.deadline_s() <= now_s + SOON_S:
+            elif session.deadline_s() <= now_s + SOON_S and self._is_settled(now_s):
                 for event in session.tick(now_s=now_s + SOON_S):
                     self._on_event(self, event)
             else:
                 break
-        if self._silent_at_s() <= now_s + SOON_S:
+        if self._is_silent(now_s):
             self.end(LinkEnd.IDLE)
         else:
             self._expect(now_s)
+
+    def _is_settled(self, now_s: float) -> bool:
+        """Whether what is due may be done: after a pause of the host what waits is read first, which may change it."""
+        return self._pauses(now_s).is_settled(now_s)
+
+    def _is_silent(self, now_s: float) -> bool:
+        """Whether nothing came for too long while the host ran."""
+        if self._silent_at_s() > now_s + SOON_S or not self._is_settled(now_s) or self.unread_bytes:
+            return False
+        limit_s = self._silent_at_s() - self.received_at_s
+        return self._pauses(now_s).awake_s(self.received_at_s, now_s + SOON_S) >= limit_s
 
     def _send(self, outgoing: OutgoingFrame, now_s: float) -> None:
         if not self._transport.write(outgoing.frame):
@@ -325,12 +373,16 @@ class Link:
 
     def _expect(self, now_s: float) -> None:
         """Call `_write` again when something is due, at the latest."""
-        next_s = self._silent_at_s()
+        next_s, wait_s = self._silent_at_s(), None
         if not self._is_behind.is_set():
             wait_s = self.session.wait_s(now_s)
-            next_s = min(next_s, self.session.deadline_s(), math.inf if wait_s is None else now_s + wait_s)
+            next_s = min(next_s, self.session.deadline_s())
             if wait_s is None:
                 self._is_drained.set()
+        if next_s <= now_s + SOON_S:  # it was due and was put off: what waits is read first
+            next_s = now_s + AGAIN_S
+        if wait_s is not None:
+            next_s = min(next_s, now_s + wait_s)
         if next_s < self._timer_s:
             if self._timer is not None:
                 self._timer.cancel()

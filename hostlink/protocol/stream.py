@@ -4,6 +4,7 @@ from bisect import bisect_left, insort
 from collections import Counter, OrderedDict
 from collections.abc import Iterator, Mapping
 from enum import Enum
+from heapq import heappop, heappush
 from typing import NamedTuple
 
 from hostlink.protocol.frame import HEADER, MAX_PAYLOAD_BYTES, OVERHEAD_BYTES, SYNC, SYNC_WORD, Frame, byte_sum
@@ -46,13 +47,16 @@ class FrameStream:
     | candidate, incomplete           | waits; each candidate inside it is followed too    |
     | candidate, complete and wrong   | no candidate any more: its bytes are read again    |
 
+    `rejected` counts the false starts among the bytes that were skipped. A payload may hold a sync: when the frame
+    around it turns out right, nothing was lost, and the sync is not counted.
+
     What all candidates together claim is bounded by MAX_CLAIMED_BYTES, because one byte can complete all of them. Above
     it, the candidate that ends last is dropped: `too_many`. With a limit of 1024 bytes it is never reached.
     """
 
     __slots__ = (
-        "_base", "_buffer", "_candidates", "_claimed_bytes", "_ends", "_fixed_bytes", "_searched", "limit_bytes",
-        "rejected",
+        "_base", "_buffer", "_candidates", "_claimed_bytes", "_ends", "_false_starts", "_fixed_bytes", "_searched",
+        "limit_bytes", "rejected",
     )  # fmt: skip
 
     def __init__(self, *, limit_bytes: int = DEFAULT_LIMIT_BYTES, fixed_bytes: Mapping[int, int] | None = None) -> None:
@@ -67,6 +71,7 @@ class FrameStream:
         )  # start -> end of what is not decided yet, first at front
         self._ends: list[tuple[int, int]] = []  # (end, start) of the same, sorted: the first to be complete at front
         self._claimed_bytes = 0  # of all candidates together
+        self._false_starts: list[tuple[int, str]] = []  # a heap: (start, Rejection) of what is still in the buffer
         self._searched = 0  # up to here every sync was checked
 
     @property
@@ -112,7 +117,7 @@ class FrameStream:
     def give_up(self) -> Iterator[Frame | Skipped]:
         """Stop waiting for what stands at the head: read again from the byte after it."""
         if self._buffer:
-            self.rejected[Rejection.INCOMPLETE] += 1
+            self._reject(self._base, Rejection.INCOMPLETE)
             end = self._candidates.get(self._base)
             if end is not None:
                 self._remove_candidate(bisect_left(self._ends, (end, self._base)))
@@ -154,9 +159,9 @@ class FrameStream:
             self._searched = base + at + 1
             _, size, check, _ = HEADER.unpack_from(buffer, at)
             if (size + (size >> 8) + check) & 0xFF != _SUM_IS_RIGHT:
-                self.rejected[Rejection.LENGTH_CHECKSUM] += 1
+                self._reject(base + at, Rejection.LENGTH_CHECKSUM)
             elif size > self.limit_bytes:
-                self.rejected[Rejection.TOO_LONG] += 1
+                self._reject(base + at, Rejection.TOO_LONG)
             else:
                 self._add_candidate(base + at, base + at + size + OVERHEAD_BYTES)
 
@@ -165,8 +170,8 @@ class FrameStream:
         insort(self._ends, (end, start))
         self._claimed_bytes += end - start
         while self._claimed_bytes > MAX_CLAIMED_BYTES:
-            self._remove_candidate(-1)
-            self.rejected[Rejection.TOO_MANY] += 1
+            _, dropped = self._remove_candidate(-1)
+            self._reject(dropped, Rejection.TOO_MANY)
 
     def _remove_candidate(self, index: int) -> tuple[int, int]:
         """End and start of the candidate that stood at `index` of the ends."""
@@ -181,18 +186,25 @@ class FrameStream:
         self._claimed_bytes = 0
 
     def _is_right(self, start: int, end: int) -> bool:
-        """Judge a complete candidate, counted if it is wrong."""
+        """Judge a complete candidate; one that is wrong is a false start."""
         topic_id = self._buffer[start + 5] | self._buffer[start + 6] << 8
         size = end - start - OVERHEAD_BYTES
         if byte_sum(self._buffer[start + 5 : end]) & 0xFF != _SUM_IS_RIGHT:
-            self.rejected[Rejection.CHECKSUM] += 1
+            self._reject(self._base + start, Rejection.CHECKSUM)
         elif self._fixed_bytes.get(topic_id, size) != size:
-            self.rejected[Rejection.WRONG_SIZE] += 1
+            self._reject(self._base + start, Rejection.WRONG_SIZE)
         else:
             return True
         return False
 
+    def _reject(self, start: int, cause: Rejection) -> None:
+        """Note a false start, which counts when it is skipped and not when it is inside a frame."""
+        heappush(self._false_starts, (start, cause.value))
+
     def _skip(self, until: int) -> Skipped:
+        false_starts = self._false_starts
+        while false_starts and false_starts[0][0] < until:
+            self.rejected[Rejection(heappop(false_starts)[1])] += 1
         size = until - self._base
         skipped = Skipped(bytes(self._buffer[:size]))
         del self._buffer[:size]
@@ -206,3 +218,5 @@ class FrameStream:
         self._searched = self._base
         if self._ends:
             self._forget_candidates()
+        if self._false_starts:  # they were all looked for inside the frame: none is behind its end
+            self._false_starts.clear()

@@ -1,25 +1,37 @@
 """BlackBox: the last minutes of every robot, in memory; saved with the half minute after when something happens."""
 
 import asyncio
+import contextlib
 import functools
+import hashlib
 import itertools
-import re
+import os
+import signal
+import subprocess
+import sys
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
+from time import monotonic
 
 import structlog
 
+from hostlink import remains
+from hostlink.detached import DetachedThread
 from hostlink.errors import RecordingBusy
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.channel import Channel, note_newest
+from hostlink.recording.drive_file import LastCommand
 from hostlink.recording.folder import MEGABYTE, Folder
 from hostlink.recording.incident import Incident, IncidentRules
+from hostlink.recording.incident_writer import OutOfTime, write_incident
 from hostlink.recording.recorder import Recorder, Selection
-from hostlink.recording.ring import Entry, Rings
+from hostlink.recording.ring import Rings
+from hostlink.recording.ring_memory import RingMemory
+from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
+from hostlink.recording.salvage import MAX_CHANNELS as MAX_FACT_CHANNELS
 
 log = structlog.get_logger()
 
@@ -27,21 +39,17 @@ MAX_PENDING = 256  # incidents whose half minute after is not over: something ha
 MAX_REQUESTED = 8  # among them, that somebody requested
 MAX_CHANNELS = 1024  # of one robot, that are in its incidents without a message; the newest
 MAX_DETAIL = 400  # characters
-BURST = 64  # messages, which take about half a millisecond
 REST_S = 0.001
-
-
-def rest_a_moment() -> None:
-    """In a thread that writes: the loop has the interpreter for itself."""
-    time.sleep(REST_S)
-
-
-def _go_on() -> None:
-    """The daemon ends: nobody needs the loop."""
+END_S = 0.6  # for what is pending when the daemon ends; another process writes the rest
+LONGEST_END_S = 5.0  # where nothing survives this process
+_ROOT = Path(__file__).resolve().parents[2]
 
 
 class BlackBox:
-    """A sink for everything, and an observer of what happens."""
+    """A sink for everything, and an observer of what happens.
+
+    What it keeps survives the process, if there is a tmpfs: salvage.py writes what a daemon that was killed could not.
+    """
 
     def __init__(self, hub: Hub, folder: Path) -> None:
         """`folder`: of the recordings; incidents have one in it."""
@@ -53,27 +61,57 @@ class BlackBox:
         )
         self.saved = self.missed = 0  # incidents
         self.pending: deque[Incident] = deque()
-        self.rings = Rings(keep_s=config.before_s + config.after_s, max_bytes=int(config.max_memory_mb * MEGABYTE))
+        self._purpose = hashlib.blake2s(str(self.folder.path.absolute()).encode(), digest_size=6).hexdigest()
+        max_bytes = int(config.max_memory_mb * MEGABYTE)
+        self._memory = RingMemory(max_bytes, purpose=self._purpose if config.enabled else None)
+        self.rings = Rings(self._memory, keep_s=config.before_s + config.after_s)
+        self._add = self.rings.add
         self._hub, self._config = hub, config
         self._rules = IncidentRules()
         self._channels: defaultdict[str, dict[Channel, None]] = defaultdict(dict)  # by robot
-        self._writer = ThreadPoolExecutor(1, "incident")  # one at a time: the loop shares the interpreter with it
+        self._unsaved: dict[Incident, str] = {}  # names of facts in the memory
+        self._numbers = itertools.count()
+        self._turn = asyncio.Lock()  # one file at a time: the loop shares the interpreter with the thread
+        self._thread = DetachedThread("incident")
+        self._ends_at_s: float | None = None  # monotonic; then nothing more is written here
         self._recorder = Recorder(hub, self, Selection(has_derived=False, has_remote=False))
         self._observer = hub.join_daemon()
 
-    def start(self) -> None:
-        """Keep everything from now on."""
+    def start(self, on_last_commands: Callable[[list[LastCommand]], None] = lambda _: None) -> None:
+        """Keep everything from now on. Save what an earlier process has left; `on_last_commands`: who drove in it."""
         if self._config.enabled:
+            disk = (self.folder.max_disk_mb, self.folder.min_free_disk_mb)
+            self._memory.put_fact(ABOUT, About(str(self.folder.path.absolute()), *disk, self._config.before_s))
+            if self._memory.folder is None:
+                log.warning("black_box.volatile", reason=f"no room on {remains.PLACE}")
             self._recorder.start()
             self._observer.observe(self._receive)
+        self._hub.spawn(self._salvage(on_last_commands), name="incidents of an earlier process")
 
     async def aclose(self) -> None:
-        """Keep nothing more; what is pending is saved without the rest of its half minute."""
+        """Keep nothing more; what is pending is saved without the rest of its half minute.
+
+        What END_S is too short for is left to another process: it is in the memory that survives.
+        """
         self._recorder.stop()
         self._observer.leave()
-        for incident in list(self.pending):
-            await self._save(incident, rest=_go_on)
-        await asyncio.to_thread(self._writer.shutdown)
+        end_s = LONGEST_END_S if self._memory.folder is None else END_S
+        self._ends_at_s = monotonic() + end_s
+        self._memory.put_fact(CLOSED, "in order")
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(end_s):
+                for incident in list(self.pending):
+                    await self._save(incident)
+                async with self._turn:  # one may be being written
+                    pass
+        if self._unsaved and self._memory.folder is not None:
+            log.warning("incident.postponed", count=len(self._unsaved))
+            self._memory.release()
+            _start_salvage()
+            return
+        for incident in self._unsaved:
+            self._note_lost(incident, f"not written within {end_s:g} s")
+        self._memory.remove()
 
     def announce(self, channel: Channel) -> None:
         """The channels of a robot are in each of its incidents."""
@@ -81,7 +119,7 @@ class BlackBox:
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str) -> None:
         """Keep a message."""
-        self.rings.add(robot, channel, stamp_ns, payload, time.monotonic())
+        self._add(robot, channel, stamp_ns, payload, monotonic())
 
     def save(self, robot: str, reason: str) -> Incident:
         """Save a robot's last minutes because somebody requests it.
@@ -93,7 +131,7 @@ class BlackBox:
         found = self._hub.robots.find_here(robot.strip("/"))
         if not self._config.enabled:
             raise RecordingBusy("the black box is off: set enabled = true in [black_box]")
-        incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), time.monotonic())
+        incident = Incident(found.name, "requested", reason[:MAX_DETAIL], time.time_ns(), monotonic())
         requested = sum(each.cause == "requested" for each in self.pending)
         if requested >= MAX_REQUESTED or not self._begin(incident):
             raise RecordingBusy(
@@ -111,7 +149,7 @@ class BlackBox:
 
     def _forget(self, robot: str) -> None:
         """What is kept of a robot that is no more, unless an incident of it is pending."""
-        if all(each.robot != robot for each in self.pending) and not self._hub.robots.has(robot):
+        if all(each.robot != robot for each in self._unsaved) and not self._hub.robots.has(robot):
             self.rings.forget(robot)
             self._channels.pop(robot, None)
 
@@ -119,6 +157,9 @@ class BlackBox:
         if len(self.pending) >= MAX_PENDING:
             return False
         self.pending.append(incident)
+        name = self._unsaved[incident] = pending_name(next(self._numbers))
+        channels = itertools.islice(reversed(self._channels.get(incident.robot, {})), MAX_FACT_CHANNELS)
+        self._memory.put_fact(name, Pending(incident, list(channels)))
         log.warning("incident.begun", robot=incident.robot, cause=incident.cause, detail=incident.detail[:MAX_DETAIL])
         self._hub.spawn(self._save_later(incident), name=f"incident of {incident.robot}")
         return True
@@ -127,74 +168,86 @@ class BlackBox:
         await asyncio.sleep(self._config.after_s)
         await self._save(incident)
 
-    async def _save(self, incident: Incident, *, rest: Callable[[], None] = rest_a_moment) -> None:
-        if incident not in self.pending:
-            return
-        self.pending.remove(incident)
-        entries = self.rings.copies(incident.robot)
-        channels = list(self._channels.get(incident.robot, ()))
+    async def _save(self, incident: Incident) -> None:
+        async with self._turn:
+            if incident not in self.pending:
+                return
+            self.pending.remove(incident)
+            entries = self.rings.copies(incident.robot)
+            channels = list(self._channels.get(incident.robot, ()))
+            write = functools.partial(
+                write_incident,
+                self.folder,
+                incident,
+                channels,
+                entries,
+                before_s=self._config.before_s,
+                rest=self._rest,
+            )
+            try:
+                path = await self._thread.run(write)
+            except OutOfTime:
+                return
+            except OSError as error:
+                self._note_lost(incident, error.strerror or str(error))
+            else:
+                self.saved += 1
+                log.warning("incident.saved", robot=incident.robot, cause=incident.cause, file=str(path))
+        self._memory.drop_fact(self._unsaved.pop(incident))
         self._forget(incident.robot)
-        write = functools.partial(
-            write_incident, self.folder, incident, channels, entries, before_s=self._config.before_s, rest=rest
-        )
-        try:
-            path = await asyncio.get_running_loop().run_in_executor(self._writer, write)
-        except OSError as error:
-            self.missed += 1
-            reason = error.strerror or str(error)
-            log.warning("incident.lost", robot=incident.robot, cause=incident.cause, reason=reason)
-        else:
-            self.saved += 1
-            log.warning("incident.saved", robot=incident.robot, cause=incident.cause, file=str(path))
+
+    def _note_lost(self, incident: Incident, reason: str) -> None:
+        self.missed += 1
+        log.warning("incident.lost", robot=incident.robot, cause=incident.cause, reason=reason)
+
+    def _rest(self) -> None:
+        """In a thread that writes: the loop has the interpreter for itself, until the daemon ends.
+
+        Raises:
+            OutOfTime: it has ended, and does not wait any more.
+        """
+        if self._ends_at_s is None:
+            time.sleep(REST_S)
+        elif monotonic() > self._ends_at_s:
+            raise OutOfTime
+
+    async def _salvage(self, on_last_commands: Callable[[list[LastCommand]], None]) -> None:
+        """Save what earlier processes with the same folder have left."""
+        for path in remains.of_purpose(self._purpose):
+            if Path(path) == self._memory.folder:
+                continue
+            async with self._turn:
+                try:
+                    found = await self._thread.run(functools.partial(salvage, Path(path), rest=self._rest))
+                except OutOfTime:
+                    return
+                except OSError as error:
+                    log.warning("incident.postponed", reason=error.strerror or str(error))
+                    continue
+            if found is None:
+                continue
+            on_last_commands(found.commands)
+            for incident, file in found.saved:
+                self.saved += 1
+                log.warning("incident.saved", robot=incident.robot, cause=incident.cause, file=str(file))
+            for incident, reason in found.lost:
+                self._note_lost(incident, reason)
+        async with self._turn:
+            await self._thread.run(clear_old)
 
 
-def write_incident(
-    folder: Folder,
-    incident: Incident,
-    channels: list[Channel],
-    entries: Iterable[Iterable[Entry]],
-    *,
-    before_s: float,
-    rest: Callable[[], None],
-) -> Path:
-    """Write an incident's file, by time; returns where. It waits for the disk.
-
-    `rest` is called after every BURST messages: the loop would be half as fast without the interpreter for itself.
-
-    Raises:
-        OSError: of the disk.
-    """
-    from hostlink.recording.mcap_writer import McapWriter  # noqa: PLC0415 - most daemons never save one
-
-    folder.make_room(())
-    stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(incident.stamp_ns // 1_000_000_000))
-    name = re.sub(r"[^A-Za-z0-9_+-]", "-", f"{stamp}_{incident.robot}_{incident.cause}")[:90]
-    number = 0
-    while folder.file(name, number).exists():
-        number += 1
-    path = folder.file(name, number)
-    metadata = {
-        "robot": incident.robot,
-        "cause": incident.cause,
-        "detail": incident.detail,
-        "stamp_ns": str(incident.stamp_ns),
-    }
-    first_s = incident.at_s - before_s
-    beside = path.with_suffix(".part")
-    beside.unlink(missing_ok=True)
-    writer = McapWriter(beside, metadata=metadata)
+def _start_salvage() -> None:
+    """A process that outlives this one, and is not ended by the signal that ended it."""
+    before = signal.pthread_sigmask(signal.SIG_SETMASK, signal.valid_signals())
     try:
-        for channel in channels:
-            writer.announce(channel)
-        wanted = (entry for entry in itertools.chain(*entries) if entry.at_s >= first_s)
-        for number, entry in enumerate(sorted(wanted, key=lambda entry: entry.stamp_ns)):
-            writer.write(*entry[:3])
-            if number % BURST == BURST - 1:
-                rest()
-        writer.close()
-    except BaseException:
-        writer.abandon()
-        beside.unlink(missing_ok=True)
-        raise
-    beside.rename(path)
-    return path
+        subprocess.Popen(  # noqa: S603 - every argument is our own
+            [sys.executable, "-c", remains.SALVAGE, str(_ROOT), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as error:  # the next start does it
+        log.warning("incident.postponed", reason=error.strerror or str(error))
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -2,9 +2,13 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from hostlink.recording.channel import NS_PER_S, Channel
-from hostlink.recording.reader import Reader
+from hostlink.recording.source import open_source
+
+CLOCK_STEP_NS = NS_PER_S  # a smaller one is how long a message waited, or the clock being adjusted
+MAX_STEPS = 10  # that are told
 
 
 @dataclass(slots=True)
@@ -14,7 +18,7 @@ class TopicContents:
     channel: Channel
     messages: int = 0
     payload_bytes: int = 0
-    first_ns: int = 0
+    first_ns: int = 0  # steady time, as last_ns
     last_ns: int = 0
 
     @property
@@ -24,15 +28,24 @@ class TopicContents:
         return (self.messages - 1) / seconds if seconds > 0 else None
 
 
+class ClockStep(NamedTuple):
+    """The clock on the wall was set: when, and by how much."""
+
+    at_s: float  # after the beginning of the recording
+    step_s: float
+
+
 @dataclass(slots=True)
 class Contents:
-    """A file."""
+    """A recording."""
 
     path: Path
     size_bytes: int
     metadata: dict[str, str]
     damage: list[str]
     topics: list[TopicContents] = field(default_factory=list)
+    begin_ns: int = 0  # wall time of the first message; 0: there is none
+    clock_steps: list[ClockStep] = field(default_factory=list)  # the first MAX_STEPS
 
     @property
     def messages(self) -> int:
@@ -40,33 +53,40 @@ class Contents:
         return sum(topic.messages for topic in self.topics)
 
     @property
-    def first_ns(self) -> int:
-        """The earliest message; 0: there is none."""
-        return min((topic.first_ns for topic in self.topics if topic.messages), default=0)
-
-    @property
     def seconds(self) -> float:
-        """From the earliest message to the latest."""
-        last_ns = max((topic.last_ns for topic in self.topics if topic.messages), default=0)
-        return (last_ns - self.first_ns) / NS_PER_S
+        """From the earliest message to the latest, by a clock that is never set."""
+        met = [topic for topic in self.topics if topic.messages]
+        last_ns = max((topic.last_ns for topic in met), default=0)
+        return (last_ns - min((topic.first_ns for topic in met), default=0)) / NS_PER_S
 
 
 def contents_of(path: Path) -> Contents:
     """Look through a file.
 
     Raises:
-        RecordingFailed: it cannot be read, or is no recording.
+        RecordingFailed: it cannot be read, or is not a recording.
     """
-    reader = Reader(path)
+    source = open_source(path)
+    found = Contents(path, 0, {}, [])
     topics: dict[Channel, TopicContents] = {}
-    for channel, stamp_ns, payload in reader.messages():
-        found = topics.get(channel)
-        if found is None:
-            found = topics[channel] = TopicContents(channel, first_ns=stamp_ns, last_ns=stamp_ns)
-        found.messages += 1
-        found.payload_bytes += len(payload)
-        found.first_ns, found.last_ns = min(found.first_ns, stamp_ns), max(found.last_ns, stamp_ns)
-    for channel in reader.channels:
+    ahead_ns: int | None = None  # of the steady times, the clock on the wall
+    for message in source.messages():
+        topic = topics.get(message.channel)
+        if topic is None:
+            topic = topics[message.channel] = TopicContents(message.channel)
+            topic.first_ns = topic.last_ns = message.steady_ns
+        topic.messages += 1
+        topic.payload_bytes += len(message.payload)
+        topic.first_ns, topic.last_ns = min(topic.first_ns, message.steady_ns), max(topic.last_ns, message.steady_ns)
+        if ahead_ns is None:
+            found.begin_ns, ahead_ns = message.stamp_ns, message.stamp_ns - message.steady_ns
+        step_ns = message.stamp_ns - message.steady_ns - ahead_ns
+        ahead_ns += step_ns
+        if abs(step_ns) > CLOCK_STEP_NS and len(found.clock_steps) < MAX_STEPS:
+            at_s = (message.steady_ns - source.begin_ns) / NS_PER_S
+            found.clock_steps.append(ClockStep(at_s, step_ns / NS_PER_S))
+    for channel in source.channels:
         topics.setdefault(channel, TopicContents(channel))
-    listed = sorted(topics.values(), key=lambda topic: topic.channel.topic)
-    return Contents(path, path.stat().st_size, reader.metadata, reader.damage, listed)
+    found.topics = sorted(topics.values(), key=lambda topic: topic.channel.topic)
+    found.size_bytes, found.metadata, found.damage = source.size_bytes, source.metadata, source.damage
+    return found

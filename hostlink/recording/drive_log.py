@@ -1,25 +1,23 @@
 """DriveLog: who drove when, of the last drives in memory and of many more in a file that the next start reads."""
 
 import asyncio
-import os
+import contextlib
 import time
 from collections import deque
 from itertools import islice
 from pathlib import Path
 
-import msgspec
 import structlog
 
+from hostlink.detached import DetachedThread
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import RobotEvent
+from hostlink.recording.drive_file import MAX_RECENT, NAME, LastCommand, append_drives, corrected, read_drives
 from hostlink.recording.drives import PAUSE_NS, Drive, Drives
 
 log = structlog.get_logger()
 
-MAX_RECENT = 1000
-MAX_FILE_BYTES = 1_000_000  # about 4,000 drives; there is one such file more, the one before
-NAME = "drives.jsonl"
-NAME_BEFORE = "drives.before.jsonl"
+END_S = 1.0  # for the lines of the last drives
 
 
 class DriveLog:
@@ -33,19 +31,35 @@ class DriveLog:
         self._recent: deque[Drive] = deque(maxlen=MAX_RECENT)
         self._observer = hub.join_daemon()
         self._is_open = asyncio.Event()  # a drive is under way, or was a moment ago
+        self._has_begun = asyncio.Event()
+        self._turn = asyncio.Lock()  # at the file
+        self._thread = DetachedThread("drives")
+        self._is_failing = False
 
     async def start(self) -> None:
         """Note every drive from now on, after those that the file has."""
         if self._is_kept:
             self._recent.extend(await asyncio.to_thread(read_drives, self._folder))
         self._observer.observe(self._receive)
+        self._hub.spawn(self._begin(), name="drives that begin")
         self._hub.spawn(self._finish(), name="drives")
+
+    def correct(self, commands: list[LastCommand]) -> None:
+        """When the drives ended that an earlier daemon did not end; the file has it already."""
+        for drive in self._recent:
+            corrected(drive, commands)
 
     async def aclose(self) -> None:
         """The daemon ends: no drive goes on."""
         self._observer.leave()
         for drive in self._drives.under_way():
             drive.end = drive.end or "hostlink stopped"
+        with contextlib.suppress(TimeoutError):  # a dead disk
+            async with asyncio.timeout(END_S):
+                await self._write_last()
+
+    async def _write_last(self) -> None:
+        await self._write(self._drives.pop_begun())
         await self._keep(self._drives.pop_finished(time.time_ns() + 2 * PAUSE_NS))
 
     def newest_first(self, *, robot: str | None = None, limit: int | None = None) -> list[Drive]:
@@ -55,8 +69,17 @@ class DriveLog:
 
     def _receive(self, event: RobotEvent) -> None:
         self._drives.observe(event)
-        if self._drives:
+        if self._drives and not self._is_open.is_set():
             self._is_open.set()
+        if self._drives.has_begun:
+            self._has_begun.set()
+
+    async def _begin(self) -> None:
+        """A daemon that is killed leaves the line of a drive without an end."""
+        while True:
+            await self._has_begun.wait()
+            self._has_begun.clear()
+            await self._write(self._drives.pop_begun())
 
     async def _finish(self) -> None:
         while True:
@@ -68,46 +91,16 @@ class DriveLog:
 
     async def _keep(self, drives: list[Drive]) -> None:
         self._recent.extend(drives)
+        await self._write(drives)
+
+    async def _write(self, drives: list[Drive]) -> None:
         if not (drives and self._is_kept):
             return
         try:
-            await asyncio.to_thread(append_drives, self._folder, drives)
+            async with self._turn:
+                await self._thread.run(lambda: append_drives(self._folder, drives))
         except OSError as error:
-            if not self.lost:
+            if not self._is_failing:
                 log.warning("drives.lost", file=str(self._folder / NAME), reason=error.strerror or str(error))
-            self.lost += len(drives)
-
-
-def append_drives(folder: Path, drives: list[Drive]) -> None:
-    """Write them, a line each; over MAX_FILE_BYTES another file is begun. It waits for the disk.
-
-    Raises:
-        OSError: of the disk.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / NAME
-    if file.exists() and file.stat().st_size > MAX_FILE_BYTES:
-        file.replace(folder / NAME_BEFORE)
-    with file.open("ab+") as stream:
-        stream.seek(-min(1, stream.tell()), os.SEEK_END)
-        is_cut = stream.read() not in (b"", b"\n")  # by a full disk, or the end of the power: the next one is whole
-        stream.write(b"\n" * is_cut + b"".join(msgspec.json.encode(drive) + b"\n" for drive in drives))
-
-
-def read_drives(folder: Path) -> list[Drive]:
-    """The last MAX_RECENT of the files, oldest first; lines that are damaged or cut are left out."""
-    found: deque[Drive] = deque(maxlen=MAX_RECENT)
-    for name in (NAME_BEFORE, NAME):
-        try:
-            lines = (folder / name).read_bytes()[-2 * MAX_FILE_BYTES :].splitlines()
-        except OSError:  # there is none yet
-            continue
-        found.extend(drive for drive in map(_read, lines) if drive is not None)
-    return list(found)
-
-
-def _read(line: bytes) -> Drive | None:
-    try:
-        return msgspec.json.decode(line, type=Drive)
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        return None
+            self._is_failing = True
+            self.lost += sum(bool(drive.end) for drive in drives)  # of the others a later line has all

@@ -13,7 +13,7 @@ MAX_OPEN = 1024  # drives that are not over
 
 
 class Drive(msgspec.Struct, kw_only=True):
-    """One drive; wall times. `end` is why it is over, empty while it is not."""
+    """One drive; wall times, and how long it took by a clock that is never set. `end` is empty while it lasts."""
 
     robot: str
     owner: str
@@ -21,6 +21,7 @@ class Drive(msgspec.Struct, kw_only=True):
     priority: int
     began_ns: int
     ended_ns: int  # so far
+    seconds: float | None = None  # so far; None: of a file that older releases wrote
     commands: int = 0
     fastest_m_s: float = 0.0
     fastest_rad_s: float = 0.0
@@ -37,6 +38,8 @@ class Drives:
 
     def __init__(self) -> None:
         self._open: dict[_Key, Drive] = {}  # oldest first
+        self._began_s: dict[_Key, float] = {}  # loop time
+        self._begun: list[Drive] = []
 
     def __len__(self) -> int:
         return len(self._open)
@@ -53,6 +56,16 @@ class Drives:
         elif event.kind is EventKind.GONE:
             self._end(self._of(event.robot), event, "its device was gone")
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether `pop_begun` has any."""
+        return bool(self._begun)
+
+    def pop_begun(self) -> list[Drive]:
+        """Those that have begun since the last call."""
+        begun, self._begun = self._begun, []
+        return begun
+
     def under_way(self) -> list[Drive]:
         """Oldest first; those that paused are not over yet."""
         return list(self._open.values())
@@ -65,6 +78,8 @@ class Drives:
             for number, (key, drive) in enumerate(self._open.items())
             if number < surplus or (drive.end and not 0 <= now_ns - drive.ended_ns < PAUSE_NS)
         ]
+        for key in finished:
+            self._began_s.pop(key, None)
         return [self._open.pop(key) for key in finished]
 
     def _of(self, robot: str) -> Iterator[Drive]:
@@ -83,8 +98,11 @@ class Drives:
             drive = Drive(
                 robot=event.robot, owner=owner, priority=priority, began_ns=event.stamp_ns, ended_ns=event.stamp_ns
             )
-            self._open[key] = drive
-        drive.end, drive.ended_ns = "", event.stamp_ns
+            self._open[key], self._began_s[key] = drive, event.at_s
+            self._begun.append(drive)
+            del self._begun[:-MAX_OPEN]  # nobody asks for them
+        drive.end = ""
+        self._lasts_until(drive, event)
         drive.address = str(event.facts["address"])
         drive.commands += 1
         drive.fastest_m_s = max(drive.fastest_m_s, velocity.linear_m_s)
@@ -96,4 +114,9 @@ class Drives:
     def _end(self, drives: Iterator[Drive] | list[Drive], event: RobotEvent, reason: str) -> None:
         for drive in drives:
             if not drive.end:
-                drive.end, drive.ended_ns = reason, event.stamp_ns
+                drive.end = reason
+                self._lasts_until(drive, event)
+
+    def _lasts_until(self, drive: Drive, event: RobotEvent) -> None:
+        drive.ended_ns = event.stamp_ns
+        drive.seconds = event.at_s - self._began_s[_Key(drive.robot, drive.owner)]

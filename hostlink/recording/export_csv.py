@@ -4,13 +4,15 @@ import csv
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from hostlink.errors import BadPayload
 from hostlink.recording.channel import NS_PER_S, Channel
-from hostlink.recording.reader import Reader
-from hostlink.recording.tables import Decoders, flat
+from hostlink.recording.export import Exported, check_done, chosen_channels, new_output
+from hostlink.recording.source import Source, open_source
+from hostlink.recording.tables import decoder_of, flat
 
 MAX_ARRAY = 64  # elements of an array that have columns of their own; more are one column, as JSON
 MAX_COLUMNS = 10_000  # of a file; JSON may have other fields in each message
@@ -21,33 +23,42 @@ _TIME = "time_s"  # since the epoch, when the message arrived
 _Key = tuple[str, str]  # a topic may change its type
 
 
-def export_csv(reader: Reader, folder: Path) -> dict[str, int]:
-    """Write the tables into a new folder; returns how many lines each file has.
+def export_csv(
+    source: Source, folder: Path, *, topics: Iterable[str] = (), skips_unknown: bool = False
+) -> tuple[Exported, dict[str, int]]:
+    """Write the tables into a new folder; returns what became of the messages, and how many lines each file has.
 
-    A topic has the columns of all its messages: the recording is read twice. What cannot be decoded is left out.
+    A topic has the columns of all its messages: the recording is read twice. A failure leaves no folder.
+    `topics`: names or patterns, none: all; `skips_unknown`: topics that cannot be converted are left out.
 
     Raises:
-        OSError: of the folder.
-        RecordingFailed: the recording cannot be read.
+        OSError: of the folder, or it is there already.
+        RecordingFailed: the recording cannot be read, or has nothing to export.
+        UnknownFormat: it has topics that cannot be converted; nothing was written.
     """
-    folder.mkdir()
-    columns = _columns(Reader(reader.path))
+    done = Exported()
+    channels = chosen_channels(source.path, topics, done, skips_unknown=skips_unknown)
     files: dict[_Key, _File] = {}
     opened: dict[_Key, _File] = {}  # the one that was written to last is the last
     names = _Names()
-    try:
-        for channel, stamp_ns, cells in _decoded(reader):
-            key = _key(channel)
-            if key not in files:
-                files[key] = _File(folder / f"{names.free(file_name(channel.topic))}.csv", columns[key])
-            opened[key] = opened.pop(key, files[key])
-            if len(opened) > MAX_OPEN_FILES:
-                opened.pop(next(iter(opened))).close()
-            files[key].add(stamp_ns, cells)
-    finally:
-        for file in opened.values():
-            file.close()
-    return {file.path.name: file.lines for file in files.values()}
+    columns = _columns(open_source(source.path), channels)
+    with new_output(folder):
+        folder.mkdir()
+        try:
+            for channel, stamp_ns, cells in _decoded(source, channels, done):
+                key = _key(channel)
+                if key not in files:
+                    files[key] = _File(folder / f"{names.free(file_name(channel.topic))}.csv", columns[key])
+                opened[key] = opened.pop(key, files[key])
+                if len(opened) > MAX_OPEN_FILES:
+                    opened.pop(next(iter(opened))).close()
+                files[key].add(stamp_ns, cells)
+                done.messages += 1
+        finally:
+            for file in opened.values():
+                file.close()
+        check_done(source, done)
+    return done, {file.path.name: file.lines for file in files.values()}
 
 
 def file_name(topic: str) -> str:
@@ -71,21 +82,26 @@ class _Names:
         return free
 
 
-def _columns(reader: Reader) -> dict[_Key, list[str]]:
+def _columns(source: Source, channels: set[Channel]) -> dict[_Key, list[str]]:
     found: dict[_Key, dict[str, None]] = {}
-    for channel, _, cells in _decoded(reader):
+    for channel, _, cells in _decoded(source, channels, Exported()):
         of_topic = found.setdefault(_key(channel), {})
         if len(of_topic) < MAX_COLUMNS:
             of_topic.update(dict.fromkeys(cells))
     return {key: list(of_topic) for key, of_topic in found.items()}
 
 
-def _decoded(reader: Reader) -> Iterator[tuple[Channel, int, dict[str, object]]]:
-    decoders = Decoders()
-    for message in reader.messages():
-        fields = decoders.decode(message)
-        if fields is not None:
-            yield message.channel, message.stamp_ns, dict(_cells(fields))
+def _decoded(
+    source: Source, channels: set[Channel], done: Exported
+) -> Iterator[tuple[Channel, int, dict[str, object]]]:
+    decoders = {channel: decoder_of(channel) for channel in channels}
+    for message in source.messages(lambda channel: channel in channels):
+        try:
+            fields = decoders[message.channel](message.payload)
+        except BadPayload as error:
+            done.leave_out(message.channel.topic, error)
+            continue
+        yield message.channel, message.stamp_ns, dict(_cells(fields))
 
 
 def _key(channel: Channel) -> _Key:

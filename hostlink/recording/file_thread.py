@@ -37,6 +37,7 @@ class _Waiting(NamedTuple):
     channel: Channel
     stamp_ns: int
     payload: bytes | None  # None: the channel is announced
+    steady_ns: int
 
 
 class FileThread:
@@ -63,6 +64,7 @@ class FileThread:
             OSError: the first file cannot be made.
         """
         self.messages = self.written_bytes = 0
+        self._monotonic_to_steady_ns = time.time_ns() - time.monotonic_ns()  # the same in every file of the recording
         self._announcements = 0
         self._not_put = self._not_written = 0  # messages; each is counted by one thread
         self.has_no_room = False  # for a channel: its messages are dropped until the next file
@@ -93,7 +95,7 @@ class FileThread:
         """Every file has this channel from now on, also without a message, as long as it is among the newest."""
         self._announcements += 1
         if self._announcements <= MAX_ANNOUNCEMENTS:
-            self._waiting.append(_Waiting(channel, 0, None))
+            self._waiting.append(_Waiting(channel, 0, None, 0))
 
     def put(self, channel: Channel, stamp_ns: int, payload: bytes, robot: str = "") -> None:  # noqa: ARG002 - of a Sink
         """Write it soon; dropped and counted while too much waits, or after the end."""
@@ -103,7 +105,7 @@ class FileThread:
             self._not_put += 1
             return
         self._put_bytes += size_bytes
-        self._waiting.append(_Waiting(channel, stamp_ns, payload))
+        self._waiting.append(_Waiting(channel, stamp_ns, payload, time.monotonic_ns() + self._monotonic_to_steady_ns))
 
     async def aclose(self) -> None:
         """Write what waits and complete the file; a disk that takes nothing for CLOSE_TIMEOUT_S is left to itself."""
@@ -150,12 +152,12 @@ class FileThread:
     def _write_waiting(self) -> None:
         while self._waiting:
             for _ in range(min(BURST, len(self._waiting))):
-                channel, stamp_ns, payload = self._waiting.popleft()
+                channel, stamp_ns, payload, steady_ns = self._waiting.popleft()
                 if payload is None:
                     self._expect(channel)
                 else:
                     self._taken_bytes += len(payload) + MESSAGE_BYTES
-                    is_written = self._write(channel, stamp_ns, payload)
+                    is_written = self._write(channel, stamp_ns, payload, steady_ns)
                     self.messages += is_written
                     self._not_written += not is_written
             self._keep_time()
@@ -165,15 +167,15 @@ class FileThread:
         note_newest(self._announced, channel, MAX_EXPECTED)
         self._writer.announce(channel)
 
-    def _write(self, channel: Channel, stamp_ns: int, payload: bytes) -> bool:
+    def _write(self, channel: Channel, stamp_ns: int, payload: bytes, steady_ns: int) -> bool:
         """False: the file has no room for one more channel, and is too new to be ended."""
-        if self._writer.write(channel, stamp_ns, payload):
+        if self._writer.write(channel, stamp_ns, payload, steady_ns):
             return True
         if time.monotonic() < self._begun_s + FULL_FILE_S:
             self.has_no_room = True
             return False
         self._begin_next()
-        return self._writer.write(channel, stamp_ns, payload)
+        return self._writer.write(channel, stamp_ns, payload, steady_ns)
 
     def _begin_next(self) -> None:
         self._writer.close()

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 
 from hostlink.errors import BadRequest
@@ -38,12 +39,22 @@ def check_name(name: str) -> str:
     return name.removesuffix(SUFFIX)
 
 
+@dataclass(frozen=True, slots=True)
+class DiskUsage:
+    """What the files of a folder take, and what its disk has left."""
+
+    used_bytes: int
+    budget_bytes: int
+    free_bytes: int
+    min_free_bytes: int
+
+
 class Folder:
     """Its files; every method raises the OSError of the disk."""
 
     def __init__(self, path: Path, *, max_disk_mb: float, min_free_disk_mb: float) -> None:
         self.path = path
-        self._max_disk_mb, self._min_free_disk_mb = max_disk_mb, min_free_disk_mb
+        self.max_disk_mb, self.min_free_disk_mb = max_disk_mb, min_free_disk_mb
 
     def file(self, name: str, number: int) -> Path:
         """Of a recording, its file of that number from 0."""
@@ -69,6 +80,16 @@ class Folder:
         path = self.path / f"{name.removesuffix(SUFFIX)}{SUFFIX}"
         return path if path.is_file() else None
 
+    def usage(self) -> DiskUsage:
+        """Of the folder, or of where it would be made."""
+        there = next(path for path in (self.path, *self.path.parents) if path.exists())
+        return DiskUsage(
+            used_bytes=sum(file.size_bytes for file in self.files()),
+            budget_bytes=int(self.max_disk_mb * MEGABYTE),
+            free_bytes=shutil.disk_usage(there).free,
+            min_free_bytes=int(self.min_free_disk_mb * MEGABYTE),
+        )
+
     def make_room(self, is_open: Collection[Path]) -> list[str]:
         """Remove the oldest recordings over the budget; returns their names.
 
@@ -76,11 +97,11 @@ class Folder:
             OSError: less than `min_free_disk_mb` are free all the same, or the folder cannot be made.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        gone = over_budget(self.files(is_open), int(self._max_disk_mb * MEGABYTE))
+        gone = over_budget(self.files(is_open), int(self.max_disk_mb * MEGABYTE))
         for name in gone:
             (self.path / name).unlink(missing_ok=True)
         free_mb = shutil.disk_usage(self.path).free / MEGABYTE
-        if free_mb < self._min_free_disk_mb:
-            least = self._min_free_disk_mb
+        if free_mb < self.min_free_disk_mb:
+            least = self.min_free_disk_mb
             raise OSError(f"{free_mb:.0f} MB are free on its disk, less than min_free_disk_mb = {least:g}")
         return gone

@@ -1,93 +1,178 @@
-"""History: what the black box knows of a robot's last minutes, for whoever comes later. Pure."""
+"""History: what the black box or an incident's file has of a robot's last minutes, bounded. Pure."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
 from hostlink.errors import BadPayload
-from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S
+from hostlink.hub.robot_events import EventKind
+from hostlink.recording.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channel, json_of
 from hostlink.recording.ring import Entry
+from hostlink.recording.thinning import Thinned
 from hostlink.robot.kinematics import Pose, frame_of, placed
 from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
 from hostlink.robot.odometry_reader import READERS
+from hostlink.robot.velocity import TWIST_TYPE
 
 MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; of more only every second, third, ... is kept
+MAX_TOPICS = 16  # with odometry, and with velocities; a robot has one of each
+PLOT_LEAF = "plot_data"
+FREQUENT = (EventKind.COMMANDED.value, EventKind.REFUSED.value)
 
 Decode = Callable[[bytes], dict[str, Any]]
 Sample = TypeVar("Sample")
+Part = Literal["odometry", "velocity", "plot", "events"]
+Rest = Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)
 class PastPose:
     """Where the robot was, in the frame in which it is shown now, and how it moved."""
 
-    stamp_ns: int
+    at_s: float
     pose: Pose
     twist: Twist
 
 
-def past_poses(
-    entries: Iterable[Entry], topic: str, type_name: str, estimator: OdometryEstimator, present: Pose | None
-) -> list[PastPose]:
-    """The poses of a topic, as the robot's estimator would have shown them.
+class _Kind(msgspec.Struct):
+    kind: str = ""
 
-    `estimator`: a new one with the robot's settings; `present`: where the robot is shown at the last of the entries.
-    """
+
+class RobotHistory:
+    """Collects the entries of a robot that are shown, each part bounded before anything is decoded."""
+
+    def __init__(self, robot: str, *, odometry: tuple[str, str] | None = None, commands: str | None = None) -> None:
+        """`odometry`: (topic, type) of what is shown; None: what a device published. `commands`: the topic, or any."""
+        self._plot_topic = f"/{robot}/{PLOT_LEAF}"
+        self._odometry, self._commands = odometry, commands
+        self._parts: dict[int, tuple[Channel, Part | None]] = {}
+        self._kept: dict[tuple[Part, str, str], Thinned[Entry]] = {}
+
+    def is_wanted(self, channel: Channel) -> bool:
+        """Whether messages of this channel are shown."""
+        return self._part_of(channel) is not None
+
+    def add(self, entry: Entry) -> None:
+        """Keep an entry, if it is shown; in the order of arrival."""
+        channel = entry.channel
+        known = self._parts.get(id(channel))
+        if known is None:  # a channel's hash costs more than the rest
+            known = self._parts[id(channel)] = channel, self._part_of(channel)
+        part = known[1]
+        if part is None or (part == "events" and _kind_of(entry) in FREQUENT):
+            return
+        key = part, channel.topic, channel.type_name
+        kept = self._kept.get(key)
+        if kept is None:
+            if sum(each[0] == part for each in self._kept) >= MAX_TOPICS:
+                return
+            kept = self._kept[key] = Thinned((MAX_SAMPLES - 1) // 2)
+        kept.add(entry)
+
+    def poses(self, estimator: OdometryEstimator, present: Pose | None, rest: Rest) -> list[PastPose]:
+        """As the robot's estimator would have shown them.
+
+        `estimator`: a new one with the robot's settings; `present`: where the robot is shown at the last of the
+        entries; `rest`: called after each entry.
+        """
+        found = [(topic, type_name) for part, topic, type_name in self._kept if part == "odometry"]
+        if not found:
+            return []
+        topic, type_name = min(found, key=lambda each: (not each[0].endswith("/odometry"), each))
+        kept = self._kept["odometry", topic, type_name].samples()
+        return thinned(past_poses(kept, type_name, estimator, present, rest))
+
+    def commands(self, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
+        """(at_s, fields) of the velocities that were sent to the device."""
+        topic = min((topic for part, topic, _ in self._kept if part == "velocity"), default="")
+        return self._messages("velocity", topic, decode, rest)
+
+    def plot_data(self, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
+        """(at_s, fields) of what the device published to be plotted."""
+        return self._messages("plot", self._plot_topic, decode, rest)
+
+    def events(self, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
+        """(at_s, event) of what happened, without single commands."""
+        found = []
+        for (part, _, _), kept in self._kept.items():
+            if part == "events":
+                found += past_messages(kept.samples(), decode_event, rest)
+        return thinned(found)
+
+    def _messages(self, part: Part, topic: str, decode: Decode, rest: Rest) -> list[tuple[float, dict[str, Any]]]:
+        kept = self._kept.get((part, topic, TWIST_TYPE))
+        if kept is None:
+            return []
+        return thinned(past_messages(kept.samples(), lambda entry: decode(entry.payload), rest))
+
+    def _part_of(self, channel: Channel) -> Part | None:
+        if channel.content == EVENT:
+            return "events"
+        if channel.type_name == TWIST_TYPE:
+            if channel.topic == self._plot_topic:
+                return "plot"
+            is_command = channel.origin == VELOCITY if self._commands is None else channel.topic == self._commands
+            return "velocity" if is_command else None
+        if self._odometry is None:
+            return "odometry" if channel.type_name in READERS and channel.origin == DEVICE else None
+        return "odometry" if (channel.topic, channel.type_name) == self._odometry else None
+
+
+def past_poses(
+    entries: Iterable[Entry], type_name: str, estimator: OdometryEstimator, present: Pose | None, rest: Rest
+) -> list[PastPose]:
+    """The poses of entries of one topic, see `RobotHistory.poses`."""
     read = READERS[type_name]
     found: list[PastPose] = []
     for entry in entries:
-        if entry.channel.topic != topic or entry.channel.type_name != type_name:
-            continue
+        rest()
         try:
             reading = read(entry.payload)
         except BadPayload:
             continue
-        estimator.update(reading.pose, now_s=entry.stamp_ns / NS_PER_S, wall_ns=entry.stamp_ns, twist=reading.twist)
-        snapshot = estimator.snapshot(entry.stamp_ns / NS_PER_S)
+        estimator.update(reading.pose, now_s=entry.at_s, wall_ns=int(entry.at_s * NS_PER_S), twist=reading.twist)
+        snapshot = estimator.snapshot(entry.at_s)
         if snapshot is not None:
-            found.append(PastPose(entry.stamp_ns, snapshot.pose, snapshot.twist))
+            found.append(PastPose(entry.at_s, snapshot.pose, snapshot.twist))
     if present is None or not found:
         return found
     frame = frame_of(present, found[-1].pose)
-    return [PastPose(each.stamp_ns, placed(frame, each.pose), each.twist) for each in found]
+    return [PastPose(each.at_s, placed(frame, each.pose), each.twist) for each in found]
 
 
 def past_messages(
-    entries: Iterable[Entry], topic: str, type_name: str, decode: Decode
-) -> list[tuple[int, dict[str, Any]]]:
-    """(stamp_ns, fields) of a topic's messages of this type; one that cannot be decoded is left out."""
+    entries: Iterable[Entry], decode: Callable[[Entry], dict[str, Any]], rest: Rest
+) -> list[tuple[float, dict[str, Any]]]:
+    """(at_s, fields) of messages; one that cannot be decoded is left out."""
     found = []
     for entry in entries:
-        if entry.channel.topic == topic and entry.channel.type_name == type_name:
-            try:
-                found.append((entry.stamp_ns, decode(entry.payload)))
-            except BadPayload:
-                continue
+        rest()
+        try:
+            found.append((entry.at_s, decode(entry)))
+        except BadPayload:
+            continue
     return found
 
 
-def decode_event(payload: bytes) -> dict[str, Any]:
+def decode_event(entry: Entry) -> dict[str, Any]:
     """The fields of what happened.
 
     Raises:
-        BadPayload: it is no JSON of an object.
+        BadPayload: it is not JSON of an object.
     """
     try:
-        return msgspec.json.decode(payload, type=dict[str, Any])
+        return msgspec.json.decode(json_of(entry.channel, entry.payload), type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadPayload(EVENTS.type_name, str(error)) from None
+        raise BadPayload(EVENT, str(error)) from None
 
 
-def odometry_of(entries: Iterable[Entry]) -> tuple[str, str] | None:
-    """(topic, type) of the odometry that a device published; None: there is none."""
-    found = {
-        (entry.channel.topic, entry.channel.type_name)
-        for entry in entries
-        if entry.channel.type_name in READERS and entry.channel.origin == DEVICE
-    }
-    return min(found, key=lambda each: (not each[0].endswith("/odometry"), each), default=None)
+def _kind_of(entry: Entry) -> str:
+    try:
+        return msgspec.json.decode(json_of(entry.channel, entry.payload), type=_Kind).kind
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):  # it is left out when it is decoded
+        return ""
 
 
 def thinned(samples: list[Sample]) -> list[Sample]:

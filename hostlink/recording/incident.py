@@ -3,16 +3,16 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from hostlink.hub.robot_events import EventKind, RobotEvent
+from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, EventKind, RobotEvent
 from hostlink.robot.velocity import ZERO
 
-Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "requested"]
+Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "requested", "daemon_died"]
 
 AGAIN_S = 60.0  # the same cause at the same robot is one incident
 MAX_NAMES = 4096  # of robots, and of topics by which devices are driven that are none; the oldest go
 ERROR_LEVEL = 3
 WATCHDOG_TEXT = "no command for"  # of the project's firmware, when its own watchdog has stopped it
-LEASE_ENDED = "no command came"
+SILENCES = ("went_silent", "time_stopped")  # findings for which a link ends
 _ENDS = (EventKind.STOPPED, EventKind.LOCKED, EventKind.GONE)  # of a drive
 
 
@@ -45,9 +45,10 @@ class IncidentRules:
             return None
         of_robot = self._last_s.setdefault(event.robot, {})
         _drop_oldest(self._last_s)
-        if event.at_s < of_robot.get(cause, float("-inf")) + AGAIN_S:
+        causes = (cause, *_same_silence(event))
+        if any(event.at_s < of_robot.get(each, float("-inf")) + AGAIN_S for each in causes):
             return None
-        of_robot[cause] = event.at_s
+        of_robot |= dict.fromkeys(causes, event.at_s)
         return Incident(event.robot, cause, detail, event.stamp_ns, event.at_s)
 
     def forget(self, robot: str) -> None:
@@ -65,6 +66,8 @@ class IncidentRules:
                 _drop_oldest(self._is_driven)
             case EventKind.STOPPED if was_driven and facts["reason"] == LEASE_ENDED:
                 return "lease", f"no command of {facts['owner']} came"
+            case EventKind.STOPPED if was_driven and facts["reason"] == HOST_AWAY:
+                return "lease", f"{HOST_AWAY} while {facts['owner']} drove"
             case EventKind.LOCKED:
                 return "locked", str(facts["reason"])
             case EventKind.GONE if facts["was_moving"]:
@@ -74,6 +77,13 @@ class IncidentRules:
             case EventKind.LOGGED:
                 return _cause_of_line(str(facts["text"]), facts["level"])
         return None, ""
+
+
+def _same_silence(event: RobotEvent) -> tuple[Cause, ...]:
+    """The causes by which the same silence shows as well: its link ends, or the robot's own watchdog stops it."""
+    if event.kind is EventKind.DIAGNOSED and event.facts["code"] in SILENCES:
+        return ("gone",)
+    return ("watchdog",) if event.kind is EventKind.STOPPED and event.facts["reason"] == HOST_AWAY else ()
 
 
 def _drop_oldest(names: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from hostlink.recording.channel import Channel
+from hostlink.recording.channel import LIBRARY, LIBRARY_STEADY, Channel
 
 CHUNK_BYTES = 64 * 1024  # 1.2 ms of compression at most, as measured; 3.8 with the library's 1 MiB
 MAX_CHANNELS = 8192  # of a file; the numbers of the format have 16 bits
@@ -18,13 +18,17 @@ PROFILE = "ros1"
 class McapWriter:
     """Not for two threads. What it has written is in the file after `end_chunk`; without `close` only the index lacks.
 
-    Every method raises the OSError of the file.
+    A message's `log_time` is wall time. Its `publish_time` is steady: it begins as wall time and counts on by a clock
+    that is never set. Every method raises the OSError of the file.
     """
 
-    def __init__(self, path: Path, *, metadata: Mapping[str, str], fsync: bool = False) -> None:
+    def __init__(
+        self, path: Path, *, metadata: Mapping[str, str], fsync: bool = False, has_steady_times: bool = True
+    ) -> None:
         """Make a new file.
 
-        `metadata`: about the recording; `fsync`: a chunk that was ended survives a power cut, too.
+        `metadata`: about the recording; `fsync`: a chunk that was ended survives a power cut, too;
+        `has_steady_times`: False for messages of a file that has wall times alone.
 
         Raises:
             OSError: there is a file of that name, or none can be written there.
@@ -37,7 +41,7 @@ class McapWriter:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # whoever repairs files leaves this one alone
         self._inode = os.fstat(self._file.fileno()).st_ino
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(PROFILE, library="hostlink")
+        self._writer.start(PROFILE, library=LIBRARY_STEADY if has_steady_times else LIBRARY)
         self._ids: dict[Channel, int] = {}
         self._schema_ids: dict[tuple[str, str], int] = {}
         self.add_metadata(metadata)
@@ -51,12 +55,16 @@ class McapWriter:
         except OSError:
             return False
 
-    def write(self, channel: Channel, stamp_ns: int, payload: bytes) -> bool:
-        """Add a message to the chunk; False: the file has no room for one more channel."""
+    def write(self, channel: Channel, stamp_ns: int, payload: bytes, steady_ns: int | None = None) -> bool:
+        """Add a message to the chunk; False: the file has no room for one more channel.
+
+        `steady_ns`: when it arrived, by a clock that is never set; None: as `stamp_ns`.
+        """
         channel_id = self.announce(channel)
         if channel_id is None:
             return False
-        self._writer.add_message(channel_id, stamp_ns, payload, stamp_ns, self.messages)
+        publish_ns = stamp_ns if steady_ns is None else max(steady_ns, 0)
+        self._writer.add_message(channel_id, stamp_ns, payload, publish_ns, self.messages)
         self.messages += 1
         return True
 

@@ -1,12 +1,13 @@
 """When each message of a recording is due, which robots are in it, and what of it moves a robot. Pure."""
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
 from hostlink.recording.reader import StoredMessage
+from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
-from hostlink.robot.velocity_gate import LEASE_S
 
 _MOVING = ("Twist", "TwistStamped", "")  # the last part of a type's name; none: the topic's own, whatever that is
 
@@ -17,17 +18,33 @@ class Due:
 
     at_s: float
     message: StoredMessage
+    cut_s: float = 0.0  # of the pause before it in the recording, that is not played
 
 
-def schedule(messages: Iterable[StoredMessage], *, rate: float = 1.0, start_s: float = 0.0) -> Iterator[Due]:
-    """Every message from `start_s` on, in the order of the file, at its intervals; times that go back are none."""
-    at_ns, before_ns = 0, None
+def schedule(
+    messages: Iterable[StoredMessage],
+    *,
+    begin_ns: int | None = None,
+    rate: float = 1.0,
+    start_s: float = 0.0,
+    max_pause_s: float = math.inf,
+) -> Iterator[Due]:
+    """Every message from `start_s` on, in the order of the file, at its intervals; times that go back are none.
+
+    `begin_ns`: the steady time of the recording's beginning, None: of the first message; `max_pause_s`: of the
+    recording, that a longer pause is played as.
+    """
+    at_s, before_ns = 0.0, None if begin_ns is None else begin_ns + int(start_s * NS_PER_S)
     for message in messages:
-        at_ns += 0 if before_ns is None else max(0, message.stamp_ns - before_ns)
-        before_ns = message.stamp_ns
-        at_s = at_ns / NS_PER_S - start_s
-        if at_s >= 0:
-            yield Due(at_s / rate, message)
+        if before_ns is None:
+            before_ns = message.steady_ns + int(start_s * NS_PER_S)
+        pause_s = (message.steady_ns - before_ns) / NS_PER_S
+        if pause_s < 0 and not at_s and start_s:
+            continue  # it is before the start
+        cut_s = max(0.0, pause_s - max_pause_s)
+        at_s += max(0.0, pause_s - cut_s)
+        before_ns = message.steady_ns
+        yield Due(at_s / rate, message, cut_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,68 +1,171 @@
-"""Pictures of recordings: fields over time, and paths on the floor. matplotlib draws them, an extra."""
+"""Pictures of recordings: fields over time, and paths on the floor. matplotlib draws them, an extra.
 
-from collections.abc import Iterable
+A recording may be larger than the memory: only the topics that are drawn are read, and of each line so many points are
+kept as a picture can show.
+"""
+
+from array import array
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.tables import Table, Tables
+from hostlink.recording.channel import NS_PER_S, Channel
+from hostlink.recording.source import Source
+from hostlink.recording.tables import Decoders, flat
+from hostlink.recording.thinning import Thinned
 
+MAX_POINTS = 4000  # of a line, and at most twice as many; a picture has 1200 pixels, each drawn point costs memory
+_POINTS_AT_ONCE = 1000  # of a line, that matplotlib draws: it keeps every pixel that these cross
+MAX_LINES = 64  # of a field that is an array
 _SIZE_IN = (10.0, 5.0)
 _MAP_SIZE_IN = (7.0, 7.0)
 POSITIONS = (("x", "y"), ("pose.pose.position.x", "pose.pose.position.y"))  # Pose2D, Odometry
+_POSES = ("Pose2D", "Odometry")
 
 
-def find_field(tables: Tables, name: str) -> tuple[str, Table, str]:
-    """(topic, table, field) of `/robot_0/odometry.x`.
+class Line:
+    """Numbers over time, to be drawn: of more than `most`, the lowest and the highest of each few are kept."""
+
+    def __init__(self, most: int = MAX_POINTS) -> None:
+        self._most = most
+        self._times_s, self._values = array("d"), array("d")
+
+    def add(self, time_s: float, value: float) -> None:
+        """Add the next point."""
+        self._times_s.append(time_s)
+        self._values.append(value)
+        if len(self._values) >= 2 * self._most:
+            self._halve()
+
+    def _halve(self) -> None:
+        """Of every four points the lowest and the highest, in their order."""
+        times_s, values = self.points()
+        whole = len(values) // 4 * 4
+        of_four = values[:whole].reshape(-1, 4)
+        chosen = np.sort(np.stack((of_four.argmin(axis=1), of_four.argmax(axis=1))), axis=0)
+        numbers = np.concatenate(((np.arange(whole, step=4) + chosen).T.reshape(-1), np.arange(whole, len(values))))
+        self._times_s = array("d", times_s[numbers].tobytes())
+        self._values = array("d", values[numbers].tobytes())
+
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(times, values)."""
+        return np.array(self._times_s, dtype=np.float64), np.array(self._values, dtype=np.float64)
+
+
+class _Field(NamedTuple):
+    topic: str
+    path: str
+
+
+def read_lines(source: Source, names: Iterable[str]) -> dict[str, list[Line]]:
+    """The lines of each field, as `/robot_0/odometry.x`; an array has a line for each of its elements.
 
     Raises:
-        RecordingFailed: there is none; the text names those that are.
+        RecordingFailed: a field is not there, the text names those that are; or the recording cannot be read.
     """
-    for topic in sorted(tables, key=len, reverse=True):
+    topics = sorted({channel.topic for channel in source.read_channels()})
+    fields = {name: _field(name, topics) for name in names}
+    wanted = {field.topic for field in fields.values()}
+    lines: dict[str, list[Line]] = {name: [] for name in fields}
+    numeric: dict[str, dict[str, None]] = {topic: {} for topic in wanted}
+    decoders = Decoders()
+    for message in source.messages(lambda channel: channel.topic in wanted):
+        found = decoders.decode(message)
+        if found is None:
+            continue
+        topic, time_s = message.channel.topic, (message.steady_ns - source.begin_ns) / NS_PER_S
+        values = dict(flat(found))
+        if not numeric[topic]:
+            numeric[topic] = dict.fromkeys(path for path, value in values.items() if _numbers(value))
+        for name, field in fields.items():
+            if field.topic == topic:
+                for number, value in enumerate(_numbers(values.get(field.path))):
+                    if number == len(lines[name]):
+                        lines[name].append(Line())
+                    lines[name][number].add(time_s, value)
+    for name, (topic, path) in fields.items():
+        if not lines[name]:
+            raise RecordingFailed(f"{topic} has no number {path!r}; it has: {', '.join(numeric[topic]) or 'none'}")
+    return lines
+
+
+def _field(name: str, topics: list[str]) -> _Field:
+    for topic in sorted(topics, key=len, reverse=True):
         if name == topic or name.startswith(f"{topic}."):
-            table, field = tables[topic], name[len(topic) + 1 :]
-            numeric = [each for each in table if table[each].dtype.kind in "biuf"]
-            if field in numeric:
-                return topic, table, field
-            raise RecordingFailed(f"{topic} has no number {field!r}; it has: {', '.join(numeric) or 'none'}")
-    raise RecordingFailed(f"no topic of {name!r} was recorded; there are: {', '.join(tables)}")
+            return _Field(topic, name[len(topic) + 1 :])
+    raise RecordingFailed(f"no topic of {name!r} was recorded; there are: {', '.join(topics)}")
 
 
-def draw_fields(tables: Tables, names: Iterable[str], output: Path) -> None:
-    """A line a field, over the time of the recording.
+def _numbers(value: Any) -> list[float]:
+    """Of a field; empty: it is none."""
+    if isinstance(value, (bool, int, float)):
+        return [float(value)]
+    if isinstance(value, (list, bytes)) and all(isinstance(each, (int, float)) for each in value[:MAX_LINES]):
+        return [float(each) for each in value[:MAX_LINES]]
+    return []
+
+
+def read_paths(source: Source) -> dict[str, list[tuple[float, float]]]:
+    """The path of every topic that has positions: (x, y) in metres.
 
     Raises:
-        RecordingFailed: a field is not there.
+        RecordingFailed: there is none, or the recording cannot be read.
+    """
+    paths: dict[str, Thinned[tuple[float, float]]] = {}
+    decoders = Decoders()
+    for message in source.messages(_has_poses):
+        found = decoders.decode(message)
+        position = None if found is None else _position(dict(flat(found)))
+        if position is not None:
+            paths.setdefault(message.channel.topic, Thinned(MAX_POINTS)).add(position)
+    if not paths:
+        raise RecordingFailed("no poses were recorded (geometry_msgs/Pose2D or nav_msgs/Odometry)")
+    return {topic: path.samples() for topic, path in paths.items()}
+
+
+def _has_poses(channel: Channel) -> bool:
+    package, _, base = channel.type_name.rpartition("/")
+    return base in _POSES and package.partition("/")[0] in ("geometry_msgs", "nav_msgs")
+
+
+def _position(values: Mapping[str, Any]) -> tuple[float, float] | None:
+    return next(((values[x], values[y]) for x, y in POSITIONS if {x, y} <= values.keys()), None)
+
+
+def draw_fields(lines: Mapping[str, list[Line]], output: Path) -> None:
+    """Draw each field over the time of the recording.
+
+    Raises:
         OSError: the picture cannot be written.
     """
-    chosen = [(name, *find_field(tables, name)) for name in names]
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes a second, and is an extra
 
     figure = Figure(figsize=_SIZE_IN, layout="constrained")
     axes = figure.subplots()
-    for name, _, table, field in chosen:
-        axes.plot(table.time_s, table[field], label=name, linewidth=1.2)
+    for name, of_field in lines.items():
+        for number, line in enumerate(of_field):
+            label = name if len(of_field) == 1 else f"{name}[{number}]"
+            axes.plot(*line.points(), label=label, linewidth=1.2)
     axes.set_xlabel("time since the beginning of the recording, s")
     _finish(figure, axes, output)
 
 
-def draw_map(tables: Tables, output: Path) -> int:
-    """The path of every topic that has positions; returns how many.
+def draw_map(paths: Mapping[str, list[tuple[float, float]]], output: Path) -> None:
+    """Draw each path on the floor.
 
     Raises:
-        RecordingFailed: there is none.
         OSError: the picture cannot be written.
     """
-    paths = dict(_paths(tables))
-    if not paths:
-        raise RecordingFailed("no poses were recorded (geometry_msgs/Pose2D or nav_msgs/Odometry)")
     from matplotlib.figure import Figure  # noqa: PLC0415 - as above
 
     figure = Figure(figsize=_MAP_SIZE_IN, layout="constrained")
     axes = figure.subplots()
-    for topic, (x_m, y_m) in paths.items():
+    for topic, path in paths.items():
+        x_m, y_m = np.array(path, dtype=np.float64).T
         (line,) = axes.plot(x_m, y_m, label=topic, linewidth=1.2)
         axes.plot(x_m[:1], y_m[:1], marker="o", color=line.get_color())
         axes.plot(x_m[-1:], y_m[-1:], marker="s", color=line.get_color())
@@ -70,17 +173,12 @@ def draw_map(tables: Tables, output: Path) -> int:
     axes.set_ylabel("y, m")
     axes.set_aspect("equal", adjustable="datalim")
     _finish(figure, axes, output)
-    return len(paths)
-
-
-def _paths(tables: Tables) -> Iterable[tuple[str, tuple[Any, Any]]]:
-    for topic, table in tables.items():
-        for x, y in POSITIONS:
-            if {x, y} <= table.keys() and table.type_name in ("geometry_msgs/Pose2D", "nav_msgs/Odometry"):
-                yield topic, (np.asarray(table[x]), np.asarray(table[y]))
 
 
 def _finish(figure: Any, axes: Any, output: Path) -> None:
     axes.grid(visible=True, alpha=0.3)
     axes.legend(loc="best")
-    figure.savefig(output, dpi=120)
+    from matplotlib import rc_context  # noqa: PLC0415 - as above
+
+    with rc_context({"agg.path.chunksize": _POINTS_AT_ONCE}):
+        figure.savefig(output, dpi=120)

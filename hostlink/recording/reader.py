@@ -1,10 +1,10 @@
 """Reading MCAP files, also those that were never finished: a daemon was killed, a disk was full, a cable was pulled."""
 
-import contextlib
+import bisect
 import itertools
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -12,33 +12,65 @@ from typing import IO, NamedTuple
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.records import Chunk, Header, McapRecord, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from hostlink.errors import RecordingFailed
-from hostlink.recording.channel import Channel
+from hostlink.recording.channel import LIBRARY, LIBRARY_STEADY, NS_PER_S, SCHEMA_ENCODINGS, Channel
+from hostlink.recording.mcap_index import MAGIC, MAX_RECORD_BYTES, RECORD_HEAD, Index, read_index
 
-MAX_RECORD_BYTES = 256 * 1024 * 1024  # a length that damage has made is not read into memory
 MAX_CHUNK_BYTES = 64 * 1024 * 1024  # unpacked; those of other writers have a few MB
 MAX_DEFINITIONS_BYTES = 64 * 1024 * 1024  # of schemas and channels, which are kept; a large one has a few kB
 MAX_NAMED = 10  # damaged chunks; of the others the number alone is told
 MAX_REASON = 200  # characters of a library's words for one
+LONGEST_GAP_NS = 3600 * NS_PER_S  # between two messages of a file without steady times; over it, the clock was set
 _DAMAGES = (McapError, ValueError, OverflowError, MemoryError, struct.error)  # of a length that is none
+_MESSAGE = struct.Struct("<HIQQ")  # channel, number, log time, publish time; then the payload
+_NEVER = 2**64
+
+Wanted = Callable[[Channel], bool]
 
 
 class StoredMessage(NamedTuple):
     """One message of a file."""
 
     channel: Channel
-    stamp_ns: int
+    stamp_ns: int  # when it arrived, by the clock on the wall, which may have been set meanwhile
     payload: bytes
+    steady_ns: int  # when it arrived, by a clock that is never set: for order, gaps and ages
+
+
+class _FileCut(EndOfFile):
+    """The file ends where a record should be."""
+
+
+class SteadyTimes:
+    """Steady times for a file that has none: wall times, without the steps of a clock that was set."""
+
+    def __init__(self) -> None:
+        self._offset_ns = 0
+        self._newest_ns: int | None = None
+
+    def at(self, stamp_ns: int) -> int:
+        """Of the next message in the file's order."""
+        newest_ns = self._newest_ns
+        if newest_ns is not None and not -LONGEST_GAP_NS < stamp_ns - newest_ns < LONGEST_GAP_NS:
+            self._offset_ns += newest_ns - stamp_ns
+        self._newest_ns = stamp_ns
+        return stamp_ns + self._offset_ns
+
+    def skip(self, first_ns: int, last_ns: int) -> None:
+        """A chunk is not read. The times of one in which the clock was set have no order; the next chunk's tell."""
+        if last_ns and last_ns - first_ns < LONGEST_GAP_NS:
+            self.at(first_ns)
+            self.at(last_ns)
 
 
 class Reader:
-    """Reads one file from its beginning to the end that it has; `damage` says what was wrong with it."""
+    """Reads one file, by its index if it has one; `damage` says what was wrong with what was read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -47,26 +79,64 @@ class Reader:
         self._damaged_chunks = 0
         self.profile = ""
         self.metadata: dict[str, str] = {}
-        self._schemas: dict[int, tuple[str, str]] = {}  # name, text
+        self.has_steady_times = False
+        self._is_ours = False
+        self._steady = SteadyTimes()
+        self._begin_ns = _NEVER
+        self._schemas: dict[int, tuple[str, str, str]] = {}  # name, text, language
         self._channels: dict[int, Channel] = {}
-        self._has_read_summary = False
+        self._wanted: Wanted = _all
+        self._chosen: dict[int, Channel | None] = {}  # None: its messages are not wanted
         self._definitions_left_bytes = MAX_DEFINITIONS_BYTES
 
-    def messages(self) -> Iterator[StoredMessage]:
-        """Every message that can be read, in the order of writing.
+    def messages(self, wanted: Wanted | None = None, *, after_s: float = 0.0) -> Iterator[StoredMessage]:
+        """Every message that can be read, of the channels that are wanted, in the order of writing.
+
+        With an index, chunks without such messages are not read. What came less than `after_s` after the first message
+        may be left out where the file's index and steady times tell where that is.
+
+        Raises:
+            RecordingFailed: the file cannot be read, or is no MCAP file.
+        """
+        self._wanted, self._steady, self._begin_ns = wanted or _all, SteadyTimes(), _NEVER
+        self._chosen.clear()
+        try:
+            with self.path.open("rb") as file:
+                self._read_header(file)
+                index = read_index(file, self._note, self._is_wanted)
+                if index is not None and not self._is_ours:  # their messages may have any order
+                    self._begin_ns = min(
+                        (first for first, last in zip(index.first_ns, index.last_ns, strict=True) if last),
+                        default=_NEVER,
+                    )
+                if index is not None and after_s > 0 and self.has_steady_times:
+                    self._leave_out(file, index, int(after_s * NS_PER_S))
+                yield from self._read(file, index)
+        except OSError as error:
+            raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
+
+    def read_channels(self) -> list[Channel]:
+        """Every channel, also one without a message; a file without an index is read for them.
+
+        Raises:
+            RecordingFailed: the file cannot be read, or is no MCAP file.
+        """
+        for _ in self.messages(lambda _: False):
+            pass
+        return self.channels
+
+    def reads_steady_times(self) -> bool:
+        """Whether the file has them; else they are worked out of its wall times.
 
         Raises:
             RecordingFailed: the file cannot be read, or is no MCAP file.
         """
         try:
             with self.path.open("rb") as file:
-                for record in self._records(file):
-                    if not isinstance(record, Message):
-                        self._note(record)
-                    elif record.channel_id in self._channels or self._finds_at_the_end(record.channel_id):
-                        yield StoredMessage(self._channels[record.channel_id], record.log_time, record.data)
+                self._read_header(file)
         except OSError as error:
-            raise RecordingFailed(f"{self.path}: {error.strerror}") from error
+            raise RecordingFailed(f"{self.path}: {error.strerror or error}") from error
+        return self.has_steady_times
 
     @property
     def damage(self) -> list[str]:
@@ -79,52 +149,128 @@ class Reader:
         """Those that were met so far, also without a message."""
         return list(dict.fromkeys(self._channels.values()))
 
-    def _records(self, file: IO[bytes]) -> Iterator[McapRecord]:
-        """What is in the file and in its chunks. A chunk that is damaged is left out, with what it contains."""
-        is_begun = False
+    @property
+    def begin_ns(self) -> int:
+        """The steady time of the earliest message that was met so far, wanted or not; 0: there was none."""
+        return 0 if self._begin_ns == _NEVER else self._begin_ns
+
+    @property
+    def size_bytes(self) -> int:
+        """Of the file."""
+        return self.path.stat().st_size
+
+    # -- the file's records -------------------------------------------------------------------------------------------
+
+    def _read_header(self, file: IO[bytes]) -> None:
         try:
-            for record in stored_records(file):
-                is_begun = True
-                yield from self._of_chunk(record) if isinstance(record, Chunk) else [record]
+            record = next(stored_records(file))
         except _DAMAGES as error:
-            if not is_begun:
-                raise RecordingFailed(f"{self.path} is no MCAP file") from error
-            is_cut = isinstance(error, EndOfFile)
+            raise RecordingFailed(f"{self.path} is not an MCAP file") from error
+        if not isinstance(record, Header):
+            raise RecordingFailed(f"{self.path} is not an MCAP file: it has no header")
+        self.profile = record.profile
+        self.has_steady_times = record.library == LIBRARY_STEADY
+        self._is_ours = record.library in (LIBRARY, LIBRARY_STEADY)
+
+    def _read(self, file: IO[bytes], index: Index | None) -> Iterator[StoredMessage]:
+        """Go from record to record. A chunk that is damaged is left out, with what it contains."""
+        at, number = len(MAGIC), 0
+        try:
+            while True:
+                if index is not None and number < len(index) and at == index.begins[number]:
+                    if number and not index.is_wanted[number]:  # the first has the beginning
+                        self._steady.skip(index.first_ns[number], index.last_ns[number])
+                    else:
+                        _, body = _read_record(file, at)
+                        yield from self._of_chunk(body)
+                    at = index.ends[number]
+                    number += 1
+                    continue
+                opcode, body = _read_record(file, at)
+                at += RECORD_HEAD.size + len(body)
+                if opcode == Opcode.FOOTER:
+                    _check_end(file, at)
+                    return
+                if opcode == Opcode.CHUNK:
+                    yield from self._of_chunk(body)
+                elif opcode == Opcode.MESSAGE:
+                    yield from self._of_records(RECORD_HEAD.pack(opcode, len(body)) + body)
+                else:
+                    self._note_record(opcode, body)
+        except _DAMAGES as error:
+            is_cut = isinstance(error, _FileCut)
             self._damage.append("it was never finished" if is_cut else f"unreadable from byte {file.tell()}: {error}")
 
-    def _finds_at_the_end(self, channel_id: int) -> bool:
-        """Whether the summary has a channel whose definition was in a damaged chunk; a cut file has no summary."""
-        if not self._has_read_summary:
-            self._has_read_summary = True
-            with self.path.open("rb") as file, contextlib.suppress(*_DAMAGES):
-                for record in stored_records(file):
-                    is_missing = isinstance(record, McapChannel) and record.id not in self._channels
-                    if isinstance(record, Schema) or is_missing:
-                        self._note(record)
-        return channel_id in self._channels
-
-    def _of_chunk(self, chunk: Chunk) -> Iterator[McapRecord]:
+    def _of_chunk(self, body: bytes) -> Iterator[StoredMessage]:
         try:
-            yield from _records_in(_unpacked(chunk))
+            yield from self._of_records(_unpacked(Chunk.read(ReadDataStream(BytesIO(body)))))
         except Exception as error:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes
             self._damaged_chunks += 1
             if self._damaged_chunks <= MAX_NAMED:
                 self._chunks.append(f"a chunk of it is damaged: {type(error).__name__}: {error}"[:MAX_REASON])
 
-    def _note(self, record: McapRecord) -> None:
+    def _of_records(self, data: bytes) -> Iterator[StoredMessage]:
+        """Of a chunk: millions of them may be in it.
+
+        Raises:
+            ValueError: a record is cut.
+        """
+        read_head, read_message, chosen = RECORD_HEAD.unpack_from, _MESSAGE.unpack_from, self._chosen
+        has_steady_times, is_ours, steady_at = self.has_steady_times, self._is_ours, self._steady.at
+        at, end = 0, len(data)
+        while at < end:
+            opcode, length = read_head(data, at)
+            begin = at + RECORD_HEAD.size
+            at = begin + length
+            if at > end:
+                raise ValueError("a record in it is cut")
+            if opcode != Opcode.MESSAGE:
+                self._note_record(opcode, data[begin:at])
+                continue
+            payload_begin = begin + _MESSAGE.size
+            if payload_begin > at:
+                raise ValueError("a message in it is cut")
+            number, _, stamp_ns, publish_ns = read_message(data, begin)
+            steady_ns = publish_ns if has_steady_times else steady_at(stamp_ns) if is_ours else stamp_ns
+            if steady_ns < self._begin_ns:  # noqa: PLR1730 - min() costs as much as the rest
+                self._begin_ns = steady_ns
+            channel = chosen[number] if number in chosen else self._choose(number)
+            if channel is not None:
+                yield StoredMessage(channel, stamp_ns, data[payload_begin:at], steady_ns)
+
+    def _note_record(self, opcode: int, body: bytes) -> None:
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+            return
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.METADATA:
+            self.metadata |= Metadata.read(stream).metadata
+        else:
+            self._note(Schema.read(stream) if opcode == Opcode.SCHEMA else McapChannel.read(stream))
+
+    # -- definitions --------------------------------------------------------------------------------------------------
+
+    def _is_wanted(self, number: int) -> bool:
+        """Whether a chunk of the index has to be read for this channel; for an unknown one, too."""
+        return number not in self._channels or self._choose(number) is not None
+
+    def _choose(self, number: int) -> Channel | None:
+        channel = self._channels.get(number)
+        chosen = channel if channel is not None and self._wanted(channel) else None
+        if channel is not None:
+            self._chosen[number] = chosen
+        return chosen
+
+    def _note(self, record: Schema | McapChannel) -> None:
         if isinstance(record, Schema):
-            schema = record.name, record.data.decode(errors="replace")
+            schema = record.name, record.data.decode(errors="replace"), record.encoding
             if self._schemas.get(record.id) != schema and self._has_room(*schema):
                 self._schemas[record.id] = schema
-        elif isinstance(record, McapChannel):
-            channel = _channel(record, self._schemas.get(record.schema_id, ("", "")))
+        else:
+            channel = _channel(record, self._schemas.get(record.schema_id, ("", "", "")))
             is_new = self._channels.get(record.id) != channel
             if is_new and self._has_room(channel.topic, *itertools.chain.from_iterable(channel.metadata)):
                 self._channels[record.id] = channel
-        elif isinstance(record, Metadata):
-            self.metadata |= record.metadata
-        elif isinstance(record, Header):
-            self.profile = record.profile
+                self._chosen.pop(record.id, None)
 
     def _has_room(self, *texts: str) -> bool:
         """For one more definition: they are kept, and a few bytes of a file can become many of them."""
@@ -136,6 +282,18 @@ class Reader:
                 )
         return self._definitions_left_bytes >= 0
 
+    # -- times --------------------------------------------------------------------------------------------------------
+
+    def _leave_out(self, file: IO[bytes], index: Index, after_ns: int) -> None:
+        """Mark the chunks before the one in which this time after the beginning is as not wanted."""
+        begin_ns = _first_steady_ns(file, index, 0)
+        if begin_ns is not None:
+            last = bisect.bisect_right(
+                range(len(index)), begin_ns + after_ns, key=lambda number: _steady_ns_from(file, index, number)
+            )
+            for number in range(last - 1):
+                index.is_wanted[number] = False
+
 
 def stored_records(file: IO[bytes]) -> Iterator[McapRecord]:
     """The records of a file, its chunks as they are stored.
@@ -144,6 +302,62 @@ def stored_records(file: IO[bytes]) -> Iterator[McapRecord]:
         McapError: it is no MCAP file, or damaged.
     """
     yield from StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records
+
+
+def _all(channel: Channel) -> bool:
+    del channel
+    return True
+
+
+def _read_record(file: IO[bytes], at: int) -> tuple[int, bytes]:
+    """(opcode, content).
+
+    Raises:
+        _FileCut: the file ends in it. RecordLengthLimitExceeded: no record is so long.
+    """
+    file.seek(at)
+    head = file.read(RECORD_HEAD.size)
+    if len(head) < RECORD_HEAD.size:
+        raise _FileCut
+    opcode, length = RECORD_HEAD.unpack(head)
+    if length > MAX_RECORD_BYTES:
+        raise RecordLengthLimitExceeded(opcode, length, MAX_RECORD_BYTES)
+    body = file.read(length)
+    if len(body) < length:
+        raise _FileCut
+    return opcode, body
+
+
+def _check_end(file: IO[bytes], at: int) -> None:
+    """What is behind the footer.
+
+    Raises:
+        _FileCut: nothing; InvalidMagic: something else.
+    """
+    file.seek(at)
+    end = file.read(len(MAGIC))
+    if end != MAGIC:
+        raise _FileCut if len(end) < len(MAGIC) else InvalidMagic(tuple(end))
+
+
+def _steady_ns_from(file: IO[bytes], index: Index, number: int) -> int:
+    """The steady time of the first message in this chunk, or in the next one that can be read."""
+    found = (_first_steady_ns(file, index, each) for each in range(number, len(index)))
+    return next((steady_ns for steady_ns in found if steady_ns is not None), _NEVER)
+
+
+def _first_steady_ns(file: IO[bytes], index: Index, number: int) -> int | None:
+    try:
+        data = _unpacked(Chunk.read(ReadDataStream(BytesIO(_read_record(file, index.begins[number])[1]))))
+        at = 0
+        while at < len(data):
+            opcode, length = RECORD_HEAD.unpack_from(data, at)
+            if opcode == Opcode.MESSAGE:
+                return int(_MESSAGE.unpack_from(data, at + RECORD_HEAD.size)[-1])
+            at += RECORD_HEAD.size + length
+    except Exception:  # noqa: BLE001 - the library's and its decompressors', for damaged bytes; reading reports them
+        return None
+    return None
 
 
 def _unpacked(chunk: Chunk) -> bytes:
@@ -170,20 +384,8 @@ def _unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-def _records_in(data: bytes) -> Iterator[McapRecord]:
-    """One by one: millions of them may be in a chunk."""
-    stream = ReadDataStream(BytesIO(data))
-    while stream.count < len(data):
-        opcode, length = stream.read1(), stream.read8()
-        if opcode == Opcode.CHANNEL:
-            yield McapChannel.read(stream)
-        elif opcode == Opcode.MESSAGE:
-            yield Message.read(stream, length)
-        elif opcode == Opcode.SCHEMA:
-            yield Schema.read(stream)
-        else:
-            stream.read(length)
-
-
-def _channel(record: McapChannel, schema: tuple[str, str]) -> Channel:
-    return Channel(record.topic, record.message_encoding, *schema, tuple(record.metadata.items()))
+def _channel(record: McapChannel, schema: tuple[str, str, str]) -> Channel:
+    name, text, language = schema
+    is_usual = language == SCHEMA_ENCODINGS.get(record.message_encoding, "")
+    metadata = tuple(record.metadata.items())
+    return Channel(record.topic, record.message_encoding, name, text, metadata, "" if is_usual else language)

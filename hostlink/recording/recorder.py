@@ -15,12 +15,24 @@ from hostlink.hub.graph import OBSERVERS, GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
-from hostlink.hub.robot_events import RobotEvent
+from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.hub.subscription import Subscription
-from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, LOG, PARAMETERS, VELOCITY, Channel, Sink, ros_channel
+from hostlink.recording.channel import (
+    DEVICE,
+    EVENTS,
+    HOSTLINK,
+    LOG,
+    PARAMETERS,
+    VELOCITY,
+    Channel,
+    Sink,
+    as_text,
+    ros_channel,
+)
 from hostlink.robot.velocity import Velocity
 
 _ENCODER = msgspec.json.Encoder(enc_hook=str)
+_KINDS = {kind: kind.value for kind in EventKind}
 GROUP = OBSERVERS  # what recorders subscribe to is not worth recording for that alone
 
 
@@ -153,15 +165,20 @@ class Recorder:
     def _receive_event(self, event: RobotEvent) -> None:
         if event.robot and not self._selection.has_robot(event.robot):
             return
-        facts = {name: _fact(value) for name, value in event.facts.items() if name != "address"}  # files go to others
-        shown = {"kind": event.kind.value, "robot": event.robot, "facts": facts}
+        facts: dict[str, object] = {}
+        for name, value in event.facts.items():
+            if type(value) is Velocity:
+                facts[name] = _shown(value)
+            elif name != "address":  # files go to others
+                facts[name] = value
+        shown = {"kind": _KINDS[event.kind], "robot": event.robot, "facts": facts}
         self._put_json(EVENTS, event.stamp_ns, shown, event.robot)
 
     def _receive_line(self, stamp_ns: int, line: Mapping[str, object]) -> None:
         self._put_json(LOG, stamp_ns, line, str(line.get("robot", "")))
 
     def _put_json(self, channel: Channel, stamp_ns: int, value: object, robot: str) -> None:
-        self._sink.put(channel, stamp_ns, _ENCODER.encode(value), robot)
+        self._sink.put(channel, stamp_ns, as_text(_ENCODER.encode(value)), robot)
 
 
 class _NamesByRobot:
@@ -194,8 +211,17 @@ def _fixed(topic: GraphTopic) -> GraphTopic:
     return dataclasses.replace(topic, type=None, is_published=True, is_subscribed=True, is_derived=False)
 
 
-def _fact(value: object) -> object:
-    return value._asdict() if isinstance(value, Velocity) else value
+def _shown(velocity: Velocity) -> dict[str, float]:
+    """Its fields by their names; several times as fast as `_asdict`, for each command."""
+    x, y, z, roll, pitch, yaw = velocity
+    return {
+        "linear_x_m_s": x,
+        "linear_y_m_s": y,
+        "linear_z_m_s": z,
+        "angular_x_rad_s": roll,
+        "angular_y_rad_s": pitch,
+        "angular_z_rad_s": yaw,
+    }
 
 
 def _is_of_graph(key: Hashable) -> bool:

@@ -43,6 +43,23 @@ class Recording:
         return asyncio.get_running_loop().time() - self.began_s
 
 
+@dataclass(frozen=True, slots=True)
+class Totals:
+    """Of all recordings since the daemon began."""
+
+    messages: int = 0
+    written_bytes: int = 0
+    dropped: int = 0
+
+    def plus(self, thread: FileThread) -> "Totals":
+        """With those of one more."""
+        return Totals(
+            self.messages + thread.messages,
+            self.written_bytes + thread.written_bytes,
+            self.dropped + thread.dropped,
+        )
+
+
 class Recordings:
     """Owns the folder, and what is being recorded into it."""
 
@@ -58,10 +75,18 @@ class Recordings:
         self._hub, self._config = hub, config
         self._under_way: dict[str, Recording] = {}
         self._starting: set[str] = set()
+        self._ended = Totals()
 
     def under_way(self) -> list[Recording]:
         """Oldest first."""
         return list(self._under_way.values())
+
+    def totals(self) -> Totals:
+        """Of those that have ended and those that are under way."""
+        totals = self._ended
+        for recording in self._under_way.values():
+            totals = totals.plus(recording.thread)
+        return totals
 
     def check_robot(self, name: str) -> None:
         """Refuse a name that no robot has.
@@ -147,14 +172,14 @@ class Recordings:
 
     async def open(self) -> None:
         """Keep from now on what nobody has to start."""
-        self.black_box.start()
         await self.drives.start()
+        self.black_box.start(self.drives.correct)
 
     async def aclose(self) -> None:
         """End all."""
-        await self.drives.aclose()
-        await self.black_box.aclose()
         async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self.drives.aclose(), name="end of the drives")
+            tasks.create_task(self.black_box.aclose(), name="end of the black box")
             for name in list(self._under_way):
                 tasks.create_task(self.stop(name), name=f"end of recording {name}")
 
@@ -214,6 +239,7 @@ class Recordings:
         if self._under_way.pop(recording.name, None) is recording:
             self.changes += 1
             thread = recording.thread
+            self._ended = self._ended.plus(thread)
             written_mb = thread.written_bytes / MEGABYTE
             facts = {"messages": thread.messages, "dropped": thread.dropped, "megabytes": written_mb}
             if thread.failure is None:

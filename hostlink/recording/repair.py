@@ -33,7 +33,7 @@ def repair(path: Path, on_progress: Callable[[int], None] = lambda _: None) -> R
     beside = path.with_name(f"{path.name}.repaired")
     try:
         beside.unlink(missing_ok=True)
-        writer = McapWriter(beside, metadata={})
+        writer = McapWriter(beside, metadata={}, has_steady_times=Reader(path).reads_steady_times())
         try:
             for message in reader.messages():
                 if not writer.write(*message):

@@ -1,22 +1,24 @@
 """Tables: a recording as numpy arrays, a table a topic, a column a field."""
 
 import array
+import functools
 import itertools
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hostlink.errors import BadPayload, ConfigError
-from hostlink.messages.full_definition import read_full_definition
-from hostlink.messages.message_type import MessageType
-from hostlink.recording.channel import NS_PER_S, ROS1, Channel
-from hostlink.recording.reader import Reader, StoredMessage
+from hostlink.errors import BadPayload, UnknownFormat
+from hostlink.recording.channel import JSON, NS_PER_S, ROS1, Channel, json_of
+from hostlink.recording.definitions import ros1_type, ros2_type
+from hostlink.recording.reader import StoredMessage
+from hostlink.recording.source import Source, open_source
 
 Column = NDArray[Any]
+Decode = Callable[[bytes], dict[str, Any]]
 MAX_DEPTH = 64  # of messages in messages, and lists in lists
 MAX_COLUMNS = 2048  # of a table; JSON may have other fields in each message
 MAX_PART = 2**32  # of a time: its seconds, its nanoseconds
@@ -27,16 +29,22 @@ class Table(Mapping[str, Column]):
     """The messages of one topic, N of them.
 
     `table["pose.position.x"]` is an array of N numbers, of N x M where the field is an array of M, and of N objects
-    where it is a text or has no fixed length. `time_s` (N, float64) counts from the beginning of the recording. JSON
-    with ever new fields has the first MAX_COLUMNS of them.
+    where it is a text or has no fixed length. `time_s` (N, float64) counts from the beginning of the recording, by a
+    clock that is never set; `stamp_ns` (N, int64) is wall time. JSON with ever new fields has the first MAX_COLUMNS.
     """
 
     def __init__(
-        self, topic: str, type_name: str, columns: "dict[str, Column | _Values]", stamp_ns: Column, begin_ns: int
+        self,
+        topic: str,
+        type_name: str,
+        columns: "dict[str, Column | _Values]",
+        stamp_ns: Column,
+        steady_ns: Column,
+        begin_ns: int,
     ) -> None:
         self.topic, self.type_name = topic, type_name
         self.stamp_ns: NDArray[np.int64] = stamp_ns
-        self.time_s: NDArray[np.float64] = (stamp_ns - min(begin_ns, MAX_STAMP_NS)) / NS_PER_S
+        self.time_s: NDArray[np.float64] = (steady_ns - min(begin_ns, MAX_STAMP_NS)) / NS_PER_S
         self._columns = columns
 
     def __getitem__(self, field: str) -> Column:
@@ -59,8 +67,8 @@ class Tables(Mapping[str, Table]):
     `damage` says what of the file could not be read; `undecoded` counts the messages that nobody could, by topic.
     """
 
-    def __init__(self, tables: dict[str, Table], reader: Reader, undecoded: dict[str, int]) -> None:
-        self.metadata, self.damage, self.undecoded = reader.metadata, reader.damage, undecoded
+    def __init__(self, tables: dict[str, Table], source: Source, undecoded: dict[str, int]) -> None:
+        self.metadata, self.damage, self.undecoded = source.metadata, source.damage, undecoded
         self._tables = tables
 
     def __getitem__(self, topic: str) -> Table:
@@ -82,22 +90,21 @@ class Tables(Mapping[str, Table]):
 def read(path: str | Path, topics: tuple[str, ...] = ()) -> Tables:
     """Read a recording, also one that was never finished; of these topics alone, if any are named.
 
+    `path`: of an MCAP file, a bag of ROS 1, or a folder or file of rosbag2.
+
     Raises:
         RecordingFailed: the file cannot be read, or is no recording.
     """
-    reader = Reader(Path(path))
+    source = open_source(Path(path))
     found: dict[str, _Rows] = {}
-    begin_ns: int | None = None
-    for message in reader.messages():
-        begin_ns = message.stamp_ns if begin_ns is None else min(begin_ns, message.stamp_ns)
+    for message in source.messages((lambda channel: channel.topic in topics) if topics else None):
         topic = message.channel.topic
-        if not topics or topic in topics:
-            rows = found.get(topic)
-            if rows is None:
-                rows = found[topic] = _Rows()
-            rows.add(message)
-    tables = {topic: rows.table(begin_ns or 0) for topic, rows in sorted(found.items()) if rows.stamps_ns}
-    return Tables(tables, reader, {topic: rows.undecoded for topic, rows in found.items() if rows.undecoded})
+        rows = found.get(topic)
+        if rows is None:
+            rows = found[topic] = _Rows()
+        rows.add(message)
+    tables = {topic: rows.table(source.begin_ns) for topic, rows in sorted(found.items()) if rows.stamps_ns}
+    return Tables(tables, source, {topic: rows.undecoded for topic, rows in found.items() if rows.undecoded})
 
 
 def flat(message: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -131,28 +138,50 @@ def _is_deep(value: Any) -> bool:
 
 
 class Decoders:
-    """How the messages of each channel are decoded; what has no definition is not."""
+    """How the messages of each channel are decoded."""
 
     def __init__(self) -> None:
-        self._types: dict[Channel, MessageType | None] = {}
+        self._found: dict[Channel, Decode | None] = {}
 
     def decode(self, message: StoredMessage) -> dict[str, Any] | None:
-        """The fields; None: nobody can decode it."""
+        """The fields; None: the channel or the message cannot be decoded."""
         channel = message.channel
+        if channel not in self._found:
+            try:
+                self._found[channel] = decoder_of(channel)
+            except UnknownFormat:
+                self._found[channel] = None
+        decode = self._found[channel]
         try:
-            if channel.encoding != ROS1:
-                found = json.loads(message.payload)
-                return found if isinstance(found, dict) and not _is_deep(found) else None
-            if channel not in self._types:
-                schema = channel.schema
-                self._types[channel] = read_full_definition(channel.type_name, schema) if schema else None
-            type_ = self._types[channel]
-            return None if type_ is None else type_.decode(message.payload)
-        except ConfigError:
-            self._types[channel] = None
-        except (BadPayload, ValueError, RecursionError):  # JSON in JSON, without end
+            return None if decode is None else decode(message.payload)
+        except BadPayload:
             return None
-        return None
+
+
+def decoder_of(channel: Channel) -> Decode:
+    """How its messages become fields.
+
+    Raises:
+        UnknownFormat: hostlink cannot read them; the text says why.
+    """
+    if channel.content or channel.encoding == JSON:
+        return functools.partial(_decode_json, channel)
+    if channel.encoding == ROS1:
+        return ros1_type(channel).decode
+    return ros2_type(channel).decode
+
+
+def _decode_json(channel: Channel, payload: bytes) -> dict[str, Any]:
+    """Raises:
+    BadPayload: it is not JSON of an object, or is nested too deeply.
+    """
+    try:
+        found = json.loads(json_of(channel, payload))
+    except (ValueError, RecursionError) as error:  # JSON in JSON, without end
+        raise BadPayload(channel.type_name, str(error)) from None
+    if not isinstance(found, dict) or _is_deep(found):
+        raise BadPayload(channel.type_name, "it is not JSON of an object")
+    return found
 
 
 class _Values:
@@ -180,7 +209,7 @@ class _Values:
 
 class _Rows:
     def __init__(self) -> None:
-        self.stamps_ns: list[int] = []
+        self.stamps_ns, self.steady_ns = array.array("q"), array.array("q")
         self.undecoded = 0
         self._decoders = Decoders()
         self._type_name = self._topic = ""
@@ -199,6 +228,7 @@ class _Rows:
             if values is not None:
                 values.add(len(self.stamps_ns), value)
         self.stamps_ns.append(min(message.stamp_ns, MAX_STAMP_NS))
+        self.steady_ns.append(min(message.steady_ns, MAX_STAMP_NS))
 
     def table(self, begin_ns: int) -> Table:
         length = len(self.stamps_ns)
@@ -206,7 +236,8 @@ class _Rows:
             path: values.column(length) if values.is_complete(length) else values
             for path, values in self._values.items()
         }
-        return Table(self._topic, self._type_name, columns, np.array(self.stamps_ns, dtype=np.int64), begin_ns)
+        stamp_ns, steady_ns = (np.array(each, dtype=np.int64) for each in (self.stamps_ns, self.steady_ns))
+        return Table(self._topic, self._type_name, columns, stamp_ns, steady_ns, begin_ns)
 
 
 def _column(values: list[Any]) -> Column:

@@ -105,6 +105,7 @@ class Calibration:
     before: ReturnErrors
     after: ReturnErrors  # of the same drives, with the correction
     residual_m: float  # root mean square of what the correction leaves of the squares' ends
+    squares: int  # of which that is; few of them leave less than another square will
 
     @property
     def geometry(self) -> WheelGeometry:
@@ -137,6 +138,7 @@ def calibrated(runs: Iterable[MeasuredRun], nominal: WheelGeometry) -> Calibrati
         before=_return_errors(squares, uncorrected(nominal)),
         after=_return_errors(squares, fit.correction),
         residual_m=math.sqrt(sum(x_m**2 + y_m**2 for x_m, y_m in off) / len(off)),
+        squares=len(squares),
     )
 
 

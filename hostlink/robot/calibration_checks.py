@@ -16,6 +16,7 @@ from hostlink.robot.calibration import (
     WheelGeometry,
     calibrated,
     end_of,
+    student_95,
     uncorrected,
 )
 from hostlink.robot.odometry_correction import OdometryCorrection
@@ -26,13 +27,18 @@ MOST_APART = 0.2  # of the side, between two squares driven alike; a random cast
 MOST_APART_LINE = 0.02  # of the length, between two lines
 MOST_LEFT = 0.1  # of the side, that no wheels explain
 MUCH_BETTER = 3.0  # how many times smaller the remains of another reading of the same numbers are
-LEAST_LEFT_M = 0.01  # remains that need no other reading
+LEAST_LEFT = 0.02  # of the side: remains that need no other reading; the robot and the tape leave as much
+SMALL_END = 0.05  # of the side: a square that ends so near where it is expected needs no other unit
+UNIT_FACTORS = {"metres": 100.0, "millimetres": 0.1, "inches": 2.54}  # of what was taken for centimetres
+SLIPS = (10.0, 100.0, 1000.0, 2.54, 25.4, 39.37)  # between two units, or of a decimal point
+ALIKE = 0.05  # of such a factor
 TURNS_DIFFER = 0.08  # between the separations by turns and by squares; 5 % is a caster that twists each corner
 CONFIRMED = 0.5  # of the error before: what a check drive may leave at most,
 SMALLER = 0.8  # or so much where the robot's noise explains what is left
 NOISE = 2.5  # times what the calibration left of a square
 SMALL = 0.01  # of a length or a side: no error worth a word
 WORTH_LINE = 0.003  # of its length
+MANY = 1000  # drives, of which the scatter is known
 MOST_NOISE = 0.1  # of the side: more is an error in any case
 
 _SQUARES = (Kind.SQUARE_CCW, Kind.SQUARE_CW)
@@ -60,13 +66,29 @@ def complaint_of_run(run: MeasuredRun, correction: OdometryCorrection) -> str:
     return ""
 
 
+def complaint_of_nominal(nominal: WheelGeometry, known: WheelGeometry) -> str:
+    """Of the numbers in which a robot believes, against those that were known: a slip or a unit, by its factor."""
+    names = ("radius of the left wheel", "radius of the right wheel", "wheels' separation")
+    for name, value_m, known_m in zip(names, nominal, known, strict=True):
+        ratio = max(value_m / known_m, known_m / value_m)
+        if any(abs(ratio / factor - 1) < ALIKE for factor in SLIPS):
+            more = "times" if value_m > known_m else "times less than"
+            return (
+                f"the {name}, {value_m:g} m, is {ratio:.3g} {more} the {known_m:g} m that hostlink has for it: "
+                "a decimal slip, or a unit? Numbers are metres"
+            )
+    return ""
+
+
 def complaint_of_runs(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
     """Of all drives together: those that should agree, and the wheels that would explain them."""
     if complaint := _complaint_of_repeats(runs, nominal):
         return complaint
     found = calibrated(runs, nominal)
     side_m = max(run.size for run in runs if run.kind in _SQUARES)
-    if complaint := _complaint_of_reading(runs, found):
+    if complaint := _complaint_of_reading(runs, found, side_m):
+        return complaint
+    if complaint := _complaint_of_units(runs, found):
         return complaint
     if found.residual_m > MOST_LEFT * side_m:
         return f"no wheels explain these drives: {found.residual_m * 100:.0f} cm are left. Measure the squares again"
@@ -95,6 +117,7 @@ class _Check(NamedTuple):
     after_m: float
     most_m: float  # what the robot's own noise explains
     worth_m: float  # an error before that is worth a calibration
+    size_m: float  # of the line or the side
 
     @property
     def is_gain(self) -> bool:
@@ -107,9 +130,15 @@ class _Check(NamedTuple):
             return ""
         return (
             f"the check drive does not confirm it: the {self.name} {self.before_m * 100:.1f} cm off with the old "
-            f"numbers, {self.after_m * 100:.1f} cm with the new ones. Nothing is kept: find a slip, or left and "
-            "right exchanged, in what was entered"
+            f"numbers, {self.after_m * 100:.1f} cm with the new ones. Nothing is kept: {self._next_step}"
         )
+
+    @property
+    def _next_step(self) -> str:
+        slip = "find a slip, or left and right exchanged, in what was entered"
+        if max(self.before_m, self.after_m) > MOST_NOISE * self.size_m:
+            return slip
+        return f"if this robot's drives scatter by as much, more of them help (--repeats, a longer --side); else {slip}"
 
 
 def confirm(calibration: Calibration, checks: Iterable[MeasuredRun]) -> Confirmation:
@@ -134,26 +163,90 @@ def _check_squares(calibration: Calibration, runs: Sequence[MeasuredRun]) -> _Ch
         for correction in (old, new)
     )
     side_m = runs[0].size
-    most_m = min(NOISE * calibration.residual_m + SMALL * side_m, MOST_NOISE * side_m)
-    return _Check("squares are", before_m, after_m, most_m, SMALL * side_m)
+    most_m = min(NOISE * _scatter_m(calibration) + SMALL * side_m, MOST_NOISE * side_m)
+    return _Check("squares are", before_m, after_m, most_m, SMALL * side_m, side_m)
+
+
+def _scatter_m(calibration: Calibration) -> float:
+    """Of one more square: each has two numbers, of which two factors were found, and few say little of the scatter."""
+    freedom = 2 * calibration.squares - 2
+    spread = calibration.residual_m * math.sqrt(2 * calibration.squares / freedom)
+    return spread * student_95(max(freedom, 3)) / student_95(MANY)
 
 
 def _check_line(calibration: Calibration, run: MeasuredRun) -> _Check:
     """Along the line: across it the mark's direction counts more than the wheels."""
     old, new = end_of(run, uncorrected(calibration.nominal)), end_of(run, calibration.correction)
     x_m = run.measured.x_m
-    return _Check("line is", abs(x_m - old.x_m), abs(x_m - new.x_m), SMALL * run.size, WORTH_LINE * run.size)
+    return _Check("line is", abs(x_m - old.x_m), abs(x_m - new.x_m), SMALL * run.size, WORTH_LINE * run.size, run.size)
 
 
 def _complaint_of_line(measured: Measurement, odometry: Measurement, length_m: float) -> str:
     if abs(measured.x_m - odometry.x_m) > MOST_OFF * length_m:
         return (
             f"the tape measure has {measured.x_m:.2f} m, the odometry {odometry.x_m:.2f} m: more than 15 % apart. "
-            "A decimal slip, or a unit?"
+            f"{_slip_or_unit(odometry.x_m / measured.x_m if measured.x_m else 0.0)}"
         )
     if abs(measured.y_m) > MOST_OFF * 2 * length_m:
         return f"{measured.y_m * 100:.0f} cm to the side on {length_m:g} m: no line. A decimal slip, or a unit?"
     return ""
+
+
+def _slip_or_unit(factor: float) -> str:
+    """What a number that is wrong by this factor may be."""
+    for unit, of_centimetres in UNIT_FACTORS.items():
+        if abs(factor / of_centimetres - 1) < MOST_OFF:
+            return f"A decimal slip, or was it in {unit}? Enter the unit with the number"
+    return "A decimal slip, or a unit?"
+
+
+def _complaint_of_units(runs: Sequence[MeasuredRun], found: Calibration) -> str:
+    """Whether lines and turns lead the squares' ends to where they are if centimetres were metres.
+
+    Other units are too alike for that: a caster turns the corners of squares by more than turns on the spot show.
+    """
+    if found.separation_by_turns_m is None:
+        return ""
+    lines = [run for run in runs if run.kind is Kind.STRAIGHT]
+    expected = OdometryCorrection(
+        found.correction.left_factor,
+        found.correction.right_factor,
+        found.nominal.separation_m,
+        found.separation_by_turns_m,
+    )
+    expected = _bent_as(lines, expected)
+    squares = [run for run in runs if run.kind in _SQUARES]
+    ends = [end_of(run, expected) for run in squares]
+    apart_m, otherwise_m = (
+        math.sqrt(
+            sum(
+                (k * run.measured.x_m - end.x_m) ** 2 + (k * run.measured.y_m - end.y_m) ** 2
+                for run, end in zip(squares, ends, strict=True)
+            )
+            / len(squares)
+        )
+        for k in (1.0, UNIT_FACTORS["metres"])
+    )
+    if apart_m < SMALL_END * squares[0].size or otherwise_m * MUCH_BETTER > apart_m:
+        return ""
+    return (
+        f"by the lines and the turns the squares end {apart_m * 100:.0f} cm from where they were measured, as if "
+        f"metres were entered as centimetres: {_xy(squares[0].measured)}. Measure them again, and enter the unit"
+    )
+
+
+def _bent_as(lines: Sequence[MeasuredRun], correction: OdometryCorrection) -> OdometryCorrection:
+    """The wheels by whose difference the lines end as far to the side as they were measured."""
+    for _ in range(4):  # each leaves a small share of what the one before left
+        off_m = sum(line.measured.y_m - end_of(line, correction).y_m for line in lines) / len(lines)
+        share = off_m * correction.separation_m / lines[0].size ** 2  # of half the difference; a bow of so much
+        correction = OdometryCorrection(
+            correction.left_factor * (1 - share),
+            correction.right_factor * (1 + share),
+            correction.nominal_separation_m,
+            correction.separation_m,
+        )
+    return correction
 
 
 def _complaint_of_repeats(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -> str:
@@ -174,9 +267,9 @@ def _complaint_of_repeats(runs: Sequence[MeasuredRun], nominal: WheelGeometry) -
     return ""
 
 
-def _complaint_of_reading(runs: Sequence[MeasuredRun], found: Calibration) -> str:
+def _complaint_of_reading(runs: Sequence[MeasuredRun], found: Calibration, side_m: float) -> str:
     """Whether other wheels would explain the same numbers far better, read in another way."""
-    if found.residual_m < LEAST_LEFT_M:
+    if found.residual_m < LEAST_LEFT * side_m:
         return ""
     readings = {
         "left and right, or clockwise and counter-clockwise, exchanged in the squares": [

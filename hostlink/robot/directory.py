@@ -8,7 +8,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hostlink.robot.presence import Presence
-from hostlink.robot.robot_names import LONGEST_NAME, PLAYED, Named, Origin, RobotNames
+from hostlink.robot.robot_names import LONGEST_NAME, PLAYED, Named, Origin, Places, RobotNames
 from hostlink.robot.velocity import TWIST_TYPE
 
 ODOMETRY_TYPES = ("geometry_msgs/Pose2D", "nav_msgs/Odometry")
@@ -166,20 +166,20 @@ class Directory:
         is_numbered = self._names.is_numbered(entry.name, entry.origin)
         return Accepted(replace(robot, name=entry.name), replaces, robot.name, entry.is_certain, is_numbered)
 
-    def misplaced(self, addresses: Mapping[str, str | None]) -> dict[str, int | None]:
-        """The names that these addresses would change, and the link of each; None: its device is away."""
-        return {name: self._by_name.get(name) for name in self._names.misplaced(addresses)}
+    def misplaced(self, places: Places) -> dict[str, int | None]:
+        """The names that these places would change, and the link of each; None: its device is away."""
+        return {name: self._by_name.get(name) for name in self._names.misplaced(places)}
 
-    def reconfigure(self, addresses: Mapping[str, str | None]) -> dict[str, int | None]:
-        """Names by these addresses from now on; each device whose name they change must claim again.
+    def reconfigure(self, places: Places) -> dict[str, int | None]:
+        """Names by these places from now on; each device whose name they change must claim again.
 
         Returns what was `misplaced`.
         """
-        misplaced = self.misplaced(addresses)
+        misplaced = self.misplaced(places)
         for link in misplaced.values():
             if link is not None:
                 self._release(link)
-        self._names.reconfigure(addresses)
+        self._names.reconfigure(places)
         return misplaced
 
     def leave(self, link: int) -> None:

@@ -32,10 +32,11 @@ class Named:
     is_new_number: bool = False
 
 
-class _Places:
-    """Where robots are configured to be."""
+class Places:
+    """Where robots are configured to be. Making it takes time with thousands of them."""
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
+        """`addresses`: robot name -> IP address, also with a port, or serial port."""
         self._names: defaultdict[str, list[str]] = defaultdict(list)
         self._with_place = {name for name, address in addresses.items() if address is not None}
         for name, address in addresses.items():
@@ -70,22 +71,21 @@ class RobotNames:
 
     def __init__(self, addresses: Mapping[str, str | None]) -> None:
         """`addresses`: robot name -> where it is configured to be: IP address, also with a port, or serial port."""
-        self._places = _Places(addresses)
+        self._places = Places(addresses)
         self._live: set[str] = set()  # that a device has now
         self._owners: dict[str, Origin] = {}
         self._of_origin: defaultdict[tuple[str, str], dict[str, None]] = defaultdict(dict)  # in the order of coming
         self._of_own: defaultdict[str, dict[str, None]] = defaultdict(dict)
 
-    def reconfigure(self, addresses: Mapping[str, str | None]) -> None:
+    def reconfigure(self, places: Places) -> None:
         """Whoever has another's name by these, or should have another, has none from now on."""
-        misplaced = self.misplaced(addresses)
-        self._places = _Places(addresses)
+        misplaced = self.misplaced(places)
+        self._places = places
         for name in misplaced:
             self.forget(name)
 
-    def misplaced(self, addresses: Mapping[str, str | None]) -> list[str]:
-        """The names that would be others' by these addresses, or whose devices would have others."""
-        places = _Places(addresses)
+    def misplaced(self, places: Places) -> list[str]:
+        """The names that would be others' by these places, or whose devices would have others."""
         right = {name for name, owner in self._owners.items() if name in places.at(owner)}
         return [
             name

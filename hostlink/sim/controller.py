@@ -16,6 +16,7 @@ DEAD_BAND_PWM = 10
 LEAST_PWM = 700
 FILTER = 0.1  # weight of the newest speed
 S_PER_TICK_S = 0.018  # of minimum jerk, for a change of one tick/s
+SLOWER_S_PER_TICK_S = 0.0009  # the same where the set-point goes towards zero
 LOOP_S = 1 / 30
 FEEDBACK_WASHOUT_S = 1.0  # how fast Feedback.WASHED_OUT fades
 HALF_TURN_S = LOOP_S / 2
@@ -27,8 +28,12 @@ STALLED_S = 0.5  # with a high PWM and no edge
 BLIND_S = 5.0  # with any PWM and no edge
 RECENT_TURNS = 6  # a fifth of a second: the filter is late by a third of one
 REQUEST_TURNS = 9  # 0.3 s: a wheel follows its set-point that much later
-TOO_FAST_FACTOR = 1.05  # of the requested speed, and so much more: from here a wheel brakes,
+OUTDATED_SHARE = 0.05  # of the set-point: below it, the filter has forgotten the higher speed
+SLOWER_FACTOR = 1.15  # of the set-point: until then, from here a wheel brakes,
+BRAKED_TURNS = 6  # until a wheel that was braked is as fast as its PWM makes it
+TOO_FAST_FACTOR = 1.05  # else of the requested speed, and so much more,
 TOO_FAST_TICKS_S = 2.0  # whatever the PID computes
+COUNT_TICKS = 0.49  # nearly an edge: so much a count may be off
 RUNAWAY_FACTOR = 1.1  # too fast, although it has braked since 1.05: by so much,
 RUNAWAY_TICKS_S = 20.0  # and by so much,
 RUNAWAY_S = 0.5  # the least duration
@@ -63,12 +68,17 @@ class Temper:
     left: Gains = LEFT_GAINS
     right: Gains = RIGHT_GAINS
     s_per_tick_s: float = S_PER_TICK_S
+    slower_s_per_tick_s: float = SLOWER_S_PER_TICK_S
     filter: float = FILTER
 
 
 PAPER = Temper()
 NIMBLE = Temper(  # at a new speed within 0.3 s, as small robots are today
-    left=Gains(12.0, 120.0, 0.0), right=Gains(12.0, 120.0, 0.0), s_per_tick_s=0.002, filter=0.6
+    left=Gains(12.0, 120.0, 0.0),
+    right=Gains(12.0, 120.0, 0.0),
+    s_per_tick_s=0.002,
+    slower_s_per_tick_s=0.0001,
+    filter=0.6,
 )
 
 
@@ -87,14 +97,16 @@ class RobotKind(StrEnum):
 class MinimumJerk:
     """A set-point that goes from where it is to a target without a jerk; the firmware's, operation by operation.
 
-    Its slope is at most 1.875 / S_PER_TICK_S, and it never passes the target. A further or nearer target the same way
-    keeps the slope, so that commands which change ten times a second add up to one motion; one the other way begins at
-    zero slope.
+    Its slope is at most 1.875 / S_PER_TICK_S away from zero and 1.875 / SLOWER_S_PER_TICK_S towards zero, and it never
+    passes the target. A further or nearer target the same way keeps the slope, so that commands which change ten times
+    a second add up to one motion; one the other way begins at zero slope. Before a target of the other sign it is zero
+    at once, and at a target of zero, too.
     """
 
-    def __init__(self, s_per_tick_s: float = S_PER_TICK_S) -> None:
+    def __init__(self, s_per_tick_s: float = S_PER_TICK_S, slower_s_per_tick_s: float = SLOWER_S_PER_TICK_S) -> None:
         self.value = self.target = 0.0
         self._s_per_tick_s = s_per_tick_s
+        self._slower_s_per_tick_s = slower_s_per_tick_s
         self._from = 0.0
         self._elapsed_s = self._length_s = 0.0
 
@@ -102,14 +114,17 @@ class MinimumJerk:
         """Go to a new target from the present value; the same target again changes nothing."""
         if target == self.target:
             return
+        if target == 0.0 or (self.value > 0.0 if target < 0.0 else self.value < 0.0):
+            self.stop()
         rest = target - self.value
         goes_on = rest * (self.target - self._from) > 0.0  # by the whole way: rounding decides what is left at its end
         s = self._rising_phase() if goes_on else 0.0
-        # The slope of each curve is 30 s^2 (1-s)^2 / S_PER_TICK_S, whatever its way.
+        # The slope of each curve is 30 s^2 (1-s)^2 / its seconds per tick, whatever its way.
         way = rest / (1.0 - travelled(1.0, s))
         self._from = self.value - travelled(way, s)
         self.target = target
-        self._length_s = abs(way) * self._s_per_tick_s
+        is_slower = abs(target) < abs(self.value)
+        self._length_s = abs(way) * (self._slower_s_per_tick_s if is_slower else self._s_per_tick_s)
         self._elapsed_s = s * self._length_s
 
     def stop(self) -> None:
@@ -142,12 +157,16 @@ class MinimumJerk:
 
 
 class RecentSpeed:
-    """Ticks and seconds of the last fifth of a second: the filter of the PID is late by a third of one."""
+    """Ticks and seconds of the last fifth of a second, and of the last turn.
+
+    The filter of the PID is late by a third of a second.
+    """
 
     def __init__(self) -> None:
         self._ticks = [0.0] * RECENT_TURNS
         self._seconds = [0.0] * RECENT_TURNS
         self._at = 0
+        self.last_ticks = 0.0
 
     @property
     def ticks(self) -> float:
@@ -161,13 +180,14 @@ class RecentSpeed:
 
     def add(self, ticks: float, dt_s: float) -> None:
         """A turn of the loop."""
+        self.last_ticks = ticks
         self._ticks[self._at] = ticks
         self._seconds[self._at] = dt_s
         self._at = (self._at + 1) % RECENT_TURNS
 
     def is_above(self, ticks_s: float) -> bool:
-        """Whether the mean speed, which has no sign, is more; the count of edges may be off by nearly one."""
-        return self.ticks > ticks_s * self.seconds + 0.49
+        """Whether the mean speed, which has no sign, is more."""
+        return self.ticks > ticks_s * self.seconds + COUNT_TICKS
 
 
 class WheelFault(Enum):
@@ -199,6 +219,10 @@ class Pid:
         self._output = output
         return output
 
+    def scale_integral(self, factor: float) -> None:
+        """Begin with what another speed needs."""
+        self._integral = self._integral * factor
+
     def reset(self) -> None:
         """Begin anew, at an output of zero."""
         self._output = self._steady_ticks_s = self._integral = self._last_error = 0.0
@@ -223,6 +247,8 @@ class WheelController:
     | zero             | any                           | brakes; the edges keep their sign                     |
     | along the sign   | faster than requested in the  | brakes, at the latest after 0.2 s                     |
     |                  | last 0.3 s                    |                                                       |
+    | along the sign,  | faster than the set-point in  | brakes                                                |
+    | has gone slower  | the last turn                 |                                                       |
     | along the sign   | any                           | driven that way, or brakes: never a torque against it |
     | against the sign | had an edge in the last 0.1 s | brakes; the set-point waits at zero                   |
     | against the sign | stands: braked for 0.1 s, and | the sign changes, then it is driven                   |
@@ -231,9 +257,11 @@ class WheelController:
 
     def __init__(self, gains: Gains, feedback: Feedback = Feedback.WASHED_OUT, temper: Temper = PAPER) -> None:
         self.pid = Pid(gains, feedback)
-        self.set_point = MinimumJerk(temper.s_per_tick_s)
+        self.set_point = MinimumJerk(temper.s_per_tick_s, temper.slower_s_per_tick_s)
         self._filter = temper.filter
         self.speed_ticks_s = 0.0  # filtered, signed
+        self._outdated_ticks_s = 0.0  # of speed_ticks_s: what the PID ignores, as the set-point has given it up
+        self._braked_turns = 0  # for which the PID ignores what the wheel's brake did
         self.pwm = 0
         self.direction = 1  # the sign that the encoder's ticks are given
         self.watch = WheelWatch()
@@ -242,11 +270,13 @@ class WheelController:
         self._still_s = 0.0  # since the last edge, and since it was driven: a wheel may roll before it has an edge
 
     def aim(self, ticks_s: float) -> None:
-        """Request a speed. Zero is a stop at once, not a ramp."""
-        if ticks_s == 0:
-            self.set_point.stop()
-        else:
-            self.set_point.aim(np.float32(ticks_s))  # type: ignore[arg-type]
+        """Request a speed."""
+        self.set_point.aim(np.float32(ticks_s))  # type: ignore[arg-type]
+
+    @property
+    def pwm_now(self) -> int:
+        """Of the last turn, unless a command has stopped the wheel since."""
+        return 0 if self.set_point.value == 0 else self.pwm
 
     @property
     def stands(self) -> bool:
@@ -271,7 +301,8 @@ class WheelController:
         self.speed_ticks_s += self._filter * (signed / dt_s - self.speed_ticks_s)
         self.recent.add(ticks, dt_s)
         self._still_s = 0.0 if edges or self.pwm else min(self._still_s + dt_s, 1.0)
-        wanted = self.set_point.step(dt_s)
+        before, wanted = self.set_point.value, self.set_point.step(dt_s)
+        self._forget(before, wanted)
         self._recent_requests.append(self.requested_ticks_s)
         is_reversal = wanted * self.direction < -NOTHING_TICKS_S
         is_resting = wanted * self.direction < NOTHING_TICKS_S
@@ -287,6 +318,8 @@ class WheelController:
         """Brake; and once the wheel stands, its edges may get the other sign."""
         self.pwm = 0
         self.pid.reset()
+        self._outdated_ticks_s = 0.0
+        self._braked_turns = 0
         if self.stands:
             self.speed_ticks_s = 0.0  # the filter need not find out
         if is_reversal:
@@ -296,9 +329,42 @@ class WheelController:
 
     def _regulate(self, wanted: float, dt_s: float) -> float:
         low, high = (0.0, float(FULL_PWM)) if self.direction > 0 else (-float(FULL_PWM), 0.0)
-        output = self.pid.step(wanted, self.speed_ticks_s, dt_s, low=low, high=high)
-        too_fast_ticks_s = TOO_FAST_FACTOR * self.recent_request_ticks_s + TOO_FAST_TICKS_S
-        return 0.0 if self.recent.is_above(too_fast_ticks_s) else output
+        output = self.pid.step(wanted, self.speed_ticks_s - self._outdated_ticks_s, dt_s, low=low, high=high)
+        is_over = self._is_too_fast(dt_s)
+        if not is_over and not self._is_to_slow_down(dt_s):
+            return output
+        if is_over:
+            self.pid.scale_integral(self.recent_request_ticks_s * self.recent.seconds / self.recent.ticks)
+        self._braked_turns = BRAKED_TURNS
+        return 0.0
+
+    def _forget(self, before: float, wanted: float) -> None:
+        """Let the filter and the integral follow a set-point that goes slower, and not notice a braking.
+
+        They are late by a third of a second and more: otherwise the wheel is braked to a standstill, driven too fast,
+        and braked again, for as long as the command lasts.
+        """
+        self._outdated_ticks_s -= self._filter * self._outdated_ticks_s
+        if abs(wanted) < abs(before):
+            self._outdated_ticks_s += before - wanted
+            self.pid.scale_integral(wanted / before)
+        if self._braked_turns > 0:
+            self._braked_turns -= 1
+            self._outdated_ticks_s = self.speed_ticks_s - wanted
+
+    def _is_to_slow_down(self, dt_s: float) -> bool:
+        """Whether the wheel is faster than the set-point, as long as the filter still has the higher speed."""
+        wanted_ticks_s = abs(self.set_point.value)
+        is_outdated = abs(self._outdated_ticks_s) > OUTDATED_SHARE * wanted_ticks_s
+        return is_outdated and self.recent.last_ticks > SLOWER_FACTOR * wanted_ticks_s * dt_s + COUNT_TICKS
+
+    def _is_too_fast(self, dt_s: float) -> bool:
+        """Whether the wheel is faster than it was requested to be in the last 0.3 s.
+
+        The window is late by a tenth of a second: the last turn ends the braking before the wheel stands.
+        """
+        allowed_ticks_s = TOO_FAST_FACTOR * self.recent_request_ticks_s + TOO_FAST_TICKS_S
+        return self.recent.is_above(allowed_ticks_s) and self.recent.last_ticks + COUNT_TICKS > allowed_ticks_s * dt_s
 
 
 class WheelWatch:

@@ -59,7 +59,6 @@ class SimulatedRobot:
         self._commanded_at_s: float | None = None
         self._is_faulted = False  # a wheel stalled or ran away
         self._has_zero = False  # a zero velocity came since
-        self._brakes_now = False  # a zero velocity does not wait for the next turn of the control
         self._now_s = 0.0
         self._is_greeted = False
         self._is_geometry_new = False  # since it was logged
@@ -110,8 +109,7 @@ class SimulatedRobot:
     def _pass_time(self) -> tuple[int, int]:
         """Let the world go on for a turn of the loop; returns the edges that each encoder counted."""
         left, right = self.controllers
-        self.world.drive(*((0, 0) if self._brakes_now else (left.pwm, right.pwm)))
-        self._brakes_now = False
+        self.world.drive(left.pwm_now, right.pwm_now)
         self.world.step(LOOP_S)
         edges = self.world.left.edges, self.world.right.edges
         counted = (edges[0] - self._edges[0]) % _EDGES, (edges[1] - self._edges[1]) % _EDGES
@@ -211,7 +209,6 @@ class SimulatedRobot:
     def _command(self, left_ticks_s: float, right_ticks_s: float) -> None:
         for control, ticks_s in zip(self.controllers, (left_ticks_s, right_ticks_s), strict=True):
             control.aim(ticks_s)
-        self._brakes_now |= left_ticks_s == right_ticks_s == 0
 
     def _receive_velocity(self, payload: bytes) -> None:
         twist: dict[str, Any] = self._types["Twist"].decode(payload)

@@ -71,10 +71,10 @@ class RobotOnFloor:
 
     def _command(self, linear_m_s: float, angular_rad_s: float) -> None:
         wanted_ticks_s = self._geometry.wheel_speeds(linear_m_s, angular_rad_s)
-        for control, ticks_s in zip(self._controllers, wanted_ticks_s, strict=True):
-            control.aim(ticks_s)
-        if not any(wanted_ticks_s):
-            self._world.drive(0, 0)  # now, not with the next turn
+        left, right = self._controllers
+        left.aim(wanted_ticks_s[0])
+        right.aim(wanted_ticks_s[1])
+        self._world.drive(left.pwm_now, right.pwm_now)
 
     def _turn_if_due(self) -> None:
         late_us = self._now_us - self._due_since_us - LOOP_US

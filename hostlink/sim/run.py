@@ -21,7 +21,7 @@ RECONNECT_S = 0.5
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged: the host is gone
 
 
-async def run_fleet(  # noqa: PLR0913 - as `hostlink sim` has it
+async def run_fleet(
     host: str,
     port: int,
     *,

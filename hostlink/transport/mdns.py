@@ -6,7 +6,7 @@ import socket
 from collections.abc import AsyncIterator
 
 from hostlink.config import TcpConfig
-from hostlink.errors import ConfigError
+from hostlink.errors import LibraryMissing
 
 SERVICE = "_rosserial._tcp.local."
 
@@ -22,7 +22,7 @@ async def advertised(config: TcpConfig, address: tuple[str, int]) -> AsyncIterat
         import zeroconf  # noqa: PLC0415
         from zeroconf.asyncio import AsyncZeroconf  # noqa: PLC0415
     except ImportError as error:
-        raise ConfigError("tcp.mdns", "needs zeroconf: pip install 'hostlink[mdns]'") from error
+        raise LibraryMissing("tcp.mdns", "zeroconf", "mdns") from error
     listens_on, port = address
     is_any = ipaddress.ip_address(listens_on).is_unspecified
     addresses = (

@@ -9,11 +9,13 @@ import socket
 import struct
 import sys
 import termios
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 
+from hostlink.acceptor import bind
 from hostlink.config import TcpConfig
 from hostlink.errors import ConfigError
+from hostlink.listening import BACKLOG
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import Connection
 from hostlink.transport.socket_options import set_options
@@ -23,7 +25,6 @@ from hostlink.transport.stream import StreamTransport
 _RTT_AT = 68  # tcpi_rtt, microseconds, in Linux's struct tcp_info
 SEND_BUFFER_BYTES = 8192  # stale commands must not pile up in the kernel, where nothing can replace them
 RECEIVE_BUFFER_BYTES = 65536  # of a flood, in the kernel: by so much a device's news may be late
-BACKLOG = 1024  # connections that may wait to be accepted
 ACCEPTED_AT_ONCE = 1  # before others have their turn: each connection costs about a millisecond
 STALL_POLL_S = 0.01
 USER_TIMEOUT_MS = 5000  # sent and not acknowledged after that: the peer is gone
@@ -112,8 +113,10 @@ class TcpTransport(StreamTransport):
 
 
 @contextlib.asynccontextmanager
-async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None]) -> AsyncIterator[Listener]:
-    """Accept devices until the block is left.
+async def serve_tcp(
+    config: TcpConfig, on_connection: Callable[[Transport], None], *, listening: Sequence[socket.socket] = ()
+) -> AsyncIterator[Listener]:
+    """Accept devices until the block is left. `listening`: sockets that listen already, from `hostlink.listening`.
 
     Raises:
         ConfigError: the address cannot be listened on.
@@ -138,18 +141,22 @@ async def serve_tcp(config: TcpConfig, on_connection: Callable[[Transport], None
 
     loop = asyncio.get_running_loop()
     try:
-        server = await loop.create_server(
-            lambda: Connection(accept), config.host, config.port, backlog=ACCEPTED_AT_ONCE
-        )
-        for listening in server.sockets:
-            with socket.socket(fileno=os.dup(listening.fileno())) as same:
-                same.listen(BACKLOG)  # in the kernel, where asyncio means both by one number
+        sockets = listening or await bind(config.host, config.port)
     except (OSError, OverflowError) as error:
         raise ConfigError(f"TCP {spelled(config.host, config.port)}", explain(error, "--listen")) from error
+    address = sockets[0].getsockname()[:2]
+    servers = [
+        await loop.create_server(lambda: Connection(accept), sock=each, backlog=ACCEPTED_AT_ONCE) for each in sockets
+    ]
+    for server in servers:
+        for each in server.sockets:
+            with socket.socket(fileno=os.dup(each.fileno())) as same:
+                same.listen(BACKLOG)  # in the kernel, where asyncio means both by one number
     try:
-        yield Listener(server.sockets[0].getsockname()[:2])
+        yield Listener(address)
     finally:
-        server.close()  # wait_closed would wait for the links, which end after the listener
+        for server in servers:
+            server.close()  # wait_closed would wait for the links, which end after the listener
 
 
 def spelled(host: str, port: int) -> str:

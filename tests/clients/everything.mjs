@@ -93,6 +93,17 @@ offer.unadvertise();
 await ask(ros, "getServices");
 seen.refused = await ask(caller, "callService", { data: true }).catch((error) => error.message);
 seen.lock = await ask(new Service({ ros, name: "/robot_0/lock", serviceType: "std_srvs/Trigger" }), "callService", {});
+const emit = ros.emit;
+const locked = new Promise((resolve) => { // a status, for which nobody has asked, is an event with the id of its message
+  ros.emit = (event, ...values) => {
+    if (String(event).startsWith("status:publish:")) resolve(values[0]);
+    return emit.call(ros, event, ...values);
+  };
+});
+for (let number = 0; number < 3; number += 1) velocity.publish({ linear: { x: 0.3 }, angular: {} });
+seen.locked = await locked;
+ros.emit = emit;
+velocity.unadvertise();
 await ask(new Service({ ros, name: "/robot_0/unlock", serviceType: "std_srvs/Trigger" }), "callService", {});
 
 // -- rosapi and parameters

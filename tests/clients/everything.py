@@ -4,6 +4,7 @@ Prints "cut" when its connections are to be cut, and at the end what it has seen
 """
 
 import json
+import logging
 import queue
 import sys
 import threading
@@ -51,6 +52,23 @@ def drive(ros: Any, other: Any) -> Any:
     odom.unsubscribe()
     velocity.unadvertise()
     return newest[-1]
+
+
+def refused(ros: Any) -> list[str]:
+    """Drive a locked robot: what roslibpy logs of the status that it does not know."""
+    lines: list[str] = []
+    noting = logging.Handler()
+    noting.emit = lambda record: lines.append(record.exc_info[1].args[0])
+    logging.getLogger("roslibpy").addHandler(noting)
+    roslibpy.Service(ros, "/robot_0/lock", "std_srvs/Trigger").call(roslibpy.ServiceRequest(), timeout=WAIT_S)
+    velocity = roslibpy.Topic(ros, "/robot_0/cmd_vel", "geometry_msgs/Twist")
+    for _ in range(3):
+        velocity.publish(roslibpy.Message({"linear": {"x": 0.3}}))
+    until(lambda: lines)
+    velocity.unadvertise()
+    roslibpy.Service(ros, "/robot_0/unlock", "std_srvs/Trigger").call(roslibpy.ServiceRequest(), timeout=WAIT_S)
+    logging.getLogger("roslibpy").removeHandler(noting)
+    return lines
 
 
 def topics(ros: Any, other: Any) -> dict[str, Any]:
@@ -147,7 +165,8 @@ def main() -> None:
     for client in (ros, other):
         client.run(timeout=WAIT_S)
     ros.authenticate("mac", "client", "dest", "rand", 0, "level", 1)
-    observed = {"odom": drive(ros, other), **topics(ros, other), **services(ros, other), "api": rosapi(ros)}
+    observed = {"odom": drive(ros, other), "locked": refused(ros)}
+    observed |= {**topics(ros, other), **services(ros, other), "api": rosapi(ros)}
     observed["reconnected"] = reconnect(ros)
     sys.stdout.write(json.dumps(observed, default=dict))
     sys.stdout.flush()

@@ -27,6 +27,7 @@ class Player {
     this.graph = { published: {}, subscribed: {}, services: {}, removed: [] };
     this.parameters = new Map();
     this.answers = new Map();
+    this.times = [];
     this.closed = false;
     const subscriptions = (this.subscriptions = new Map());
     const on = (event, act) => this.client.on(event, act);
@@ -41,8 +42,10 @@ class Player {
     on("advertiseServices", (services) => services.forEach((each) => this.services.set(each.name, each)));
     on("unadvertiseServices", (ids) =>
       [...this.services.values()].filter(({ id }) => ids.includes(id)).forEach(({ name }) => this.services.delete(name)));
+    on("time", ({ timestamp }) => this.times.push(timestamp));
     on("message", ({ subscriptionId, timestamp, data }) => {
       const { topic, reader } = subscriptions.get(subscriptionId);
+      this.behind = Math.max(this.behind ?? 0, Math.abs(Number(timestamp - this.times.at(-1)) / 1e6));
       this.received.set(topic, [...(this.received.get(topic) ?? []), { at: Number(timestamp / 1000000n), value: reader.readMessage(data) }]);
     });
     on("parameterValues", ({ parameters, id }) => {
@@ -118,6 +121,7 @@ await until(() => player.newest("/robot_0/odom")?.pose.pose.position.x > 0.05);
 await until(() => player.newest("/robot_0/cmd_vel")?.linear.x === 0.3);
 seen.odom = player.newest("/robot_0/odom");
 seen.age = Date.now() - player.received.get("/robot_0/odom").at(-1).at;
+seen.time = { behind: player.behind, age: Date.now() - Number(player.times.at(-1) / 1000000n) };
 clearInterval(driving);
 await until(() => player.newest("/robot_0/cmd_vel").linear.x === 0); // the lease has ended
 seen.decoded = Object.fromEntries([...player.received].map(([topic, messages]) => [topic, messages.length]));

@@ -105,10 +105,13 @@ async def board(kind: str, port: int, world: Path | None = None) -> AsyncIterato
 
 async def drive(daemon: Process, made: Board, linear: float, *, until_ticks_s: float) -> None:
     """Command ten times a second until both wheels are so fast."""
-    url = f"{daemon.url}/api/robots/robot_0/velocity"
+    url = f"{daemon.url}/api/robots/robot_0"
     async with aiohttp.ClientSession() as session, asyncio.timeout(DRIVE_S):
         while min(made.speeds_ticks_s) < until_ticks_s:
-            async with session.put(url, json={"linear": linear, "angular": 0.0}) as response:
+            async with session.get(url) as response:
+                epoch = (await response.json())["epoch"]
+            velocity = {"linear": linear, "angular": 0.0, "epoch": epoch}
+            async with session.put(f"{url}/velocity", json=velocity) as response:
                 assert response.status == 200, await response.text()
             await asyncio.sleep(0.1)
 

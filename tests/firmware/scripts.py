@@ -137,6 +137,27 @@ def draw_joystick(seed: int) -> Script:
     return Script(draw(seed).world, tuple(_strokes(np.random.default_rng((seed, 1)))))
 
 
+def draw_reversals(seed: int) -> Script:
+    """The same world, driven with a stick that is pulled through zero and back, in steps and with an unsteady hand."""
+    return Script(draw(seed).world, tuple(_reversals(np.random.default_rng((seed, 2)))))
+
+
+def _reversals(random: np.random.Generator) -> list[tuple[float, float, int]]:
+    pieces: list[tuple[float, float, int]] = []
+    interval_ms = int(random.choice([50, 100]))
+    now = np.zeros(2)
+    for _ in range(random.integers(2, 7)):
+        aim = np.array([random.uniform(-0.34, 0.34), random.choice([0.0, random.uniform(-3.0, 3.0)])])
+        steps, tremble = random.integers(1, 8), random.choice([0.0, 0.01, 0.05])
+        for linear, angular in np.linspace(now, aim, int(steps) + 1)[1:]:
+            pieces.append((float(linear), float(angular), interval_ms))
+        for _ in range(random.integers(0, 1500 // interval_ms)):  # a command too small to turn a wheel stalls after 5 s
+            linear, angular = aim * (1.0 + tremble * random.uniform(-1.0, 1.0, 2))
+            pieces.append((float(linear), float(angular), interval_ms))
+        now = aim
+    return [*pieces, (0.0, 0.0, STANDS_MS)]
+
+
 def _strokes(random: np.random.Generator) -> list[tuple[float, float, int]]:
     pieces = []
     interval_ms = 10 * int(random.integers(2, 21))

@@ -92,5 +92,5 @@ async def test_squares_without_a_lost_message_and_with_true_odometry() -> None:
 
     rolled_m = (after["rolled_mm"] - before["rolled_mm"]) / 1000
     wrong_m = math.hypot(pose["x_m"] - after["x_mm"] / 1000, pose["y_m"] - after["y_mm"] / 1000)
-    assert rolled_m > 0.1 * SOAK_S
+    assert rolled_m > 0.08 * SOAK_S  # a reversal does not roll on
     assert wrong_m <= 0.002 * rolled_m + ROUNDING_M

@@ -16,7 +16,18 @@ from hostlink.sim.world_library import load_library
 from hostlink.sim.world_parameters import WheelParameters, WorldParameters
 from tests.firmware.boards import build_m3, build_native
 from tests.firmware.drive_checks import check_odometry, check_speed, check_standstill
-from tests.firmware.scripts import CONNECT_MS, STANDS_MS, Script, column, draw, draw_joystick, run_m3, run_native, trace
+from tests.firmware.scripts import (
+    CONNECT_MS,
+    STANDS_MS,
+    Script,
+    column,
+    draw,
+    draw_joystick,
+    draw_reversals,
+    run_m3,
+    run_native,
+    trace,
+)
 
 DRIVES = int(os.environ.get("HOSTLINK_DRIVES", "400"))
 DRIVES_M3 = int(os.environ.get("HOSTLINK_DRIVES_M3", "2"))
@@ -67,7 +78,9 @@ def wrong_of(scripts: Iterable[Script], folder: Path | None = None) -> list[str]
     return wrong
 
 
-stories = pytest.mark.parametrize("story", [draw, draw_joystick], ids=["pieces", "joystick"])
+stories = pytest.mark.parametrize(
+    "story", [draw, draw_joystick, draw_reversals], ids=["pieces", "joystick", "reversals"]
+)
 
 
 @stories

@@ -2,9 +2,11 @@
 
 import asyncio
 import contextlib
+import socket
 import ssl
 import subprocess
-from collections.abc import AsyncIterator
+import time
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import aiohttp
@@ -19,6 +21,34 @@ HALF = b"GET /api/robots HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 BODY_MISSING = b"PUT /api/robots/robot_0/velocity HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 40\r\n\r\n{"
 SMALL = Config(api=ApiConfig(max_connections=24, max_connections_per_address=24))
 IMPATIENT = Config(api=ApiConfig(request_timeout_s=0.2))
+
+
+SLOW_TURN_S = 0.02
+QUEUED = 50  # connections that are accepted before; one a turn, so in twice a lease
+VELOCITY = b'{"linear": %b, "angular": 0.0}'
+
+
+def velocity_request(linear: bytes) -> bytes:
+    body = VELOCITY % linear
+    head = b"PUT /api/robots/robot_0/velocity HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n"
+    return head + b"Content-Length: %d\r\n\r\n" % len(body) + body
+
+
+@contextlib.contextmanager
+def slow_turns() -> Iterator[None]:
+    """Each turn of the loop takes a while, as on a machine that has too little time for it."""
+    loop, is_over = asyncio.get_running_loop(), False
+
+    def turn() -> None:
+        time.sleep(SLOW_TURN_S)
+        if not is_over:
+            loop.call_soon(turn)
+
+    loop.call_soon(turn)
+    try:
+        yield
+    finally:
+        is_over = True
 
 
 def port_of(host: Daemon) -> int:
@@ -117,3 +147,24 @@ async def test_handshakes_of_tls_that_never_end_give_way(tmp_path: Path) -> None
     api = ApiConfig(certificate=certificate, key=key, max_connections=24, max_connections_per_address=24)
     async with daemon(Config(api=api)) as host, connections(host, 60, b"\x16"), asyncio.timeout(5):
         assert (await host.session.post(host.url + "/api/stop", ssl=trust)).status == 200
+
+
+@pytest.mark.parametrize(
+    ("linear", "queued", "status"),
+    [(b"0.3", QUEUED, b"400"), (b"0.0", QUEUED, b"200"), (b"0.3", 0, b"200")],
+    ids=["old", "zero", "new"],
+)
+async def test_velocity_that_waited_to_be_accepted_longer_than_its_lease_is_refused(
+    linear: bytes, queued: int, status: bytes
+) -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        address = ("127.0.0.1", port_of(host))
+        with contextlib.ExitStack() as stack, slow_turns():  # the system connects, whatever the loop does
+            for _ in range(queued):
+                stack.enter_context(socket.create_connection(address))
+            driver = stack.enter_context(socket.create_connection(address))
+            driver.sendall(velocity_request(linear))
+            answer = await asyncio.to_thread(driver.recv, 4096)
+        assert answer.split()[1] == status, answer
+        assert (b"may have waited" in answer) == (status == b"400")

@@ -4,16 +4,20 @@ import asyncio
 import contextlib
 import itertools
 import json
+import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from aiohttp.test_utils import make_mocked_request
 
+from hostlink.api.history import HistoryRoutes
+from hostlink.api.incidents import IncidentRoutes
 from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
 from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
-from hostlink.recording.channel import Channel
+from hostlink.recording.channel import Channel, json_of
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
@@ -65,7 +69,7 @@ def topics(messages: list[StoredMessage]) -> set[str]:
 
 async def test_a_lock_saves_what_came_before_and_what_comes_after(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, device):
-        await host.rest("POST", "/api/robots/robot_0/lock", b'{"reason": "a hand in the wheel"}')
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0", b'{"reason": "a hand in the wheel"}')
         (pending,) = (await host.get("/api/incidents"))["incidents"]
         assert (pending["cause"], pending["file"]) == ("locked", "")
         await device.send(pose(3.0, 2.0, 0.5))
@@ -78,7 +82,59 @@ async def test_a_lock_saves_what_came_before_and_what_comes_after(tmp_path: Path
     poses = [message.payload for message in found if message.channel.topic == "/robot_0/odometry"]
     assert poses == [pose(1.0, 2.0, 0.5)[7:-1], pose(3.0, 2.0, 0.5)[7:-1]]
     assert {"/robot_0/velocity_commands", "/hostlink/events"} <= topics(found)
-    assert [message.stamp_ns for message in found] == sorted(message.stamp_ns for message in found)
+    assert [message.steady_ns for message in found] == sorted(message.steady_ns for message in found)
+
+
+@pytest.mark.parametrize("step_s", [8_640_000, -8_640_000])
+async def test_ages_are_seconds_though_the_clock_is_set_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step_s: int
+) -> None:
+    of_system = time.time_ns
+    async with boxed(config(tmp_path)) as (host, device):
+        monkeypatch.setattr(time, "time_ns", lambda: of_system() + step_s * 1_000_000_000)
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
+        await device.send(pose(1.5, 2.0, 0.5))
+        await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 2)
+        live = await host.get("/api/robots/robot_0/history")
+        (incident,) = await saved(host)
+        stored = (await host.get(f"/api/incidents/{incident['file']}/history"))["history"]
+    for history in (live, stored):
+        assert [each["pose"]["x_m"] for each in history["poses"]] == [1.0, 1.5]
+        ages = [each["age_s"] for part in ("poses", "events") for each in history[part]]
+        assert max(map(abs, ages)) < 60
+
+
+async def test_histories_are_made_one_at_a_time(tmp_path: Path) -> None:
+    at_once = most = 0
+
+    class Turn(asyncio.Semaphore):
+        """Counts who has it."""
+
+        async def __aenter__(self) -> None:
+            nonlocal at_once, most
+            await super().__aenter__()
+            at_once += 1
+            most = max(most, at_once)
+
+        async def __aexit__(self, *error: Any) -> None:
+            nonlocal at_once
+            at_once -= 1
+            await super().__aexit__(*error)
+
+    async with boxed(config(tmp_path)) as (host, _):
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
+        (incident,) = await saved(host)
+        box, turn = BlackBox(host.hub, tmp_path), Turn(1)
+        histories = HistoryRoutes(host.hub, box, turn), IncidentRoutes(box, host.hub.catalog, turn)
+        handlers = [
+            next(route.handler for route in routes.routes() if route.path.endswith("/history")) for routes in histories
+        ]
+        async with asyncio.TaskGroup() as tasks:
+            for handler, name in zip(handlers * 4, ["robot_0", incident["file"]] * 4, strict=True):
+                request = make_mocked_request("GET", "/", match_info={"name": name})
+                tasks.create_task(handler(request))  # type: ignore[arg-type] - a handler is a coroutine function
+        await box.aclose()
+    assert most == 1
 
 
 async def test_every_robot_of_a_room_may_be_locked_at_once(tmp_path: Path) -> None:
@@ -88,7 +144,7 @@ async def test_every_robot_of_a_room_may_be_locked_at_once(tmp_path: Path) -> No
             await devices.enter_async_context(fake_device(host.tcp, robot_topics(name)))
         await expect(lambda: all(map(host.hub.robots.has, names)))
         for name in names:
-            assert (await host.rest("POST", f"/api/robots/{name}/lock"))[0] == 200
+            assert (await host.rest("POST", f"/api/robots/{name}/lock?wait_s=0"))[0] == 200
         assert {each["robot"] for each in await saved(host, len(names))} == set(names)
         assert (await host.get("/api/incidents"))["missed"] == 0
 
@@ -103,7 +159,8 @@ async def test_a_driver_that_falls_silent_is_an_incident_and_one_that_stops_is_n
         pilot.drive(robot, Velocity(0.2))
         (incident,) = await saved(host)
     assert (incident["cause"], incident["detail"]) == ("lease", "no command of pilot came")
-    events = [json.loads(message.payload) for message in read(tmp_path, incident) if message.channel.encoding == "json"]
+    found = (message for message in read(tmp_path, incident) if message.channel.content)
+    events = [json.loads(json_of(message.channel, message.payload)) for message in found]
     assert [event["facts"].get("owner") for event in events if event["kind"] == "commanded"] == ["pilot"] * 3
 
 
@@ -129,14 +186,14 @@ async def test_a_neighbours_messages_are_not_in_a_robots_incident(tmp_path: Path
     async with boxed(config(tmp_path)) as (host, _), fake_device(host.tcp, robot_topics("robot_1")) as other:
         await expect(lambda: len(host.hub.robots.all()) == 2)
         await other.send(pose(9.0))
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         (incident,) = await saved(host)
     assert not {topic for topic in topics(read(tmp_path, incident)) if topic.startswith("/robot_1/")}
 
 
 async def test_the_end_of_the_daemon_saves_what_is_pending(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, after_s=60.0)) as (host, _):
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
     async with daemon(config(tmp_path), has_black_box=True) as host:
         (incident,) = await saved(host)
     assert incident["cause"] == "locked"
@@ -144,7 +201,7 @@ async def test_the_end_of_the_daemon_saves_what_is_pending(tmp_path: Path) -> No
 
 async def test_a_disk_that_is_full_loses_the_file_and_nothing_else(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, free_mb=1e12)) as (host, _):
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         await asyncio.sleep(0.8)
         listed = await host.get("/api/incidents")
         assert (listed["incidents"], listed["missed"]) == ([], 1)
@@ -155,7 +212,7 @@ async def test_one_that_is_turned_off_keeps_nothing(tmp_path: Path) -> None:
     async with boxed(config(tmp_path, enabled=False)) as (host, _):
         names = [str(each.key) for each in host.hub.topics.find("/robot_0/odometry").subscribers]
         assert len(names) == 1  # its robot, which reads its poses
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         status, refusal = await host.rest("POST", "/api/incidents", b'{"robot": "robot_0"}')
         assert (status, "enabled = true" in refusal["error"]["reason"]) == (409, True)
         assert (await host.get("/api/incidents"))["incidents"] == []
@@ -182,7 +239,7 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
             await device.send(pose(1.0 + number / 100, 2.0, 0.5))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 4)
         host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         history = await host.get("/api/robots/robot_0/history")
         robot = await host.get("/api/robots/robot_0")
         assert (await host.rest("GET", "/api/robots/robot_9/history"))[0] == 404
@@ -199,7 +256,7 @@ async def test_an_incidents_history_counts_back_from_it(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, device):
         host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
         await asyncio.sleep(0.05)
-        await host.rest("POST", "/api/robots/robot_0/lock", b'{"reason": "a hand in the wheel"}')
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0", b'{"reason": "a hand in the wheel"}')
         await device.send(pose(1.02, 2.0, 0.5))
         (incident,) = await saved(host)
         status, view = await host.rest("GET", f"/api/incidents/{incident['file']}/history")
@@ -219,7 +276,7 @@ async def test_an_incidents_history_counts_back_from_it(tmp_path: Path) -> None:
 
 async def test_a_damaged_incident_shows_what_is_left_of_it(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         (incident,) = await saved(host)
         path = tmp_path / "incidents" / incident["file"]
         content = await asyncio.to_thread(path.read_bytes)
@@ -235,7 +292,7 @@ async def test_all_robots_of_a_fleet_that_are_locked_at_once_are_incidents(tmp_p
             await devices.enter_async_context(fake_device(host.tcp, robot_topics(name)))
         await expect(lambda: {robot.name for robot in host.hub.robots.all()} == set(names))
         for name in names:
-            assert (await host.rest("POST", f"/api/robots/{name}/lock"))[0] == 200
+            assert (await host.rest("POST", f"/api/robots/{name}/lock?wait_s=0"))[0] == 200
         assert {each["robot"] for each in await saved(host, len(names))} == set(names)
         assert (await host.get("/api/incidents"))["missed"] == 0
 
@@ -245,7 +302,7 @@ async def test_requested_incidents_are_few_at_a_time_and_leave_room_for_what_hap
         body = json.dumps({"robot": "robot_0"}).encode()
         answers = [(await host.rest("POST", "/api/incidents", body))[0] for _ in range(MAX_REQUESTED + 1)]
         assert answers == [200] * MAX_REQUESTED + [409]
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         assert (await host.get("/api/incidents"))["incidents"][0]["cause"] == "locked"
 
 
@@ -276,15 +333,20 @@ async def test_of_channels_that_come_and_go_the_newest_are_kept(tmp_path: Path) 
     assert reader.channels == channels[MAX_CHANNELS:]
 
 
-@pytest.mark.parametrize("payload", [b"1", b"\xff", b"{"])
-async def test_a_program_that_publishes_as_hostlink_itself_spoils_no_history(tmp_path: Path, payload: bytes) -> None:
+@pytest.mark.parametrize(
+    ("type_name", "payload"),
+    [("std_msgs/UInt8", b"1"), ("std_msgs/UInt8", b"\xff"), ("std_msgs/String", b"\2\0\0\0{}")],
+)
+async def test_a_program_that_publishes_as_hostlink_itself_spoils_no_history(
+    tmp_path: Path, type_name: str, payload: bytes
+) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         program = host.hub.join("program")
         for name in ("/hostlink/events", "/robot_0/events"):
-            program.advertise(name, "std_msgs/UInt8")
+            program.advertise(name, type_name)
         await asyncio.sleep(0.1)
         program.publish("/hostlink/events", payload)
-        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         history = await host.get("/api/robots/robot_0/history")
         assert [each["msg"]["kind"] for each in history["events"]][-1] == "locked"
         (incident,) = await saved(host)

@@ -22,9 +22,12 @@ from hostlink.robot.velocity import Velocity
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
+HELD_BY_PERSON = "robot_0: a person drives it with a higher priority; wait until it lets go, or use stop"
+INTERRUPTED = "it was stopped, locked or reconnected while this source was driving"
 LED = topic(Id.SUBSCRIBER, 100, "/led", "std_msgs/Bool")
 TRIGGER = [
     topic(Id.SERVICE_SERVER_PUBLISHER, 125, "/trigger", "std_srvs/Trigger"),
@@ -49,7 +52,7 @@ async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2)
 def drive_as_a_person(host: Daemon) -> None:
     """As a person at the keys."""
     robot = host.hub.robots.find("robot_0")
-    host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+    drive_gate(host.hub.gates, robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
 
 
 @contextlib.asynccontextmanager
@@ -136,7 +139,7 @@ async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> N
             assert await refused(me, name="robot_9") == "no robot named robot_9; known: robot_0"
             assert await refused(me, linear_m_s=math.nan) == "robot_0: a velocity must be made of finite numbers"
             drive_as_a_person(host)
-            assert await refused(me) == "robot_0: a person drives it with a higher priority"
+            assert await refused(me) == HELD_BY_PERSON
             await me.robot("robot_0", priority=70).drive(0.2, 0.0)
             assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.2)
         await expect(lambda: host.hub.robots.find("robot_0").link is None)
@@ -164,9 +167,7 @@ async def test_a_repeated_velocity_that_is_overruled_is_dropped_and_the_next_dri
         drive_as_a_person(host)
         await expect(lambda: not robot.is_driven)
         host.hub.gates.release("a person")
-        assert await refused(me) == (
-            "robot_0 was stopped, drive again if it is still meant: robot_0: a person drives it with a higher priority"
-        )
+        assert await refused(me) == f"robot_0 was stopped, drive again if it is still meant: {HELD_BY_PERSON}"
         await robot.drive(0.3, 0.0)
         assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.3)
 
@@ -177,7 +178,7 @@ async def test_a_device_that_connects_again_is_not_driven_by_an_earlier_command(
         await robot.drive(0.2, 0.0)
         async with fake_device(host.tcp, robot_topics()) as new:  # replaces the old one at once
             await expect(lambda: not robot.is_driven)
-            assert "its device has connected again since" in await refused(me)
+            assert INTERRUPTED in await refused(me)
             await robot.drive(0.1, 0.0)
             assert await new.velocity_other_than(ZERO) == (0.1, 0.0)
 
@@ -197,7 +198,7 @@ async def test_a_program_that_drives_again_and_again_is_refused_once_when_the_de
                     refusals.append(str(error))
                 await asyncio.sleep(0.01)
             assert len(refusals) == 1
-            assert "its device has connected again since" in refusals[0]
+            assert INTERRUPTED in refusals[0]
             assert robot.is_driven
 
 
@@ -212,7 +213,7 @@ async def test_a_command_is_not_repeated_and_its_refusal_is_known_after_its_answ
         drive_as_a_person(host)
         await robot.command(0.2, 0.0)
         await me.settle()
-        assert robot.refusal == Refusal("RobotHeld", "robot_0: a person drives it with a higher priority")
+        assert robot.refusal == Refusal("held", HELD_BY_PERSON)
         with pytest.raises(HostlinkError, match="finite"):
             await robot.command(math.inf, 0.0)
 
@@ -231,19 +232,32 @@ async def test_a_command_with_a_token_that_may_only_read_is_refused() -> None:
         assert (robot.refusal.kind, "may only read" in robot.refusal.reason) == ("NoRole", True)
 
 
-async def test_a_command_for_a_link_is_refused_when_the_device_has_connected_again() -> None:
+async def test_a_command_with_the_epoch_of_its_decision_is_refused_when_the_device_has_connected_again() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
         robot = me.robot("robot_0")
-        link = (await robot.state())["link"]
-        await robot.command(0.2, 0.0, link=link)
-        await me.settle()
-        assert robot.refusal is None
+        epoch = (await robot.state())["epoch"]
         async with fake_device(host.tcp, robot_topics()):
-            await expect(lambda: host.hub.robots.find("robot_0").link.number != link)
-            await robot.command(0.2, 0.0, link=link)
+            await expect(lambda: host.hub.robots.find("robot_0").gate.admission.epoch != epoch)
+            await robot.command(0.2, 0.0, epoch=epoch)
             await me.settle()
             assert robot.refusal is not None
-            assert "its device has connected again since" in robot.refusal.reason
+            assert robot.refusal.kind == "disarmed"
+
+
+async def test_a_stop_by_another_script_ends_a_drive_and_the_next_raises_once() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()),
+        connect(host.url) as me,
+        connect(host.url) as he,
+    ):
+        robot = me.robot("robot_0")
+        await robot.drive(0.2, 0.0)
+        await he.robot("robot_0").stop()
+        await expect(lambda: not robot.is_driven)
+        assert host.hub.robots.find("robot_0").gate.owner_name is None
+        assert INTERRUPTED in await refused(me)
+        await robot.drive(0.2, 0.0)
 
 
 async def test_a_lock_drops_what_another_script_repeats_and_the_unlock_moves_nothing() -> None:
@@ -271,9 +285,9 @@ async def test_single_commands_that_went_on_through_a_lock_move_nothing_after_th
             await robot.command(0.2, 0.0)
             await me.settle()
             assert robot.refusal is not None
-            assert robot.refusal.is_locked is (host.hub.robots.find("robot_0").gate.lock_reason is not None)
+            is_locked = host.hub.robots.find("robot_0").gate.lock_reason is not None
+            assert robot.refusal.kind == ("locked" if is_locked else "disarmed")
             await robot.unlock()
-        assert "drives again after a zero" in robot.refusal.reason
         await robot.command(0.0, 0.0)
         await robot.command(0.2, 0.0)
         await me.settle()
@@ -295,7 +309,7 @@ async def test_a_drive_that_is_cancelled_is_followed_by_a_zero() -> None:
             async with asyncio.timeout(0):
                 await me.robot("robot_0").drive(0.2, 0.0)
         gate = host.hub.robots.find("robot_0").gate
-        await expect(lambda: gate.counts.commands == 2)
+        await expect(lambda: gate.counts.commands in (1, 2))  # one, where the zero came before the other was obeyed
         assert gate.current.is_zero
         assert await device.velocity_other_than((0.2, 0.0)) == ZERO
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hostlink.config import Config, LinkConfig, RobotConfig
-from hostlink.errors import DeviceGone, RobotHeld
+from hostlink.errors import CommandRefused
 from hostlink.hub.message import Message
 from hostlink.protocol.control import decode_parameter, encode_parameter_request
 from hostlink.protocol.frame import Id, encode
@@ -18,6 +18,7 @@ from hostlink.robot.velocity import Velocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.participants import publish, subscribe
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
@@ -167,7 +168,7 @@ async def test_limits_apply_to_every_robot_that_announces_the_name() -> None:
     async with daemon(config) as host, two_alike(host):
         for name in ("robot_0", "robot_0_2"):
             robot = host.hub.robots.find(name)
-            assert host.hub.gates.command(robot, FAST, owner="test").linear_x_m_s == 0.2
+            assert drive_gate(host.hub.gates, robot, FAST, owner="test").linear_x_m_s == 0.2
         assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
 
 
@@ -183,9 +184,9 @@ async def test_one_that_comes_back_while_its_old_link_seems_alive_has_its_name_a
         async with fake_device(host.tcp, robot_topics(), local_host=ONE), asyncio.timeout(2.0):
             await old.closed()
             await expect(lambda: host.hub.robots.find("robot_0").link)
-            with pytest.raises(RobotHeld, match="a person is near"):
-                host.hub.gates.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
-            host.hub.gates.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+            with pytest.raises(CommandRefused, match="a person is near"):
+                drive_gate(host.hub.gates, host.hub.robots.find("robot_0"), SLOW, owner="test")
+            drive_gate(host.hub.gates, host.hub.robots.find("robot_0_2"), SLOW, owner="test")
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -197,7 +198,7 @@ async def test_what_the_old_link_was_driven_by_drives_the_new_one_no_more() -> N
             async def drive() -> None:
                 robot, first = host.hub.robots.find("robot_0"), host.hub.links.all()[0]
                 while robot.link is first:
-                    host.hub.gates.command(robot, SLOW, owner="test")
+                    drive_gate(host.hub.gates, robot, SLOW, owner="test")
                     await asyncio.sleep(0.02)
 
             tasks.create_task(drive())
@@ -226,8 +227,8 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
         ):
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
             for name in ("robot_0", "robot_0_2"):
-                with pytest.raises(RobotHeld, match="a person is near"):
-                    host.hub.gates.command(host.hub.robots.find(name), SLOW, owner="test")
+                with pytest.raises(CommandRefused, match="a person is near"):
+                    drive_gate(host.hub.gates, host.hub.robots.find(name), SLOW, owner="test")
 
 
 async def test_one_that_is_surely_another_is_not_locked() -> None:
@@ -240,7 +241,7 @@ async def test_one_that_is_surely_another_is_not_locked() -> None:
         host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
         async with fake_device(host.tcp, robot_topics(), local_host=OTHER) as other:
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
-            host.hub.gates.command(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+            drive_gate(host.hub.gates, host.hub.robots.find("robot_0_2"), SLOW, owner="test")
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -262,7 +263,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry
     async def drive() -> None:
         robot = host.hub.robots.find("robot_0")
         while robot.link is not None:
-            host.hub.gates.command(robot, SLOW, owner="test")
+            drive_gate(host.hub.gates, robot, SLOW, owner="test")
             await asyncio.sleep(0.02)
 
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, asyncio.TaskGroup() as tasks:
@@ -281,8 +282,8 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry
                 while True:
                     last = await device.velocity()
         assert last == (0.0, 0.0)
-        with pytest.raises(DeviceGone):
-            host.hub.gates.command(host.hub.robots.find("robot_0"), SLOW, owner="test")
+        with pytest.raises(CommandRefused, match="its device is not connected"):
+            drive_gate(host.hub.gates, host.hub.robots.find("robot_0"), SLOW, owner="test")
 
 
 async def test_a_host_is_ready_again_when_a_robot_that_left_is_forgotten() -> None:
@@ -305,7 +306,7 @@ async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:
         assert names == ["robot_0", "robot_0_2", "robot_0_3"]
         links = [robot.link for robot in host.hub.robots.all()]
         for name, velocity in zip(names, (SLOW, FAST), strict=False):
-            host.hub.gates.command(host.hub.robots.find(name), velocity, owner="test")
+            drive_gate(host.hub.gates, host.hub.robots.find(name), velocity, owner="test")
         await expect(lambda: all(robot.odometry.count > 10 for robot in host.hub.robots.all()))
         assert [robot.link for robot in host.hub.robots.all()] == links
         findings = {each.code for link in host.hub.links.all() for each in host.hub.diagnoses.of(link)}

@@ -57,7 +57,7 @@ async def test_a_player_shows_a_robot_by_the_protocol_alone() -> None:
             read[frame["topic"]] = reader.deserialize_ros1(frame["msg"]["bytes"], f"{package}/msg/{name}")
             assert frame["msg"]["secs"] > 1_700_000_000
     assert (read["/robot_0/odometry"].x, read["/robot_0/odom"].pose.pose.position.x) == (1.0, 1.0)
-    assert read["/tf"].transforms[0].child_frame_id == "base_link"
+    assert read["/tf"].transforms[0].child_frame_id == "robot_0/base_link"
     assert (read["/rosout"].level, read["/rosout"].msg) == (4, "warm")
 
 

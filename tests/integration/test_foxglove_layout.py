@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.config import RobotConfig
+from hostlink.hub.robot_topic_publisher import frames_of
 from hostlink.messages.message_type import MessageType
 from tests.support.daemon import daemon
 from tests.support.simulated import simulated_robot
@@ -59,8 +61,11 @@ async def test_it_shows_what_a_robot_has() -> None:
             assert has_field(types()[topic], path), (topic, path)
         teleop = LAYOUT["configById"]["Teleop!robot_0"]
         assert types()[teleop["topic"]].name == "geometry_msgs/Twist"
-        lease_s = host.hub.robots.find("robot_0").gate.lease_s
+        lease_s = host.hub.robots.find("robot_0").gate.admission.lease_s
         assert 1 / teleop["publishRate"] < lease_s / 2  # a command that is lost stops nothing
+        scene = LAYOUT["configById"]["3D!hostlink"]
+        frames = frames_of("robot_0", RobotConfig())
+        assert (scene["layers"]["grid"]["frameId"], scene["followTf"]) == frames
 
 
 def test_every_panel_has_its_place_and_its_settings() -> None:

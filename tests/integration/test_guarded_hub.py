@@ -14,6 +14,7 @@ from hostlink.config import ApiConfig, Config, LinkConfig, TcpConfig
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
 
@@ -26,12 +27,16 @@ class Guard:
 
     calls: list[tuple[object, ...]] = field(default_factory=list)
     connections: dict[int, Callable[[], int | None]] = field(default_factory=dict)
+    driven: set[int] = field(default_factory=set)
 
     def watch(
         self, number: int, connection: Callable[[], int | None], *, topic_ids: Sequence[int], claim_bytes: int
     ) -> None:
         self.calls.append(("watch", number, *topic_ids, claim_bytes))
         self.connections[number] = connection
+
+    def beat(self, driven: set[int]) -> None:
+        self.driven = set(driven)
 
     def release(self, number: int) -> None:
         if self.connections.pop(number, None) is not None:
@@ -60,6 +65,18 @@ async def test_a_robot_is_watched_from_its_appearance_to_its_end() -> None:
             with socket.socket(fileno=os.dup(descriptor)) as same:
                 assert same.getpeername() == device._writer.get_extra_info("sockname")
         await expect(lambda: guard.calls[-1] == ("release", 1))
+
+
+async def test_a_beat_names_the_link_of_a_robot_from_its_command_to_its_stop() -> None:
+    async with guarded() as (guard, hub, address), fake_device(address, robot_topics()) as device:
+        await expect(hub.robots.all)
+        pilot, robot = hub.join("pilot"), hub.robots.find("robot_0")
+        await expect(lambda: guard.calls and not guard.driven)
+        pilot.drive(robot, Velocity(0.2))
+        await device.velocity_of((0.2, 0.0))
+        await expect(lambda: guard.driven == {1})
+        pilot.drive(robot, Velocity())
+        await expect(lambda: guard.driven == set())
 
 
 async def test_a_second_velocity_topic_is_watched_too() -> None:

@@ -204,6 +204,86 @@ async def test_what_a_device_goes_on_sending_does_not_reset_its_connection_befor
         assert peer.read_all()[0] == SEQUENCE
 
 
+HANG = b"".join(part for _, part in stop_sequence((100,), 0, is_end=False))
+
+
+def waiting_bytes(peer: Peer) -> bytes:
+    """What has come, without waiting."""
+    peer.theirs.setblocking(False)
+    try:
+        return peer.theirs.recv(65536)
+    except BlockingIOError:
+        return b""
+
+
+async def received(peer: Peer, wanted: bytes) -> None:
+    """Wait for these bytes, and no others before them."""
+    data = b""
+    async with asyncio.timeout(10):
+        while len(data) < len(wanted):
+            data += waiting_bytes(peer)
+            await asyncio.sleep(0.005)
+    assert data == wanted
+
+
+async def test_a_daemon_that_hangs_leaves_zeros_to_what_is_driven_and_goes_on_with_its_connections() -> None:
+    with connections(2) as peers, capture_logs() as lines:
+        async with guardian(ping_s=0.05) as ours:
+            watch(ours, peers)
+            ours.beat({0})
+            began_s = time.monotonic()
+            await received(peers[0], HANG)
+            assert time.monotonic() - began_s > 0.9  # and not sooner
+            assert waiting_bytes(peers[1]) == b""  # nobody drives it
+            peers[0].theirs.send(b"for the daemon")
+            assert peers[0].ours.recv(100) == b"for the daemon"
+            peers[0].ours.send(b"by the daemon")
+            await received(peers[0], b"by the daemon")
+            await expect(lambda: any(line["event"] == "guardian.stopped_robots" for line in lines))
+            ours.beat({0})  # it goes on, and hangs again
+            await received(peers[0], HANG)
+            for peer in peers:
+                peer.ours.close()
+            ours.abandon()  # and now it is killed
+        for peer in peers:
+            peer.theirs.setblocking(True)
+            assert peer.read_all()[0] == SEQUENCE
+    assert [line["robots"] for line in lines if line["event"] == "guardian.stopped_robots"][:1] == [1]
+
+
+async def test_a_daemon_that_beats_or_drives_nobody_is_left_alone() -> None:
+    with connections() as (peer,):
+        async with guardian() as ours:
+            watch(ours, [peer])
+            for _ in range(16):
+                ours.beat({0})
+                await asyncio.sleep(0.1)
+            ours.beat(set())
+            await asyncio.sleep(1.3)
+            assert waiting_bytes(peer) == b""
+
+
+async def test_a_daemon_that_hangs_while_its_guardian_was_replaced_is_noticed_by_the_next_one() -> None:
+    with connections() as (peer,), capture_logs() as lines:
+        async with guardian() as ours:
+            watch(ours, [peer])
+            ours.beat({0})
+            os.kill(pid(ours), signal.SIGKILL)
+            await expect(lambda: sum(line["event"] == "guardian.started" for line in lines) == 2)
+            await received(peer, HANG)  # without any further beat
+
+
+async def test_a_device_that_reads_nothing_delays_no_other_when_the_daemon_hangs() -> None:
+    with connections(2) as peers:
+        async with guardian() as ours:
+            watch(ours, peers)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    peers[0].ours.send(bytes(65536))
+            ours.beat({0, 1})
+            await received(peers[1], HANG)
+
+
 async def test_a_guardian_that_is_killed_is_replaced_by_one_that_guards_everything_again() -> None:
     with connections(3) as peers, capture_logs() as lines:
         async with guardian() as ours:
@@ -351,5 +431,6 @@ def test_its_program_needs_the_standard_library_alone() -> None:
     }
     assert {name for name in modules if name.startswith("hostlink.")} == {
         "hostlink.guardian",
+        "hostlink.remains",
         *(f"hostlink.guardian.{part}" for part in ("process", "connection", "frames", "records")),
     }

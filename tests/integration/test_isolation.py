@@ -15,6 +15,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.participants import publish, subscribe
 from tests.support.waiting import expect
 
@@ -24,7 +25,9 @@ OTHER = "127.0.0.3"
 
 
 def drive(host: Daemon, name: str) -> None:
-    host.hub.gates.command(host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+    drive_gate(
+        host.hub.gates, host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
+    )
 
 
 async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:

@@ -9,7 +9,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import Config, LinkConfig, RobotConfig
-from hostlink.errors import RobotHeld, UnknownTopic
+from hostlink.errors import CommandRefused, UnknownTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Node
 from hostlink.hub.topic import Subscriber
@@ -21,6 +21,7 @@ from hostlink.protocol.frame import Id
 from hostlink.robot.away import MAX_AWAY
 from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.growth import is_linear
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -127,14 +128,14 @@ def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None
         assert known(hub) == ["robot_0"]
         device = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
         await asyncio.sleep(0.1)
-        with pytest.raises(RobotHeld, match="a person is near"):
-            hub.gates.command(hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.1), owner="test")
+        with pytest.raises(CommandRefused, match="a person is near"):
+            drive_gate(hub.gates, hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.1), owner="test")
         await device.aclose()
         await asyncio.sleep(FORGET_S)
         hub.emergency_stop.release(hub.robots.find("robot_0"))
         await asyncio.sleep(FORGET_S - 1.0)
         assert known(hub) == ["robot_0"]
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(1.1)
         assert known(hub) == []
 
     with_hub(check)
@@ -146,29 +147,12 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
         await asyncio.sleep(0.1)
         robot = hub.robots.find("robot_0")
         for number in range(MAX_AWAY + 10):
-            hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="test")
+            drive_gate(hub.gates, robot, Velocity(linear_x_m_s=0.1), owner="test")
             await visit(hub, robot_topics(f"crowd_{number}"))
         assert robot.gate.owner_name == "test"
         await device.aclose()
 
     with_hub(check)
-
-
-def test_the_first_robot_has_the_plain_frames_and_another_only_when_it_is_forgotten() -> None:
-    def frame(hub: Hub, name: str) -> str:
-        return hub.links._identities._affected.robot_topics._frames[name].odom
-
-    async def check(hub: Hub) -> None:
-        other = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.9")
-        await asyncio.sleep(0.1)
-        await visit(hub, robot_topics("robot_1"))
-        await other.aclose()
-        assert (frame(hub, "robot_0"), frame(hub, "robot_1")) == ("odom", "robot_1/odom")
-        await asyncio.sleep(FORGET_S)
-        await visit(hub, robot_topics("robot_2"))
-        assert frame(hub, "robot_2") == "odom"
-
-    with_hub(check, Config(link=LinkConfig(forget_robot_after_s=FORGET_S)))
 
 
 @pytest.mark.parametrize(

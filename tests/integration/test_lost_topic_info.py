@@ -9,6 +9,7 @@ from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.waiting import expect
 
 ZERO = (0.0, 0.0)
@@ -46,7 +47,7 @@ async def velocity(device: FakeDevice, topic_id: int, *, other_than: bytes) -> b
 async def moving(host: Daemon, device: FakeDevice, topic_id: int) -> bytes:
     await expect(lambda: host.hub.robots.find("robot_0").link)
     robot = host.hub.robots.find("robot_0")
-    host.hub.gates.command(robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+    drive_gate(host.hub.gates, robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
     return await velocity(device, topic_id, other_than=bytes(48))
 
 
@@ -74,8 +75,11 @@ async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_r
     async with daemon() as host, fake_device(host.tcp, infos) as device:
         driven = await moving(host, device, topic_id)
         for count in (2, 3, 4):
-            host.hub.gates.command(
-                host.hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
+            drive_gate(
+                host.hub.gates,
+                host.hub.robots.find("robot_0"),
+                Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5),
+                owner="test",
             )
             await device.send(without_velocity(infos))
             await expect(lambda count=count: host.hub.links.all()[0].session.counts.negotiations == count)  # type: ignore[misc]
@@ -117,7 +121,7 @@ async def test_one_that_has_no_odometry_or_velocity_any_more_stands_after_the_th
                 elif frame.topic_id == Id.PUBLISHER:
                     await device.send(without(type_name, VELOCITY_FIRST))
                 if robot.link is not None:
-                    host.hub.gates.command(robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
+                    drive_gate(host.hub.gates, robot, Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test")
         await asyncio.sleep(0.3)
         assert not robot.gate.may_move
         assert all(not each.gate.may_move for each in host.hub.gates.all())

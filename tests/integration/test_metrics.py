@@ -4,19 +4,26 @@ import asyncio
 import json
 import math
 import re
+import resource
+import threading
 from pathlib import Path
+from typing import Any
 
 import aiohttp
 import promql_parser
 import pytest
 import yaml
 from prometheus_client.parser import text_string_to_metric_families
+from structlog.testing import capture_logs
 
+from hostlink.api import recording_metrics
 from hostlink.api.owners import MAX_OWNERS
+from hostlink.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.hub.deliveries import MAX_WAITING
 from hostlink.hub.message import Message
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
+from hostlink.recording.folder import DiskUsage, Folder
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import client
@@ -59,7 +66,11 @@ async def test_links_robots_and_clients() -> None:
         assert observed["hostlink_command_to_device_seconds_count" + device_labels] >= 2  # the first is a zero
         assert 0 < observed["hostlink_command_to_device_seconds_sum" + device_labels] < 5
         assert observed["hostlink_robot_gate_total[('outcome', 'commands'), ('robot', 'robot_0')]"] == 1
-        assert observed["hostlink_robot_gate_total[('outcome', 'forgotten_claims'), ('robot', 'robot_0')]"] == 0
+        assert "hostlink_robot_gate_total[('outcome', 'refused_locked'), ('robot', 'robot_0')]" not in observed
+        await host.rest("POST", "/api/robots/robot_0/lock")
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
+        observed = await metrics(host)
+        assert observed["hostlink_robot_gate_total[('outcome', 'refused_locked'), ('robot', 'robot_0')]"] == 1
         assert observed["process_open_fds[]"] > 3
 
 
@@ -123,10 +134,11 @@ def named(expression: str) -> set[str]:
     return set(re.findall(r"\b(?:hostlink|process)_\w+", expression))
 
 
-async def test_the_dashboard_and_the_alerts_name_metrics_that_exist() -> None:
+async def test_the_dashboard_and_the_alerts_name_metrics_that_exist(tmp_path: Path) -> None:
     shown = {name for panel in DASHBOARD["panels"] for target in panel["targets"] for name in named(target["expr"])}
     alerted = {name for rule in RULES for name in named(rule["expr"])}
-    async with daemon() as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
+    config = Config(recording=RecordingConfig(folder=tmp_path))
+    async with daemon(config) as host, fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
         await device.send(b"\xff\xfe" + bytes(20) + pose(1.0, 2.0, 0.5) + battery(7.5))
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
         host.hub.counts.refused["test"] += 1
@@ -192,6 +204,105 @@ async def test_the_battery_of_a_robot_that_is_gone_or_measures_none_is_no_figure
             await device.send(battery(5.0))
             await until_metric(host, "hostlink_robot_battery_volts[('robot', 'robot_0')]", 5.0)
         await until_metric(host, "hostlink_robot_battery_volts[('robot', 'robot_0')]", None)
+
+
+def recorded_in(folder: Path, **box: Any) -> Config:
+    recording = RecordingConfig(folder=folder, max_disk_mb=3.0, min_free_disk_mb=0.0)
+    return Config(recording=recording, black_box=BlackBoxConfig(max_memory_mb=2.0, after_s=0.0, max_disk_mb=1.0, **box))
+
+
+async def test_recordings_and_their_disk_are_counted_also_after_their_end(tmp_path: Path) -> None:
+    async with daemon(recorded_in(tmp_path / "there")) as host, fake_device(host.tcp, robot_topics()) as device:
+        observed = await metrics(host)  # there is no folder yet
+        assert observed["hostlink_recordings_running[]"] == observed["hostlink_recording_messages_total[]"] == 0
+        assert observed["hostlink_disk_used_bytes[('folder', 'recordings')]"] == 0
+        assert observed["hostlink_disk_free_bytes[('folder', 'recordings')]"] > 1_000_000
+        for name in ("first", "second"):
+            await host.rest("POST", "/api/recordings", f'{{"name": "{name}"}}'.encode())
+            for number in range(20):
+                await device.send(pose(0.1 * number))
+            await until_metric(host, "hostlink_recordings_running[]", 1 + (name == "second"))
+        observed = await metrics(host)
+        assert observed["hostlink_recordings_running[]"] == 2
+        views = [(await host.rest("POST", f"/api/recordings/{name}/stop"))[1] for name in ("first", "second")]
+        observed = await metrics(host)
+        assert observed["hostlink_recordings_running[]"] == 0
+        assert observed["hostlink_recording_messages_total[]"] == sum(view["messages"] for view in views)
+        assert observed["hostlink_recording_bytes_total[]"] == sum(view["bytes"] for view in views) > 0
+        assert observed["hostlink_recording_dropped_total[]"] == 0
+        assert observed["hostlink_recordings_failed_total[]"] == 0
+    async with daemon(recorded_in(tmp_path / "there")) as host:
+        observed = await metrics(host)
+        assert observed["hostlink_disk_used_bytes[('folder', 'recordings')]"] == sum(view["bytes"] for view in views)
+        assert observed["hostlink_disk_budget_bytes[('folder', 'recordings')]"] == 3_000_000
+        assert observed["hostlink_disk_min_free_bytes[('folder', 'recordings')]"] == 0
+
+
+async def test_a_recording_that_fails_and_a_full_budget_are_counted(tmp_path: Path) -> None:
+    for number in range(2):
+        (tmp_path / f"old_{number}.mcap").write_bytes(bytes(2_000_000))
+    async with daemon(recorded_in(tmp_path)) as host:
+        assert (await host.rest("POST", "/api/recordings", b'{"name": "new"}'))[0] == 200
+        assert (await metrics(host))["hostlink_recordings_removed_total[]"] == 1
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # the kernel lets no file of this process grow
+        try:
+            with capture_logs():  # the log of a test may be a file of this process, too
+                await until_metric(host, "hostlink_recordings_failed_total[]", 1)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+async def test_incidents_and_the_black_box_are_counted(tmp_path: Path) -> None:
+    async with (
+        daemon(recorded_in(tmp_path, before_s=60.0), has_black_box=True) as host,
+        fake_device(host.tcp, robot_topics()) as device,
+    ):
+        await device.send(pose(1.0))
+        await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 1)
+        observed = await metrics(host)
+        assert 0 < observed["hostlink_black_box_bytes[]"] < observed["hostlink_black_box_max_bytes[]"] == 2_000_000
+        assert observed["hostlink_black_box_keep_seconds[]"] == 60
+        assert observed["hostlink_disk_budget_bytes[('folder', 'incidents')]"] == 1_000_000
+        assert observed["hostlink_black_box_dropped_total[]"] == 0
+        assert observed["hostlink_incidents_total[('outcome', 'saved')]"] == 0
+        assert (await host.rest("POST", "/api/incidents", b'{"robot": "robot_0"}'))[0] == 200
+        await until_metric(host, "hostlink_incidents_total[('outcome', 'saved')]", 1)
+        assert (await metrics(host))["hostlink_incidents_pending[]"] == 0
+        (tmp_path / "incidents").rename(tmp_path / "gone")
+        (tmp_path / "incidents").write_bytes(b"no folder")
+        await host.rest("POST", "/api/incidents", b'{"robot": "robot_0"}')
+        await until_metric(host, "hostlink_incidents_total[('outcome', 'failed')]", 1)
+    async with daemon(recorded_in(tmp_path)) as host:  # without a black box
+        observed = await metrics(host)
+        assert observed["hostlink_black_box_max_bytes[]"] == observed["hostlink_black_box_keep_seconds[]"] == 0
+
+
+async def test_a_disk_that_does_not_answer_leaves_its_figures_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    is_back, usage = threading.Event(), Folder.usage
+
+    def usage_when_back(folder: Folder) -> DiskUsage:
+        is_back.wait()
+        return usage(folder)
+
+    monkeypatch.setattr(Folder, "usage", usage_when_back)
+    monkeypatch.setattr(recording_metrics, "DISK_TIMEOUT_S", 0.1)
+    async with daemon(recorded_in(tmp_path)) as host:
+        try:
+            for _ in range(3):
+                observed = await metrics(host)
+            assert not any(name.startswith("hostlink_disk_") for name in observed)
+            assert observed["hostlink_recordings_running[]"] == 0
+        finally:
+            is_back.set()
+        await until_metric(host, "hostlink_disk_budget_bytes[('folder', 'recordings')]", 3_000_000)
+
+
+async def test_clients_of_every_kind_are_counted() -> None:
+    async with daemon() as host, host.session.ws_connect(host.url, protocols=("foxglove.sdk.v1",)):
+        assert (await metrics(host))["hostlink_clients[('kind', 'foxglove')]"] == 1
 
 
 async def until_metric(host: Daemon, name: str, value: float | None) -> None:

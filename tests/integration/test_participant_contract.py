@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 
 from hostlink.api.owners import Owners
-from hostlink.cli.demo import drive_robots
-from hostlink.errors import BadRequest, HostlinkError, RobotHeld
+from hostlink.cli.demo import DRIVE, DemoDriver
+from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.message import Message
 from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
+from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
 from tests.support.foreign_drivers import FOREIGN
 from tests.support.participants import (
     ALL,
-    NEIGHBOUR,
     ODOMETRY_ID,
     POSE,
     PROGRAMS,
@@ -88,53 +88,6 @@ def test_it_serves_and_calls(make: Make) -> None:
     play(test)
 
 
-@pytest.mark.parametrize("make", [*ALL, *FOREIGN])
-def test_it_drives_and_a_more_important_one_may_not_be_driven_over(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        one = make(made, Role.DRIVE)
-        one.drive(ROBOT, 0.2, made.hub)
-        await asyncio.sleep(0.2)
-        assert made.speeds()[-1] == 0.2
-        made.hub.join("person", priority=60).drive(made.hub.robots.find(ROBOT), Velocity(0.3))
-        with pytest.raises(RobotHeld):
-            one.drive(ROBOT, 0.2, made.hub)
-
-    play(test)
-
-
-@pytest.mark.parametrize("make", [*ALL, *FOREIGN])
-def test_it_drives_for_one_lease_after_its_last_command(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        one, robot = make(made, Role.DRIVE), made.hub.robots.find(ROBOT)
-        one.drive(ROBOT, 0.2, made.hub)
-        await asyncio.sleep(robot.gate.lease_s - 0.1)
-        assert made.speeds()[-1] == 0.2
-        await asyncio.sleep(0.2)
-        assert made.speeds()[-1] == 0.0
-        one.drive(ROBOT, 0.2, made.hub)
-        await asyncio.sleep(0.1)
-        assert made.speeds()[-1] == 0.2
-
-    play(test)
-
-
-@pytest.mark.parametrize("make", [*ALL, *FOREIGN])
-def test_it_drives_no_robot_that_is_locked(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        one = make(made, Role.DRIVE)
-        one.drive(ROBOT, 0.2, made.hub)
-        await asyncio.sleep(0.1)
-        await made.hub.join("person").call(f"/{ROBOT}/lock", {})
-        await asyncio.sleep(0.1)
-        assert made.speeds()[-1] == 0.0
-        with pytest.raises(HostlinkError):
-            one.drive(ROBOT, 0.2, made.hub)
-        await asyncio.sleep(0.3)
-        assert made.speeds()[-1] == 0.0
-
-    play(test)
-
-
 @pytest.mark.parametrize("make", PROGRAMS)
 def test_one_that_may_only_read_subscribes_and_changes_nothing(make: Make) -> None:
     async def test(made: Scene) -> None:
@@ -190,7 +143,7 @@ def test_leaving_releases_all_that_it_has_and_stops_what_it_drove(make: Make) ->
         assert made.uses_of(one.participant) == []
         await asyncio.sleep(0.01)
         assert made.speeds()[-1] == 0.0
-        assert not made.hub.robots.find(ROBOT).gate.is_claimed(asyncio.get_running_loop().time())
+        assert not made.hub.robots.find(ROBOT).gate.admission.is_held(asyncio.get_running_loop().time())
         one.participant.leave()  # once is enough, and twice does no harm
         with pytest.raises(BadRequest, match="has left"):
             one.participant.publish(TEXT, text("late"))
@@ -218,7 +171,7 @@ def test_a_driver_of_a_foreign_graph_that_vanishes_leaves_a_standing_robot(make:
         assert made.uses_of(gone) == []
         await asyncio.sleep(0.01)
         assert made.speeds()[-1] == 0.0
-        assert not robot.gate.is_claimed(asyncio.get_running_loop().time())
+        assert not robot.gate.admission.is_held(asyncio.get_running_loop().time())
         one.vanish()  # twice does no harm
         again = make(made, Role.DRIVE)
         again.drive(ROBOT, 0.1, made.hub)
@@ -460,19 +413,6 @@ def test_one_that_latched_may_leave_while_its_message_is_delivered() -> None:
     play(test)
 
 
-@pytest.mark.parametrize("make", ALL)
-def test_a_command_of_one_that_only_falls_silent_ends_with_its_lease(make: Make) -> None:
-    async def test(made: Scene) -> None:
-        one = make(made, Role.DRIVE)
-        one.drive(ROBOT, 0.2, made.hub)
-        await asyncio.sleep(0.4)
-        assert made.speeds()[-1] == 0.2
-        await asyncio.sleep(0.2)
-        assert made.speeds()[-1] == 0.0
-
-    play(test)
-
-
 # -- what a slow or greedy one costs ----------------------------------------------------------------------------------
 
 
@@ -554,17 +494,28 @@ def test_owners_over_the_bound_leave_and_what_they_drove_stops() -> None:
 # -- the demo's driver ------------------------------------------------------------------------------------------------
 
 
-def test_the_demo_drives_until_somebody_else_does_and_its_leaving_stops_the_robots() -> None:
+def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
     async def test(made: Scene) -> None:
-        made.neighbour.drive(made.hub.robots.find(NEIGHBOUR), Velocity(0.2))
-        participant = made.hub.join("demo", priority=0)
-        driving = made.tasks.create_task(drive_robots(made.hub, participant))
+        robot = made.hub.robots.find(ROBOT)
+        assert isinstance(robot, Robot)
+        participant, program = made.hub.join("demo", priority=0), made.hub.join("program")
+        driving = made.tasks.create_task(DemoDriver(made.hub, participant).run())
         await asyncio.sleep(0.5)
-        assert made.speeds()[-1] > 0.05
+        assert robot.gate.owner is participant
+        made.hub.gates.stop(robot)
+        await asyncio.sleep(10.0)
+        assert robot.gate.owner is None
+        assert (await program.call(DRIVE, {}))["message"] == f"the demo drives again: {ROBOT}"
+        await asyncio.sleep(0.5)
+        assert robot.gate.owner is participant
+        program.drive(robot, Velocity(0.1))  # another driver, whose own stop interrupts the demo, too
+        await asyncio.sleep(0.3)
+        made.hub.gates.stop(robot)
+        await asyncio.sleep(10.0)
+        assert robot.gate.owner is None
         driving.cancel()
         participant.leave()
-        await asyncio.sleep(0.01)
-        assert made.speeds()[-1] == 0.0
+        program.leave()
 
     play(test)
 

@@ -22,7 +22,7 @@ from hostlink import logs
 from hostlink.config import ApiConfig, Config, RecordingConfig, TokenConfig
 from hostlink.recording import mcap_writer
 from hostlink.recording import recordings as recordings_module
-from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC
+from hostlink.recording.channel import EVENTS_TOPIC, LOG_TOPIC, NS_PER_S, PARAMETERS_TOPIC, json_of
 from hostlink.recording.folder import Folder
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.recording.recorder import Selection
@@ -78,8 +78,14 @@ def payloads(found: list[StoredMessage], topic: str) -> list[bytes]:
     return [message.payload for message in found if message.channel.topic == topic]
 
 
+def texts(found: list[StoredMessage], topic: str) -> list[Any]:
+    """The JSON of one of hostlink's own topics."""
+    of_topic = (message for message in found if message.channel.topic == topic)
+    return [json.loads(json_of(message.channel, message.payload)) for message in of_topic]
+
+
 def events(found: list[StoredMessage]) -> list[dict[str, Any]]:
-    return [json.loads(payload) for payload in payloads(found, EVENTS_TOPIC)]
+    return texts(found, EVENTS_TOPIC)
 
 
 def failed(lines: list[Any]) -> list[Any]:
@@ -123,8 +129,8 @@ async def test_topics_commands_log_and_parameters_are_in_the_file(tmp_path: Path
     commanded = next(event for event in events(found) if event["kind"] == "commanded")
     assert (commanded["facts"]["owner"], commanded["facts"]["velocity"]["linear_x_m_s"]) == ("pilot", 0.2)
     assert "address" not in commanded["facts"]  # a file goes to others
-    assert "robot.stopped" in [json.loads(line)["event"] for line in payloads(found, LOG_TOPIC)]
-    assert json.loads(payloads(found, PARAMETERS_TOPIC)[0]) == {"~speed": 0.5}
+    assert "robot.stopped" in [line["event"] for line in texts(found, LOG_TOPIC)]
+    assert texts(found, PARAMETERS_TOPIC)[0] == {"~speed": 0.5}
     assert payloads(found, "/robot_0/velocity_commands")  # what the gate sent
     assert payloads(found, "/robot_0/odom")
 

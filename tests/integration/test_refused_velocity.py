@@ -1,17 +1,28 @@
 """A velocity that the device cannot take: whoever asked is told, by every way, and the log is not filled with it."""
 
+import asyncio
+import base64
 import contextlib
+import json
+import struct
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
 
-from hostlink.client import connect
+from hostlink.api.foxglove import FoxgloveClient
+from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.outgoing import client_queue
+from hostlink.api.rosbridge import RosbridgeClient
+from hostlink.client import CommandRefused, Refused, connect
 from hostlink.config import Config
 from hostlink.errors import FrameTooLarge, HostlinkError
 from hostlink.protocol.frame import Id
+from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
+from tests.support.participants import Scene, play
 from tests.support.process import run
 from tests.support.rosbridge import Client
 from tests.support.waiting import expect
@@ -64,7 +75,88 @@ async def test_rosbridge_gives_the_reason(name: str) -> None:
         client = Client(socket)
         await client.send(op="set_level", level="error")
         await client.send(op="publish", id="p", topic=name, type="geometry_msgs/Twist", msg=TWIST)
-        assert await client.receive() == {"op": "status", "level": "error", "msg": REASON, "id": "p"}
+        assert await client.receive() == {
+            "op": "status", "level": "error", "msg": REASON, "kind": "FrameTooLarge", "id": "p",
+        }  # fmt: skip
+
+
+class Peer:
+    """A client on a hub in virtual time; `statuses` is what it was told."""
+
+    def __init__(self, made: Scene, kind: str) -> None:
+        self.queue, self.kind, self.statuses = client_queue(), kind, list[dict[str, Any]]()
+        self.client: Any
+        if kind == "rosbridge":
+            self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)
+        else:
+            directory = FoxgloveDirectory(made.hub)
+            self.client = FoxgloveClient("client 1", made.hub, directory, self.queue, spawn=made.tasks.create_task)
+            channels = [
+                {"id": number, "topic": name, "encoding": "ros1", "schemaName": type_name}
+                for number, (name, type_name) in enumerate(NAMES.items())
+            ]
+            self.client.receive(json.dumps({"op": "advertise", "channels": channels}))
+
+    def publish(self, name: str, payload: bytes) -> None:
+        if self.kind == "rosbridge":
+            raw = base64.b64encode(payload).decode()
+            self.client.receive(json.dumps({"op": "publish", "topic": name, "type": NAMES[name], "raw": raw}))
+        else:
+            self.client.receive(struct.pack("<BI", 1, list(NAMES).index(name)) + payload)
+        for waiting in iter(self.queue.pop, None):
+            if not waiting.item.is_binary:
+                operation = json.loads(waiting.item.data)
+                self.statuses += [operation] if operation["op"] == "status" else []
+
+
+NAMES = {
+    "/robot_0/velocity_commands": "geometry_msgs/Twist",
+    "/robot_0/cmd_vel": "geometry_msgs/Twist",
+    "/chat": "std_msgs/String",
+}
+
+
+@pytest.mark.parametrize("kind", ["rosbridge", "foxglove"])
+def test_a_client_that_asked_for_nothing_is_told_of_a_refused_velocity_once_a_second_and_topic(kind: str) -> None:
+    async def test(made: Scene) -> None:
+        peer, robot = Peer(made, kind), made.hub.robots.find("robot_0")
+        topics = ["/robot_0/velocity_commands", "/robot_0/cmd_vel"]
+        for number in range(48):  # in 6 s; each reason is another
+            made.hub.emergency_stop.stop(robot, f"reason {number}")
+            for name in topics:
+                peer.publish(name, Velocity(0.2).encode())
+            await asyncio.sleep(0.125)
+        assert len(peer.statuses) == 2 * 6
+        assert all("locked: reason" in str(status) for status in peer.statuses)
+        assert {status["level"] for status in peer.statuses} == {"error" if kind == "rosbridge" else 2}
+        peer.publish(topics[0], Velocity().encode())  # a zero is accepted
+        assert len(peer.statuses) == 2 * 6
+
+    play(test)
+
+
+def test_a_client_of_rosbridge_that_asked_for_nothing_is_told_of_nothing_else() -> None:
+    async def test(made: Scene) -> None:
+        peer = Peer(made, "rosbridge")
+        peer.publish("/chat", b"no message")
+        peer.client.receive('{"op": "dance"}')
+        peer.client.receive("no JSON")
+        assert peer.statuses == []
+
+    play(test)
+
+
+@pytest.mark.parametrize(("level", "count"), [("none", 0), ("error", 20), ("info", 20)])
+def test_a_client_of_rosbridge_that_said_what_it_wants_is_told_just_that(level: str, count: int) -> None:
+    async def test(made: Scene) -> None:
+        peer, robot = Peer(made, "rosbridge"), made.hub.robots.find("robot_0")
+        peer.client.receive(json.dumps({"op": "set_level", "level": level}))
+        made.hub.emergency_stop.stop(robot, "smoke")
+        for _ in range(20):
+            peer.publish("/robot_0/cmd_vel", Velocity(0.2).encode())
+        assert [status["kind"] for status in peer.statuses] == ["locked"] * count
+
+    play(test)
 
 
 async def test_the_drive_operation_gives_the_reason() -> None:
@@ -86,6 +178,21 @@ async def test_the_python_client_gives_the_reason() -> None:
         with pytest.raises(HostlinkError, match=REASON):
             await program.settle()
         assert not program.robot("robot_0").is_driven
+
+
+async def test_errors_of_the_python_client_have_the_kind() -> None:
+    async with daemon(Config()) as host, fake_device(host.tcp, robot_topics()), connect(host.url) as program:
+        robot = program.robot("robot_0")
+        await expect(lambda: host.hub.robots.find("robot_0").link)
+        await robot.lock("smoke")
+        with pytest.raises(CommandRefused) as command:
+            await robot.drive(0.1, 0.0)
+        await program.publish("/robot_0/cmd_vel", TWIST)
+        with pytest.raises(Refused) as published:
+            await program.settle()
+        with pytest.raises(Refused) as unknown:
+            await program.get("/api/robots/robot_9")
+    assert [each.value.kind for each in (command, published, unknown)] == ["locked", "locked", "UnknownTopic"]
 
 
 async def test_a_command_gives_the_reason() -> None:

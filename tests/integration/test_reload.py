@@ -216,7 +216,7 @@ async def test_whoever_drives_by_a_token_that_is_withdrawn_is_cut_off_and_the_ro
         assert await reload(host, BOB) == (200, changed)
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
         gate = host.hub.robots.find_here("robot_0").gate
-        await asyncio.sleep(2 * gate.lease_s)  # it may try again
+        await asyncio.sleep(2 * gate.admission.lease_s)  # it may try again
         assert (gate.owner, gate.current) == (None, ZERO)
         await Client(neighbour).send(op="publish", topic=VELOCITY, msg={"linear": {"x": 0.1}})
         assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)

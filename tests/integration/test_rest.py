@@ -1,6 +1,7 @@
 """The REST API: what a script gets, and what it is told when it asks for something else."""
 
 import io
+import json
 
 import pytest
 from yarl import URL
@@ -33,11 +34,15 @@ async def test_velocity_stop_and_reset() -> None:
         assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "angular_rad_s": 0.5})
         assert (body["is_limited"], body["limited_by"]) == (False, None)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
-        assert (await host.rest("POST", "/api/robots/robot_0/stop"))[0] == 200
+        status, stopped = await host.rest("POST", "/api/robots/robot_0/stop")
+        assert status == 200
         assert await device.velocity_other_than((0.2, 0.5)) == (0.0, 0.0)
         assert (await host.rest("POST", "/api/robots/robot_0/odometry/reset"))[0] == 200
         assert await device.frame(101) == b""
-        _, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 3.0, "angular": 0.0}')
+        status, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 3.0, "angular": 0.0}')
+        assert (status, body["error"]["kind"]) == (409, "disarmed")
+        meant = json.dumps({"linear": 3.0, "angular": 0.0, "epoch": stopped["epoch"]}).encode()
+        _, body = await host.rest("PUT", "/api/robots/robot_0/velocity", meant)
         assert (body["is_limited"], body["limited_by"]) == (True, "max_linear_m_s")
 
 
@@ -52,7 +57,8 @@ async def test_velocity_stop_and_reset() -> None:
         ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0, "lateral": 1}', 400, "BadRequest"),
         ("PUT", "/api/robots/robot_0/velocity", b'{"linear": "fast", "angular": 0}', 400, "BadRequest"),
         ("PUT", "/api/robots/robot_0/velocity", b'{"linear": NaN, "angular": 0}', 400, "BadRequest"),
-        ("PUT", "/api/robots/robot_0/velocity", b"[" * 50_000, 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b"[" * 1024, 400, "BadRequest"),
+        ("PUT", "/api/robots/robot_0/velocity", b"[" * 1025, 413, "HTTP"),
         ("PUT", "/api/robots/robot_0/velocity", b"\xff\xfe", 400, "BadRequest"),
         ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 1e999, "angular": 0}', 400, "BadRequest"),
         ("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0, "angular": 0, "priority": 101}', 400, "BadRequest"),
@@ -87,7 +93,7 @@ async def test_a_robot_that_left_is_known_and_cannot_be_driven() -> None:
             assert (await host.rest("GET", "/readyz"))[0] == 200
         await expect(lambda: not host.hub.links.all())
         status, error = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.1, "angular": 0}')
-        assert (status, error["error"]["kind"]) == (503, "DeviceGone")
+        assert (status, error["error"]["kind"]) == (503, "not_connected")
         assert (await host.get("/api/robots/robot_0"))["connected"] is False
         status, error = await host.rest("GET", "/readyz")
         assert (status, error["error"]["reason"]) == (503, "not connected: robot_0")

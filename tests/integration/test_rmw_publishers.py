@@ -66,7 +66,7 @@ class Remote:
         source_s = asyncio.get_running_loop().time() if source_s is None else source_s
         attachment = Attachment(self.sent, int(source_s * 1e9), gid)
         payload = struct.pack("<6d", speed_m_s, 0, 0, 0, 0, 0)
-        self.publishers.publish(attachment, (CMD_VEL, TWIST), payload, topic=CMD_VEL, is_velocity=True)
+        self.publishers.publish(attachment, (CMD_VEL, TWIST), payload, topic=CMD_VEL)
 
     def owner(self) -> str | None:
         return self.hub.robots.find(ROBOT).gate.owner_name
@@ -95,6 +95,7 @@ def test_each_publisher_is_a_driver_of_its_own_and_leaves_with_its_token() -> No
 def test_a_driver_that_drew_its_gid_stops_with_any_of_its_kind() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
+        await asyncio.sleep(rmw_publishers.MATCH_S)
         keys = [remote.come(session) for session in ("aa", "bb")]
         remote.drive(b"1" * 16, 0.3)
         remote.drive(b"2" * 16, 0.0)
@@ -123,6 +124,47 @@ def test_what_waited_for_a_lease_moves_nothing() -> None:
         remote.drive(gid, 0.3, source_s=at_s + 1)
         assert remote.owner() is None
         assert remote.counts["late"] == 1
+
+    play(test)
+
+
+@pytest.mark.parametrize("what_began", ["bridge", "subscription"])
+def test_stream_from_before_drives_after_a_zero(what_began: str) -> None:
+    """The bridge joins it: it began here just now, or the robot's device connected."""
+
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        if what_began == "subscription":
+            await asyncio.sleep(rmw_publishers.MATCH_S)
+        gid = gid_of(remote.come("aa"))
+        remote.sent = 100
+        if what_began == "subscription":
+            remote.publishers.join((CMD_VEL, TWIST))
+        await asyncio.sleep(rmw_publishers.MATCH_S - 0.1)
+        for _ in range(20):
+            remote.drive(gid, 0.3)
+            assert remote.owner() is None
+            await asyncio.sleep(0.1)
+        remote.drive(gid, 0.0)
+        remote.drive(gid, 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
+
+    play(test)
+
+
+@pytest.mark.parametrize("is_first", [False, True])
+def test_publisher_of_before_whose_motion_begins_now_drives(*, is_first: bool) -> None:
+    """This is its first message, or it was silent until every stream of before would have come."""
+
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        gid = gid_of(remote.come("aa"))
+        remote.publishers.join((CMD_VEL, TWIST))
+        if not is_first:
+            remote.sent = 100
+            await asyncio.sleep(rmw_publishers.MATCH_S + 0.1)
+        remote.drive(gid, 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
 
     play(test)
 
@@ -156,7 +198,8 @@ def test_a_refused_velocity_is_counted_and_logged_now_and_then() -> None:
         assert len(refused) == 2
         assert refused[0]["count"] == 1
         assert 99 <= refused[1]["count"] <= 101
-        assert "teleop" in refused[0]["cause"]
+        assert refused[0]["kind"] == "held"
+        assert "teleop" in refused[0]["reason"]
 
     play(test)
 

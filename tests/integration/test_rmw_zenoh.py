@@ -18,6 +18,7 @@ from hostlink.cli.serve import SWITCH_INTERVAL_S
 from hostlink.config import Config, ZenohConfig
 from hostlink.errors import ServiceFailed
 from hostlink.graphs.ros2_types import Ros2Types
+from hostlink.graphs.zenoh import rmw_publishers
 from hostlink.graphs.zenoh.rmw_token import parse_token
 from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
 from hostlink.hub.message import Message
@@ -126,7 +127,7 @@ async def test_odometry_reaches_ros_2() -> None:
         await device.send(pose(0.25))
         message = await peer.read("message")
         assert message["pose"]["pose"]["position"]["x"] == 0.25
-        assert message["header"]["frame_id"] == "odom"
+        assert message["header"]["frame_id"] == "robot_0/odom"
         assert abs(message["header"]["stamp"]["sec"] - time.time()) < 5
 
 
@@ -301,6 +302,20 @@ async def test_what_ros_2_has_latched_reaches_programs_that_come_later(is_first:
         await expect(lambda: received == [text("ok")])
 
 
+async def test_latched_topic_of_ros_2_each_device_receives_last_message() -> None:
+    async with bridged() as world, zenoh_session(world.address) as session:
+        talker = Talker(session, "/map_name", STRING_KEY, is_latched=True)
+        talker.put(b"\0\1\0\0" + struct.pack("<I", 3) + b"ok\0")
+        reader = [topic(Id.SUBSCRIBER, 102, "/map_name", "std_msgs/String")]
+        async with (
+            fake_device(world.daemon.tcp, reader) as first,
+            fake_device(world.daemon.tcp, reader, local_host="127.0.0.3") as second,
+        ):
+            assert [await each.frame(102) for each in (first, second)] == [text("ok")] * 2
+            async with fake_device(world.daemon.tcp, reader, local_host="127.0.0.4") as late:
+                assert await late.frame(102) == text("ok")
+
+
 async def test_messages_that_are_not_what_they_should_be_are_counted() -> None:
     async with (
         bridged() as world,
@@ -459,7 +474,12 @@ async def test_a_router_that_is_killed_ends_what_came_through_it_until_it_is_bac
         assert await zero(device) < STOP_S
         await expect(lambda: not publishers(world))
         await process.wait()
-        async with router(address):  # a node that is still there drives again, by itself
+        async with router(address):  # a node that is still there drives again once it has let go
+            await expect(lambda: publishers(world))
+            await peer.request("end_stream", "ended", topic="/robot_0/cmd_vel")
+            await asyncio.sleep(rmw_publishers.MATCH_S + LEASE_S)  # what streams until then may have begun before
+            await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=TWIST, fields=fields, hz=20)
+            await expect(lambda: world.daemon.hub.robots.find("robot_0").gate.owner is not None)
             await device.velocity_of((0.2, 0.0))
 
 

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from hostlink.errors import BadRequest, RobotHeld
+from hostlink.errors import BadRequest, CommandRefused
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import robot_topics
@@ -40,7 +40,7 @@ def test_a_refused_command_is_told_with_its_reason() -> None:
         robot = made.hub.robots.find(ROBOT)
         made.hub.join("person", priority=60).drive(robot, Velocity(0.2))
         events = observed(made)
-        with pytest.raises(RobotHeld):
+        with pytest.raises(CommandRefused):
             made.hub.join("program").drive(robot, Velocity(0.1))
         assert [event.kind for event in events] == [EventKind.REFUSED]
         assert "person" in str(events[0].facts["reason"])

@@ -1,6 +1,5 @@
 """The topics by which ROS programs know a robot: odom, tf, cmd_vel."""
 
-import asyncio
 import struct
 import time
 
@@ -9,7 +8,7 @@ import pytest
 from hostlink.config import Config, RobotConfig
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import Daemon, daemon
-from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
@@ -38,11 +37,11 @@ async def test_odometry_and_transform_come_as_ros_programs_expect_them() -> None
         await device.send(pose(1.0, 2.0, 0.0))
         odometry, transform = (await program.receive())["msg"], (await program.receive())["msg"]["transforms"][0]
     assert odometry["pose"]["pose"]["position"] == {"x": 1.0, "y": 2.0, "z": 0.0}
-    assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("odom", "base_link")
+    assert (odometry["header"]["frame_id"], odometry["child_frame_id"]) == ("robot_0/odom", "robot_0/base_link")
     assert odometry["pose"]["covariance"][0] == 0.001
     assert abs(odometry["header"]["stamp"]["secs"] - time.time()) < 5
     assert transform["header"] == odometry["header"]
-    assert transform["child_frame_id"] == "base_link"
+    assert transform["child_frame_id"] == "robot_0/base_link"
     assert transform["transform"]["translation"] == {"x": 1.0, "y": 2.0, "z": 0.0}
 
 
@@ -101,28 +100,6 @@ async def test_what_the_gate_sends_is_published_on_cmd_vel_too() -> None:
         assert (await program.receive())["msg"]["linear"]["x"] == 1.0
 
 
-async def repeat(sender: FakeDevice, frame: bytes) -> None:
-    """Ten times a second: a busy machine may be late with one command, and the gate refuses what is old."""
-    while True:
-        await sender.send(frame)
-        await asyncio.sleep(0.1)
-
-
-async def test_a_remote_control_drives_by_cmd_vel() -> None:
-    remote = [topic(Id.PUBLISHER, 125, "/robot_0/cmd_vel", "geometry_msgs/Twist")]
-    twist = CATALOG.message("geometry_msgs/Twist")
-    assert twist is not None
-    async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics()) as device,
-        fake_device(host.tcp, remote) as sender,
-        asyncio.TaskGroup() as tasks,
-    ):
-        driving = tasks.create_task(repeat(sender, encode(125, twist.encode({"linear": {"x": 0.3}}))))
-        assert await device.velocity_other_than((0.0, 0.0)) == (0.3, 0.0)
-        driving.cancel()
-
-
 async def test_names_that_the_device_uses_itself_are_the_devices() -> None:
     own = [
         topic(Id.SUBSCRIBER, 102, "/robot_0/cmd_vel", "std_msgs/Bool"),
@@ -162,32 +139,32 @@ async def test_a_page_with_a_wrong_type_blocks_no_topic() -> None:
             assert (await program.receive())["msg"]["pose"]["pose"]["position"]["x"] == 1.0
 
 
-async def test_two_robots_have_frames_of_their_own() -> None:
+CONFIGURED = Config(robots={"robot_1": RobotConfig(odom_frame="odom", base_frame="base_link")})
+
+
+@pytest.mark.parametrize("order", [("robot_0", "robot_1"), ("robot_1", "robot_0")])
+@pytest.mark.parametrize(
+    ("config", "plain"), [(Config(), ""), (Config(robots={"robot_1": RobotConfig()}), ""), (CONFIGURED, "robot_1")]
+)
+async def test_frames_have_the_name_of_the_robot_whichever_connects_first(
+    config: Config, plain: str, order: tuple[str, str]
+) -> None:
+    found = {}
     async with (
-        daemon() as host,
-        fake_device(host.tcp, robot_topics("robot_0")) as first,
-        fake_device(host.tcp, robot_topics("robot_1")) as second,
+        daemon(config) as host,
+        fake_device(host.tcp, robot_topics(order[0])) as first,
+        fake_device(host.tcp, robot_topics(order[1])) as second,
         client(host) as program,
     ):
         await program.send(op="subscribe", topic="/tf")
         await heard(host, "/tf")
-        await first.send(pose(1.0))
-        frames = [(await program.receive())["msg"]["transforms"][0]]
-        await second.send(pose(1.0))
-        frames.append((await program.receive())["msg"]["transforms"][0])
-    assert [(one["header"]["frame_id"], one["child_frame_id"]) for one in frames] == [
-        ("odom", "base_link"),
-        ("robot_1/odom", "robot_1/base_link"),
-    ]
-
-
-async def test_robots_that_are_configured_have_the_same_frames_whoever_comes_first() -> None:
-    config = Config(robots={"robot_0": RobotConfig(), "robot_1": RobotConfig()})
-    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device, client(host) as program:
-        await program.send(op="subscribe", topic="/robot_0/odom")
-        await heard(host, "/robot_0/odom")
-        await device.send(pose(1.0))
-        assert (await program.receive())["msg"]["child_frame_id"] == "robot_0/base_link"
+        for name, device in zip(order, (first, second), strict=True):
+            await device.send(pose(1.0))
+            transform = (await program.receive())["msg"]["transforms"][0]
+            found[name] = (transform["header"]["frame_id"], transform["child_frame_id"])
+    assert found == {
+        name: ("odom", "base_link") if name == plain else (f"{name}/odom", f"{name}/base_link") for name in order
+    }
 
 
 async def test_names_frames_and_the_transform_are_configurable() -> None:

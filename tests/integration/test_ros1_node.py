@@ -1,18 +1,22 @@
 """What passes between the daemon and nodes of ROS 1: payloads, velocities, calls."""
 
 import asyncio
+import contextlib
 import dataclasses
 import struct
 from collections.abc import AsyncIterator
 
 import pytest
+from structlog.testing import capture_logs
 
 from hostlink.errors import HostlinkError
 from hostlink.graphs.ros1.tcpros import encode_answer, encode_failure, encode_message
+from hostlink.protocol.frame import Id
+from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE
-from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics
-from tests.support.ros1.fake import connection, fake_master, fake_publisher, fake_service
-from tests.support.ros1.scene import ODOMETRY, STRING, SUBSCRIBER, VELOCITY, Scene, plain_scene, scene, twist
+from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.ros1.fake import FakePublisher, connection, fake_master, fake_publisher, fake_service
+from tests.support.ros1.scene import ODOMETRY, STRING, SUBSCRIBER, TEXT, VELOCITY, Scene, plain_scene, scene, twist
 from tests.support.waiting import expect, expect_never
 
 
@@ -66,19 +70,20 @@ async def test_only_a_subscriber_in_ros_makes_a_subscriber_in_the_hub(made: Scen
 # -- velocities -------------------------------------------------------------------------------------------------------
 
 
-async def test_a_velocity_that_was_latched_before_the_robot_came_does_not_move_it(made: Scene) -> None:
+async def test_velocity_latched_before_the_robot_connected_does_not_move_it(made: Scene) -> None:
     async with fake_publisher(TWIST_TYPE, is_latched=True, first=twist(0.3)) as publisher:
         made.master.publishers["/red/velocity_commands"] = [publisher.uri]
         async with fake_device(made.daemon.tcp, robot_topics("red"), local_host="127.0.0.2") as red:
             peer = await publisher.connected()
             there = dataclasses.replace(made, robot=red)
             assert await there.velocities() == []
-            assert made.counts["old_velocities"] == 1
+            assert made.counts["refused_messages"] == 1
+            await asyncio.sleep(LEASE_S)
             await peer.send_message(twist(0.2))
             assert set(await there.velocities()) == {0.2}
 
 
-async def test_a_velocity_that_is_latched_by_who_comes_later_is_meant_but_once(made: Scene) -> None:
+async def test_velocity_latched_by_a_publisher_that_comes_later_drives_once(made: Scene) -> None:
     """As `rostopic pub -1` sends it; when the connection breaks, the same one comes again."""
     await made.master.knows("Subscriber", VELOCITY)
     async with fake_publisher(TWIST_TYPE, is_latched=True, first=twist(0.3)) as publisher:
@@ -88,7 +93,81 @@ async def test_a_velocity_that_is_latched_by_who_comes_later_is_meant_but_once(m
         await publisher.connected(2)
         await made.velocities(0.6)  # until the lease is over
         assert await made.velocities() == []
-        assert made.counts["old_velocities"] == 1
+        assert made.counts["refused_messages"] == 1
+
+
+async def streaming(publisher: FakePublisher, speeds_m_s: list[float]) -> None:
+    """To whoever is connected, at the newest of these speeds; for the task group of a test."""
+    while True:
+        for peer in publisher.peers[-1:]:
+            with contextlib.suppress(OSError):
+                await peer.send_message(twist(speeds_m_s[-1]))
+        await asyncio.sleep(0.05)
+
+
+async def drives_after_a_zero(made: Scene, speeds_m_s: list[float]) -> None:
+    assert await made.velocities(0.8) == []
+    speeds_m_s.append(0.0)
+    await asyncio.sleep(0.2)
+    speeds_m_s.append(0.1)
+    assert set(await made.velocities()) == {0.1}
+
+
+async def test_stream_from_before_the_device_connected_again_drives_after_a_zero(made: Scene) -> None:
+    """Its device was away for longer than a lease; the publisher's participant is new each time."""
+    speeds_m_s = [0.2]
+    async with fake_publisher(TWIST_TYPE) as publisher, asyncio.TaskGroup() as tasks:
+        made.master.publishers["/red/velocity_commands"] = [publisher.uri]
+        stream = tasks.create_task(streaming(publisher, speeds_m_s))
+        for times in range(2):
+            async with fake_device(made.daemon.tcp, robot_topics("red"), local_host="127.0.0.2") as red:
+                await publisher.connected(times + 1)
+                await drives_after_a_zero(dataclasses.replace(made, robot=red), speeds_m_s)
+            await asyncio.sleep(LEASE_S)
+        stream.cancel()
+
+
+async def test_stream_through_a_lost_connection_drives_after_a_zero(made: Scene) -> None:
+    """A stop during that time is not known to the new connection's participant."""
+    speeds_m_s = [0.2]
+    async with fake_publisher(TWIST_TYPE) as publisher, asyncio.TaskGroup() as tasks:
+        stream = tasks.create_task(streaming(publisher, speeds_m_s))
+        await made.update(VELOCITY, publisher.uri)
+        assert set(await made.velocities()) == {0.2}
+        (await publisher.connected()).close()
+        await publisher.connected(2)
+        await made.velocities(0.1)
+        await drives_after_a_zero(made, speeds_m_s)
+        stream.cancel()
+
+
+async def test_publisher_of_before_that_was_silent_drives_at_once(made: Scene) -> None:
+    """As a teleop does that was started before the robot."""
+    async with fake_publisher(TWIST_TYPE) as publisher:
+        made.master.publishers["/red/velocity_commands"] = [publisher.uri]
+        async with fake_device(made.daemon.tcp, robot_topics("red"), local_host="127.0.0.2") as red:
+            peer = await publisher.connected()
+            await asyncio.sleep(LEASE_S + 0.1)
+            await peer.send_message(twist(0.2))
+            assert set(await dataclasses.replace(made, robot=red).velocities()) == {0.2}
+
+
+async def test_refused_velocity_is_in_both_logs_at_a_limited_rate(made: Scene) -> None:
+    lines: list[str] = []
+    made.daemon.hub.join("reader").subscribe("/rosout", lambda line: lines.append(str(line.decoded["msg"])))
+    async with fake_publisher(TWIST_TYPE) as publisher:
+        await made.update(VELOCITY, publisher.uri)
+        peer = await publisher.connected()
+        made.daemon.hub.emergency_stop.stop(made.daemon.hub.robots.find("robot_0"), "smoke")
+        with capture_logs() as logs:
+            for count in range(1, 6):
+                await peer.send_message(twist(0.2))
+                await expect(lambda count=count: made.counts["refused_messages"] == count)
+    refused = [log for log in logs if log["event"] == "ros1.message_refused"]
+    assert [(log["kind"], log["count"]) for log in refused] == [("locked", 1)]
+    assert "smoke" in refused[0]["reason"]
+    assert len(lines) == 1
+    assert "/robot_0/velocity_commands of ros1 /fake is refused (locked): robot_0: locked: smoke" in lines[0]
 
 
 async def test_of_velocities_that_come_at_once_the_newest_counts(made: Scene) -> None:
@@ -128,16 +207,6 @@ async def test_each_publisher_is_a_driver_of_its_own(made: Scene) -> None:
         await expect(lambda: robot.gate.owner_name is None)
 
 
-async def test_a_locked_robot_is_not_moved_and_the_refusal_is_counted(made: Scene) -> None:
-    async with fake_publisher(TWIST_TYPE) as publisher:
-        await made.update(VELOCITY, publisher.uri)
-        peer = await publisher.connected()
-        made.daemon.hub.emergency_stop.stop(made.daemon.hub.robots.find("robot_0"))
-        await peer.send_message(twist(0.2))
-        assert await made.velocities() == []
-        assert made.counts["refused_messages"] == 1
-
-
 async def test_a_velocity_that_is_no_number_is_refused_and_ends_nothing(made: Scene) -> None:
     async with fake_publisher(TWIST_TYPE) as publisher:
         await made.update(VELOCITY, publisher.uri)
@@ -146,6 +215,112 @@ async def test_a_velocity_that_is_no_number_is_refused_and_ends_nothing(made: Sc
         await expect(lambda: made.counts["refused_messages"] == 1)
         await peer.send_message(twist(0.2))
         assert set(await made.velocities()) == {0.2}
+
+
+# -- what was latched --------------------------------------------------------------------------------------------------
+
+OLD, OTHER, NEW = (struct.pack("<I", 3) + text for text in (b"old", b"oth", b"new"))
+TEXT_ALONE = [topic(Id.SUBSCRIBER, 102, "/text", STRING)]
+
+
+@contextlib.asynccontextmanager
+async def latched(made: Scene, *contents: bytes) -> AsyncIterator[list[FakePublisher]]:
+    """Publishers of /text that have latched one message each, and from which the robot has it."""
+    async with contextlib.AsyncExitStack() as stack:
+        found = [
+            await stack.enter_async_context(
+                fake_publisher(STRING, is_latched=True, first=each, callerid=f"/latch_{number}")
+            )
+            for number, each in enumerate(contents)
+        ]
+        for number, each in enumerate(contents, 1):
+            await made.update("/text", *(publisher.uri for publisher in found[:number]))
+            assert await made.robot.frame(102) == each
+        yield found
+
+
+@contextlib.asynccontextmanager
+async def reader(made: Scene) -> AsyncIterator[FakeDevice]:
+    """A device that reads /text alone."""
+    async with fake_device(made.daemon.tcp, TEXT_ALONE, local_host="127.0.0.3") as device:
+        yield device
+
+
+async def test_latched_topic_second_device_and_rebooted_device_receive_last_message(made: Scene) -> None:
+    async with latched(made, OLD) as (publisher,):
+        async with reader(made) as second:
+            assert await second.frame(102) == OLD
+        async with reader(made) as rebooted:
+            assert await rebooted.frame(102) == OLD
+            await (await publisher.connected()).send_message(NEW)
+            assert await rebooted.frame(102) == NEW  # and nothing twice in between
+        async with reader(made) as late:
+            assert await late.frame(102) == NEW
+    assert len(publisher.peers) == 1
+
+
+async def test_latched_topic_device_that_restarts_on_its_connection_receives_it_again(made: Scene) -> None:
+    """As a board does that is reset behind a USB or a radio that stays: it announces what it had."""
+    async with latched(made, OLD), reader(made) as device:
+        assert await device.frame(102) == OLD
+        made.daemon.hub.links.all()[-1].session.request_topics("test")
+        made.daemon.hub.links.all()[-1].wake()
+        await device.announce(TEXT_ALONE)
+        assert await device.frame(102) == OLD
+
+
+async def test_latched_topic_of_two_publishers_later_device_receives_both_newest_last(made: Scene) -> None:
+    async with latched(made, OLD, OTHER) as (first, _):
+        await (await first.connected()).send_message(NEW)
+        assert await made.robot.frame(102) == NEW
+        async with reader(made) as device:
+            assert [await device.frame(102) for _ in range(2)] == [OTHER, NEW]
+
+
+async def test_latched_topic_whose_publisher_is_gone_later_device_receives_nothing_of_it(made: Scene) -> None:
+    async with latched(made, OLD, OTHER) as (first, second):
+        await made.update("/text", second.uri)
+        await expect(lambda: len(made.daemon.hub.topics.find("/text").publishers) == 1)
+        async with reader(made) as device:
+            assert await device.frame(102) == OTHER
+            await (await second.connected()).send_message(NEW)
+            assert await device.frame(102) == NEW
+        assert len(first.peers) == 1
+
+
+async def test_latched_topic_each_program_of_the_api_receives_last_message(made: Scene) -> None:
+    async with latched(made, OLD):
+        for number in range(2):
+            heard: list[bytes] = []
+            made.daemon.hub.join(f"program {number}").subscribe("/text", lambda each, to=heard: to.append(each.payload))
+            assert heard == [OLD]
+
+
+async def test_latched_velocity_of_program_moves_no_robot_that_comes_later(made: Scene) -> None:
+    """Also where it was latched while no robot had the topic, and nothing marked it as a velocity."""
+    program = made.daemon.hub.join("program")
+    program.advertise("/red/velocity_commands", TWIST_TYPE, is_latched=True)
+    program.publish("/red/velocity_commands", twist(0.3))
+    async with fake_device(made.daemon.tcp, robot_topics("red"), local_host="127.0.0.2") as red:
+        await expect(lambda: made.daemon.hub.robots.find("red").link)
+        assert await dataclasses.replace(made, robot=red).velocities() == []
+
+
+async def test_latched_odometry_reset_is_not_repeated_to_device_that_announces_again(made: Scene) -> None:
+    program = made.daemon.hub.join("program")
+    program.advertise("/robot_0/reset_odometry", "std_msgs/Empty", is_latched=True)
+    program.advertise("/text", STRING, is_latched=True)
+    program.publish("/robot_0/reset_odometry", b"")
+    program.publish("/text", OLD)
+    assert (await made.robot.frame(101), await made.robot.frame(102)) == (b"", OLD)
+    link = made.daemon.hub.links.all()[0]
+    link.session.request_topics("test")
+    link.wake()
+    await made.robot.announce([*robot_topics(), TEXT])
+    found = [frame.topic_id for frame in [await made.robot.next() for _ in range(1)]]
+    while 102 not in found:
+        found.append((await made.robot.next()).topic_id)
+    assert 101 not in found
 
 
 # -- what a device must not receive -----------------------------------------------------------------------------------

@@ -16,8 +16,8 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, Ros1Config
 from hostlink.graphs.ros1 import member, publication, service_offer, subscription
 from hostlink.graphs.ros1.outgoing import MAX_MESSAGES
-from hostlink.graphs.ros1.rpc import Rpc, Unreachable
-from hostlink.graphs.ros1.xml_rpc import Refused, decode_answer, encode_answer, encode_call
+from hostlink.graphs.ros1.rpc import Rpc
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable, decode_answer, encode_answer, encode_call
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.velocity import TWIST_TYPE
 from tests.support.daemon import daemon

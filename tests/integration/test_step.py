@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hostlink.cli.demo import drive_robots
+from hostlink.cli.demo import DemoDriver
 from hostlink.cli.step_recorder import (
     Recording,
     StepRecorder,
@@ -23,7 +23,7 @@ from hostlink.cli.step_stages import Stage, Wheel, make_stage
 from hostlink.cli.step_tuning import PAPER_GAINS, tune
 from hostlink.client import Host, connect
 from hostlink.config import Config, ParameterValue, RobotConfig
-from hostlink.errors import DeviceGone, HostlinkError, RobotHeld, UnknownTopic
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, UnknownTopic
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, step_figures
@@ -31,6 +31,7 @@ from hostlink.robot.velocity import Velocity
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
@@ -107,7 +108,7 @@ async def test_whoever_begins_meanwhile_and_is_less_important_gives_way_too() ->
         idle = host.hub.join("demo", priority=0)
         step = tasks.create_task(record(me))
         await expect(lambda: host.hub.robots.find("robot_0").gate.counts.stops > 0)
-        demo = tasks.create_task(drive_robots(host.hub, idle))
+        demo = tasks.create_task(DemoDriver(host.hub, idle).run())
         recording = await step
         demo.cancel()
         idle.leave()
@@ -139,7 +140,7 @@ async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> No
         await stepping(host)
         robot = host.hub.robots.find("robot_0")
         stops = robot.gate.counts.stops
-        host.hub.gates.command(robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+        drive_gate(host.hub.gates, robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
         assert "a person drives it" in await drive
         assert robot.gate.counts.stops == stops
         assert robot.gate.owner_name == "a person"
@@ -193,7 +194,7 @@ async def test_a_robot_that_nobody_knows_is_refused_with_those_that_are() -> Non
 async def test_a_locked_robot_is_refused() -> None:
     async with bench() as (_, _, me):
         await me.robot("robot_0").lock("a cat")
-        with pytest.raises(RobotHeld, match="a cat"):
+        with pytest.raises(CommandRefused, match="a cat"):
             await connected_state(me.robot("robot_0"))
 
 
@@ -324,7 +325,7 @@ async def test_plot_data_that_falls_silent_ends_the_step_within_a_second() -> No
         await stepping(host)
         robot.is_plot_silent = True
         await expect(lambda: host.hub.robots.find("robot_0").gate.current.is_zero, timeout_s=1.1)
-        assert await drive == "/robot_0/plot_data has fallen silent; the robot is stopped"
+        assert await drive == "/robot_0/plot_data has fallen silent; the robot was sent a stop"
         await stands(robot)
 
 

@@ -61,7 +61,7 @@ async def stop_again_and_again(hub: Hub, device: UdpDevice) -> list[float]:
     lasted_s = []
     for number in range(STOPS):
         await device.send(pose(float(number)))
-        participant.drive(robot, MOVING)
+        participant.drive(robot, MOVING, epoch=robot.gate.admission.epoch)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         began_s = time.monotonic()
         hub.gates.stop(robot)

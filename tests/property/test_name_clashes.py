@@ -24,6 +24,7 @@ from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
+from tests.support.gates import drive_gate
 from tests.support.participants import publish
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import VirtualLoop
@@ -196,7 +197,7 @@ class Clashes(RuleBasedStateMachine):
             robot, velocity = self.hub.robots.find(self.names[number]), Velocity(linear_x_m_s=speed)
             self.hub.emergency_stop.release(robot)
             if by == "name":
-                self.hub.gates.command(robot, velocity, owner="driver", priority=MAX_PRIORITY)
+                drive_gate(self.hub.gates, robot, velocity, owner="driver", priority=MAX_PRIORITY)
             else:
                 try:
                     publish(

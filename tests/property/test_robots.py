@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from structlog.testing import capture_logs
 
 from hostlink.config import LinkConfig, RobotConfig
-from hostlink.errors import DeviceGone, RobotHeld
+from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.device import check_type
 from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import TICK_S, Gates
@@ -25,6 +25,7 @@ from hostlink.hub.isolation import Isolation
 from hostlink.hub.participant import Participant, Parts
 from hostlink.hub.robots import Robots
 from hostlink.hub.services import Services
+from hostlink.hub.standstills import Standstills
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.messages.catalog import Catalog
@@ -33,10 +34,12 @@ from hostlink.protocol.events import Event, TopicsNegotiated
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
+from hostlink.robot.admission import LEASE_S
 from hostlink.robot.directory import find_robot
 from hostlink.robot.velocity import Velocity
-from hostlink.robot.velocity_gate import LEASE_S, ZEROS
+from hostlink.robot.velocity_gate import ZEROS
 from tests.support.fake_device import robot_topics
+from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.virtual_loop import VirtualLoop
 
@@ -87,7 +90,9 @@ class Drivers(RuleBasedStateMachine):
         topics, services, changes = TopicGraph(CATALOG), Services(CATALOG), GraphChanges()
         views = GraphViews(topics, services, changes)
         parts = Parts(CATALOG, topics, services, self.gates, isolation, changes, views)
-        self.emergency_stop = EmergencyStop(self.robots, self.gates, Participant(parts, "hostlink", is_daemon=True))
+        self.emergency_stop = EmergencyStop(
+            self.robots, self.gates, Standstills(self.gates), Participant(parts, "hostlink", is_daemon=True)
+        )
         self.tasks = [asyncio.get_running_loop().create_task(self.gates.run())]
         await self.connect()
 
@@ -109,7 +114,7 @@ class Drivers(RuleBasedStateMachine):
             self.robots.appear(NAME, robot, robot, link)
             if self.is_eager and self.locked_since is None:
                 fast = Velocity(linear_x_m_s=FASTEST[0])
-                self.gates.command(self.robots.find(NAME), fast, owner="eager")
+                drive_gate(self.gates, self.robots.find(NAME), fast, owner="eager")
                 self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
 
     async def serve(self, link: Link) -> None:
@@ -145,16 +150,16 @@ class Drivers(RuleBasedStateMachine):
         async def now() -> None:
             robot = self.robots.find(NAME)
             velocity = Velocity(linear_x_m_s=linear_m_s, angular_z_rad_s=angular_rad_s)
+            kind = None
             try:
-                self.gates.command(robot, velocity, owner=owner, priority=priority)
-            except DeviceGone:
-                assert robot.link is None
-            except RobotHeld:
-                assert self.locked_since is not None or robot.gate.owner_name != owner
-            else:
-                assert self.locked_since is None
-                if not velocity.is_zero:
-                    self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
+                drive_gate(self.gates, robot, velocity, owner=owner, priority=priority)
+            except CommandRefused as refused:
+                kind = refused.kind
+            assert (kind is RefusalKind.LOCKED) == (self.locked_since is not None and not velocity.is_zero)
+            assert (kind is RefusalKind.NOT_CONNECTED) <= (robot.link is None)
+            assert (kind is not None) <= (robot.gate.owner_name != owner)
+            if kind is None and not velocity.is_zero:
+                self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
 
         self.runner.run(now())
 

@@ -49,6 +49,39 @@ def test_what_is_encoded_is_decoded(sent: list[Frame], data: st.DataObject) -> N
     assert pending == 0
 
 
+# Payloads of which most bytes are syncs or headers: an int16 of -257 is a sync.
+sync_payloads = st.lists(st.just(b"\xff\xfe") | noise | st.binary(max_size=4), max_size=40).map(b"".join)
+sync_frames = st.builds(Frame, topic_ids, sync_payloads).filter(lambda frame: joined([wire_of(frame)]) == ([frame], 0))
+
+
+@given(st.lists(sync_frames, max_size=10), st.data())
+def test_an_intact_stream_with_syncs_in_its_payloads_counts_no_damage(sent: list[Frame], data: st.DataObject) -> None:
+    stream = FrameStream(limit_bytes=LIMIT_BYTES)
+    assert joined_events(stream, split(b"".join(map(wire_of, sent)), data)) == sent
+    assert stream.rejected == {}
+
+
+@given(lines, st.data())
+def test_every_split_counts_the_same_damage(wire: bytes, data: st.DataObject) -> None:
+    whole, cut = FrameStream(limit_bytes=LIMIT_BYTES), FrameStream(limit_bytes=LIMIT_BYTES)
+    line = damaged(wire, data)
+    assert joined_events(whole, [line]) == joined_events(cut, split(line, data))
+    assert whole.rejected == cut.rejected
+
+
+@given(lines, st.data())
+def test_rejected_syncs_are_no_more_than_the_syncs_that_were_skipped(wire: bytes, data: st.DataObject) -> None:
+    line = damaged(wire, data)
+    stream = FrameStream(limit_bytes=LIMIT_BYTES)
+    skipped = at = 0
+    for event in (event for read in split(line, data) for event in stream.feed(read)):
+        size = len(event.data) if isinstance(event, Skipped) else len(wire_of(event))
+        if isinstance(event, Skipped):
+            skipped += sum(line.startswith(b"\xff\xfe", start) for start in range(at, at + size))
+        at += size
+    assert stream.rejected.total() <= skipped
+
+
 @given(lines, st.data())
 def test_every_split_gives_the_same_events(wire: bytes, data: st.DataObject) -> None:
     assert joined(split(wire, data)) == joined([wire])

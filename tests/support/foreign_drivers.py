@@ -10,15 +10,24 @@ from collections import Counter
 from collections.abc import Coroutine
 from typing import Any, cast
 
-from hostlink.errors import HostlinkError, RobotHeld
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
+from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.counts import Counts
 from hostlink.graphs.ros1.parts import Parts, Spawned
 from hostlink.graphs.ros1.publisher import _Connection
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
+from hostlink.graphs.ros2_types import Ros2Types
 from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, Keys, Sender, State, decode, encode
 from hostlink.graphs.zenoh.fleet_post import Post
+from hostlink.graphs.zenoh.rmw_attachment import Attachment
+from hostlink.graphs.zenoh.rmw_graph import RemoteGraph
+from hostlink.graphs.zenoh.rmw_node import RmwNode
+from hostlink.graphs.zenoh.rmw_once import Once
+from hostlink.graphs.zenoh.rmw_publishers import Publishers
+from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
+from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of
 from hostlink.graphs.zenoh.roster import Roster
 from hostlink.graphs.zenoh.session import Sample, Session
 from hostlink.hub.hub import Hub
@@ -29,6 +38,7 @@ from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene
 
 PRIORITY = 50
+ROS2_TWIST = "geometry_msgs/msg/Twist"
 
 
 class _Wireless(asyncio.Transport):
@@ -60,7 +70,7 @@ class Ros1Driver:
         self._parts = _parts(scene.hub)
         name = scene.hub.robots.find(ROBOT).shown.velocity
         topic = next(each for each in scene.neighbour.graph().topics if each.name == name)
-        self._connection = _Connection(self._parts, topic, is_latched_meant=True)
+        self._connection = _Connection(self._parts, topic, RefusalLog(), is_new=True)
         with socket.socket() as connection:
             self._connection.wire.connection_made(_Wireless(connection))
         fields = {"callerid": "/joystick", "type": TWIST_TYPE, "md5sum": twist.md5, "topic": name}
@@ -76,7 +86,7 @@ class Ros1Driver:
         before = self._parts.counts.refused_messages
         self._connection.wire.data_received(encode_message(Velocity(speed_m_s).encode()))
         if self._parts.counts.refused_messages > before:
-            raise RobotHeld(robot, "whoever was first")
+            raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
     def vanish(self) -> None:
         """Its connection is lost."""
@@ -108,7 +118,7 @@ class FleetDriver:
     def __init__(self, scene: Scene) -> None:
         self._keys, self._here, self._there = Keys("hostlink"), Sender("lab", "1a"), Sender("desk", "2b")
         self._answers, self._numbers = _Answers(), itertools.count(1)
-        roster = Roster(Counter())
+        roster = self._roster = Roster(Counter())
         post = Post(cast("Session", self._answers), self._keys, self._here, Counter())
         self._drivers = FleetDrivers(scene.hub, post, roster)
         roster.appear(self._there, _now_s())
@@ -118,10 +128,19 @@ class FleetDriver:
     def participant(self) -> Participant:
         return self._drivers._drivers[self._there.zid].of[1].participant
 
-    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:  # noqa: ARG002 - as the other kinds have it
+    def drive(
+        self,
+        robot: str,
+        speed_m_s: float,
+        hub: Hub,  # noqa: ARG002 - as the other kinds have it
+        *,
+        late_s: float = 0.0,
+        epoch: int | None = None,
+    ) -> None:
         request = Drive(
             number=next(self._numbers),
-            sent_s=_now_s(),
+            epoch=epoch,
+            sent_s=_now_s() - late_s,
             robot=robot,
             owner=1,
             owner_name="client 3",
@@ -131,12 +150,46 @@ class FleetDriver:
         self._drivers.receive(Sample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
         answer = decode(self._answers.sent.pop(), Answer)
         if answer.error:
-            held = answer.error == RobotHeld.__name__
-            raise RobotHeld(robot, answer.owner) if held else HostlinkError(answer.reason)
+            if answer.error in set(RefusalKind):
+                raise CommandRefused(robot, RefusalKind(answer.error), answer.reason, holder=answer.owner)
+            raise HostlinkError(answer.reason)
+
+    def publish(self, name: str, payload: bytes) -> None:
+        """Somebody there publishes to a topic of a device here."""
+        neighbour = self._roster.find(self._there)
+        assert neighbour is not None
+        self._drivers.publish(neighbour, name, payload)
 
     def vanish(self) -> None:
         """The token of its daemon is gone."""
         self._drivers.leave(self._there.zid)
+
+
+class RmwDriver:
+    """A publisher of ROS 2 in the graph of rmw_zenoh."""
+
+    def __init__(self, scene: Scene) -> None:
+        counts = Counter[str]()
+        own = NodeToken(0, "ff", 0, "/", "hostlink")
+        node = RmwNode(scene.hub, cast("Session", None), Ros2Types(CATALOG), own, counts)  # publishers send nothing
+        graph = RemoteGraph(0, counts)
+        self._publishers = Publishers(node, graph, Once(counts))
+        self._topic = f"/{ROBOT}/cmd_vel"
+        remote = NodeToken(0, "aa", 0, "/", "driver")
+        endpoint = EndpointToken(Kind.PUBLISHER, remote, 1, self._topic, ROS2_TWIST, "RIHS01_0", TELEMETRY)
+        self._gid, self._sent = gid_of(endpoint.encode()), 0
+        token = graph.add(endpoint.encode())
+        assert isinstance(token, EndpointToken)
+        self._publishers.add(token, endpoint.encode())
+
+    def drive(self, speed_m_s: float, *, late_s: float = 0.0) -> None:
+        self._sent += 1
+        attachment = Attachment(self._sent, int((100.0 + _now_s() - late_s) * 1e9), self._gid)
+        self._publishers.publish(attachment, (self._topic, ROS2_TWIST), Velocity(speed_m_s).encode(), topic=self._topic)
+
+    def vanish(self) -> None:
+        """Its token is gone."""
+        self._publishers.clear()
 
 
 def ros1(scene: Scene, role: Role) -> Ros1Driver:

@@ -16,6 +16,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from tests.support.fake_device import CATALOG
 
+TIME = 2  # opcode
 Received = tuple[int, int, int, bytes]  # opcode, subscription, time, payload
 
 
@@ -26,6 +27,7 @@ class Peer:
         self, name: str, hub: Hub, directory: FoxgloveDirectory, tasks: asyncio.TaskGroup, role: Role = Role.DRIVE
     ) -> None:
         self.queue = client_queue()
+        self.times: list[int] = []  # in ns, oldest first
         self.client = FoxgloveClient(name, hub, directory, self.queue, spawn=tasks.create_task, role=role)
 
     def send(self, **request: Any) -> None:
@@ -35,10 +37,18 @@ class Peer:
         self.client.receive(struct.pack("<BI", 1, number) + payload)
 
     def received(self) -> list[Any]:
-        """JSON as objects and frames as bytes, oldest first."""
+        """JSON as objects and frames as bytes, oldest first; times are kept apart."""
+        return [each for each in self.received_with_times() if not isinstance(each, int)]
+
+    def received_with_times(self) -> list[Any]:
+        """As `received`, and times as numbers of ns in between."""
         self.client.flush(asyncio.get_running_loop().time())
-        waiting = [each.item for each in iter(self.queue.pop, None)]
-        return [item.data if item.is_binary else json.loads(item.data) for item in waiting]
+        received: list[Any] = []
+        for item in (each.item for each in iter(self.queue.pop, None)):
+            frames = [item.before, item.data] if item.before else [item.data]
+            received += [_read(frame) if item.is_binary else json.loads(frame) for frame in frames]
+        self.times += [each for each in received if isinstance(each, int)]
+        return received
 
     def json(self) -> list[dict[str, Any]]:
         return [each for each in self.received() if isinstance(each, dict)]
@@ -52,6 +62,10 @@ class Peer:
 
     def statuses(self) -> list[str]:
         return [each["message"] for each in self.json() if each["op"] == "status"]
+
+
+def _read(frame: bytes) -> bytes | int:
+    return int(struct.unpack("<BQ", frame)[1]) if frame[0] == TIME else frame
 
 
 class World:

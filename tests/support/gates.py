@@ -1,7 +1,13 @@
 """Velocity gates as their tests want them."""
 
+import asyncio
 import dataclasses
+from collections.abc import Hashable
 
+from hostlink.hub.drivable import Drivable
+from hostlink.hub.gates import Gates
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.robot.admission import LEASE_S, Admission, Command
 from hostlink.robot.velocity import ZERO, Velocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
 
@@ -12,30 +18,73 @@ FORWARD = Velocity(0.3)
 TURN = Velocity(0.2, angular_z_rad_s=1.0)
 
 
-def gate(limits: Limits = FREE) -> VelocityGate:
-    return VelocityGate("robot_0", limits)
+def drive_gate(
+    gates: Gates,
+    robot: Drivable | RemoteRobot,
+    velocity: Velocity,
+    *,
+    owner: Hashable = "test",
+    priority: int = 50,
+    epoch: int | None = None,
+) -> Velocity:
+    """A command of an owner that has just come."""
+    now_s = asyncio.get_running_loop().time()
+    return gates.command(robot, Command(velocity, owner, priority, now_s, epoch=epoch))
 
 
-def driven(limits: Limits = FREE, *, priority: int = 50) -> VelocityGate:
+class GateOfRobot(VelocityGate):
+    """A gate and its admission together, as `Gates` uses them."""
+
+    def __init__(self, limits: Limits, *, lease_s: float = LEASE_S) -> None:
+        super().__init__(Admission("robot_0", lease_s=lease_s), limits)
+        self.admission.connect(0.0)
+
+    def drive(self, owner: str, velocity: Velocity, *, now_s: float, priority: int = 50) -> Velocity:
+        return self.command(Command(velocity, owner, priority, now_s), velocity, now_s=now_s)
+
+    def interrupt(self, *, now_s: float) -> None:
+        self.admission.interrupt(now_s)
+        self.stop(now_s=now_s)
+
+    def withdraw(self, owner: str, *, now_s: float) -> None:
+        is_driving = self.owner == owner
+        self.admission.withdraw(owner)
+        if is_driving:
+            self.stop(now_s=now_s)
+
+    def lock(self, reason: str, *, now_s: float) -> None:
+        self.admission.lock(reason, now_s)
+        self.stop_at_once()
+
+    def connect(self, *, now_s: float) -> None:
+        self.admission.connect(now_s)
+        self.restart()
+
+
+def gate(limits: Limits = FREE) -> GateOfRobot:
+    return GateOfRobot(limits)
+
+
+def driven(limits: Limits = FREE, *, priority: int = 50) -> GateOfRobot:
     """`ann` drives forward since 0 s, and the robot knows."""
     ours = gate(limits)
-    ours.command("ann", FORWARD, priority=priority, now_s=0.0)
+    ours.drive("ann", FORWARD, priority=priority, now_s=0.0)
     ours.step(0.0)
     return ours
 
 
-def outputs(ours: VelocityGate, now_s: float, count: int = 5) -> list[Velocity | None]:
+def outputs(ours: GateOfRobot, now_s: float, count: int = 5) -> list[Velocity | None]:
     return [ours.step(now_s + number * 0.05) for number in range(count)]
 
 
 STOPPED = [ZERO, ZERO, ZERO, None, None]
 
 
-def moving(limits: Limits, velocity: Velocity = FORWARD) -> VelocityGate:
+def moving(limits: Limits, velocity: Velocity = FORWARD) -> GateOfRobot:
     """`ann` has driven at this velocity for a while, until 1.0 s."""
     ours = gate(limits)
     for tenths in range(11):
-        ours.command("ann", velocity, priority=50, now_s=tenths / 10)
+        ours.drive("ann", velocity, priority=50, now_s=tenths / 10)
         ours.step(tenths / 10)
     assert ours.current == velocity
     return ours

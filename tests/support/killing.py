@@ -27,6 +27,7 @@ class Drive:
 
     daemon: Process
     robots: list[UnwatchedRobot] = field(default_factory=list)
+    is_let_go: bool = False  # while it is, the program commands nothing
 
     def stood_after_s(self, since_s: float) -> float:
         """From then until the last of them stood."""
@@ -44,10 +45,10 @@ async def driving(reading: Reading, *arguments: str) -> AsyncIterator[Drive]:
     ):
         await daemon.logged("robot.appeared", 2)
         async with session.ws_connect(daemon.url) as client, asyncio.TaskGroup() as tasks:
-            sources = [tasks.create_task(_command(client))]
+            drive = Drive(daemon, [on_wire, on_air])
+            sources = [tasks.create_task(_command(client, drive))]
             if reading.with_blobs:
                 sources.append(tasks.create_task(_send_blobs(client)))
-            drive = Drive(daemon, [on_wire, on_air])
             try:
                 for robot in drive.robots:
                     await robot.driven()
@@ -73,10 +74,10 @@ def killer(number: int) -> Callable[[int], None]:
     return lambda pid: os.kill(pid, number)
 
 
-async def _command(client: aiohttp.ClientWebSocketResponse) -> None:
+async def _command(client: aiohttp.ClientWebSocketResponse, drive: Drive) -> None:
     with contextlib.suppress(ConnectionError):  # the daemon has ended
         for turn in itertools.count():
-            for name in ("on_wire", "on_air"):
+            for name in () if drive.is_let_go else ("on_wire", "on_air"):
                 speed = 0.1 + turn % 7 / 100
                 twist = {"linear": {"x": speed, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": 0.5}}
                 await client.send_json({"op": "publish", "topic": f"/{name}/velocity_commands", "msg": twist})

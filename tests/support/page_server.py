@@ -17,7 +17,8 @@ from aiohttp import WSMsgType, web
 
 from hostlink.api.drives import DriveView
 from hostlink.api.events import ROLE_HEADER
-from hostlink.api.views import LinkView, RobotView
+from hostlink.api.listening import ListeningView
+from hostlink.api.views import LinkView, RobotView, StoppedRobotView
 
 BUILT = Path(__file__).parents[2] / "hostlink" / "api" / "web" / "built"
 BEAT_S = 0.1
@@ -35,11 +36,16 @@ class State:
     past: list[dict[str, Any]] = field(default_factory=list)  # where each robot drove before the page was opened
     role: str = "drive"
     refusal: str = ""  # of every request that changes something
+    drive_answer: dict[str, Any] = field(default_factory=dict)  # what else the answer to a command has
     drive_refusal: dict[str, Any] = field(default_factory=dict)  # of every command: kind, reason
     refusal_status: HTTPStatus = HTTPStatus.FORBIDDEN
     is_lost: bool = False  # nothing answers
     late_s: float = 0.0  # how long the events are on their way
+    listening: dict[str, Any] = field(
+        default_factory=lambda: {"tcp": None, "udp": None, "serial": [], "simulate": None}
+    )  # where devices connect
     is_stop_lost: bool = False  # no request that changes something arrives
+    standstills: dict[str, dict[str, Any]] = field(default_factory=dict)  # by robot, what differs from standing
 
 
 class PageServer:
@@ -65,6 +71,7 @@ class PageServer:
         msgspec.convert(state.robots, list[RobotView])
         msgspec.convert(state.links, list[LinkView])
         msgspec.convert(state.drives, list[DriveView])
+        msgspec.convert(state.listening, ListeningView)
         self._state = state
         self._version += 1
         self._wake()
@@ -132,7 +139,8 @@ class PageServer:
                 break
             if asked["op"] == "drive":
                 refusal = self._state.drive_refusal
-                await socket.send_json({"op": "drive_result", "id": asked["id"], "result": not refusal, **refusal})
+                answer = {"op": "drive_result", "id": asked["id"], "result": not refusal}
+                await socket.send_json({**answer, **self._state.drive_answer, **refusal})
             if asked["op"] == "call_service":
                 answer = {"op": "service_response", "id": asked.get("id"), "service": asked["service"]}
                 await socket.send_json({**answer, "values": {"time": {"secs": 0, "nsecs": 0}}, "result": True})
@@ -150,12 +158,23 @@ class PageServer:
             return web.json_response({"error": error}, status=self._state.refusal_status)
         return web.json_response({})
 
+    async def _standstill(self, request: web.Request) -> web.Response:
+        names = [view["name"] for view in self._state.robots if request.match_info.get("name") in (None, view["name"])]
+        known = {view["name"]: view for view in self._fresh_robots()}
+        stands = {"state": "stands", "speed_m_s": 0.0, "turn_rad_s": 0.0, "after_s": 0.4, "reason": ""}
+        robots = [{**known[name], "standstill": {**stands, **self._state.standstills.get(name, {})}} for name in names]
+        msgspec.convert(robots, list[StoppedRobotView])
+        return web.json_response(robots[0] if "name" in request.match_info else {"robots": robots})
+
     async def _history(self, _: web.Request) -> web.Response:
         return web.json_response({"poses": self._state.past, "plot_data": [], "events": []})
 
     async def _drives(self, request: web.Request) -> web.Response:
         shown = self._state.drives[: int(request.query["limit"])]
         return web.json_response({"drives": shown, "lost": 0})
+
+    async def _listening(self, _: web.Request) -> web.Response:
+        return web.json_response(self._state.listening)
 
     async def _end(self, _: web.Application) -> None:
         self._is_ending = True
@@ -170,7 +189,10 @@ class PageServer:
         application.router.add_static("/web", BUILT / "web")
         application.router.add_get("/api/events", self._events)
         application.router.add_get("/api/robots/{name}/history", self._history)
+        application.router.add_get("/api/robots/{name}/standstill", self._standstill)
+        application.router.add_get("/api/standstill", self._standstill)
         application.router.add_get("/api/drives", self._drives)
+        application.router.add_get("/api/listening", self._listening)
         application.router.add_get("/api/topics", _topics)
         application.router.add_post("/api/{path:.*}", self._change)
         application.on_shutdown.append(self._end)
@@ -225,6 +247,7 @@ def robot(name: str, **changes: Any) -> dict[str, Any]:
         "priority": None,
         "locked": False,
         "lock_reason": None,
+        "epoch": 1,
         "unreachable": None,
         "wheel_separation_m": 0.21,
         "velocity": {"linear_m_s": 0.0, "angular_rad_s": 0.0},

@@ -18,7 +18,7 @@ from hostlink.api.outgoing import ClientQueue, Outgoing, client_queue
 from hostlink.api.owners import Owners
 from hostlink.api.rosbridge import RosbridgeClient
 from hostlink.config import Config
-from hostlink.errors import BadRequest, HostlinkError, RobotHeld
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY, Message
 from hostlink.hub.node import Role
@@ -129,7 +129,10 @@ class Program:
 class RosbridgeProgram:
     """A program at the other end of a WebSocket, with JSON in both directions."""
 
-    def __init__(self, hub: Hub, name: str, tasks: asyncio.TaskGroup, role: Role) -> None:
+    def __init__(
+        self, hub: Hub, name: str, tasks: asyncio.TaskGroup, role: Role, *, level: str | None = "error"
+    ) -> None:
+        """`level`: of the status that it wants; None: it does not say."""
         self.is_failing = False
         self.queue: ClientQueue = client_queue()
         self.queue._size_of = self._size_of
@@ -139,7 +142,8 @@ class RosbridgeProgram:
         self._answers: dict[str, asyncio.Future[Mapping[str, Any]]] = {}
         self._tasks = tasks
         self._received: list[bytes] = []
-        self.send(op="set_level", level="error")
+        if level is not None:
+            self.send(op="set_level", level=level)
 
     @property
     def participant(self) -> Participant:
@@ -196,9 +200,9 @@ class RosbridgeProgram:
         elif operation["op"] == "service_response":
             self._answers[operation["id"]].set_result(operation)
         elif operation["op"] == "drive_result" and not operation["result"]:
-            raise {"RobotHeld": RobotHeld("robot", "other")}.get(operation["kind"], HostlinkError(operation["reason"]))
+            raise _error(operation["kind"], operation["reason"])
         elif operation["op"] == "status":
-            raise BadRequest(operation["msg"])
+            raise _error(operation["kind"], operation["msg"])
 
     async def _answer(self, operation: dict[str, Any]) -> None:
         assert self._served is not None
@@ -302,7 +306,7 @@ class FoxgloveProgram:
                 self._received.append(data)
         elif data[0] == 1:
             self._received.append(data[13:])
-        else:
+        elif data[0] == 3:
             self._answers[struct.unpack_from("<I", data, 5)[0]].set_result(data[17:])
 
     def _receive_json(self, operation: dict[str, Any]) -> None:
@@ -319,7 +323,9 @@ class FoxgloveProgram:
                 self._answers[operation["callId"]].set_exception(HostlinkError(operation["message"]))
             case "status":
                 message = operation["message"]
-                raise RobotHeld("robot", "other") if "higher priority" in message else BadRequest(message)
+                if "higher priority" in message:
+                    raise CommandRefused("robot", RefusalKind.HELD, message)
+                raise BadRequest(message)
 
     def _size_of(self, outgoing: Outgoing) -> int:
         if self.is_failing:
@@ -328,6 +334,13 @@ class FoxgloveProgram:
 
     def send(self, **request: Any) -> None:
         self._client.receive(json.dumps(request))
+
+
+def _error(kind: str, reason: str) -> HostlinkError:
+    """As it was raised at the other end."""
+    if kind in set(RefusalKind):
+        return CommandRefused("robot", RefusalKind(kind), reason)
+    return BadRequest(reason) if kind == BadRequest.kind else Refused(kind, reason)
 
 
 Make = Callable[["Scene", Role], Any]

@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator
 from enum import Enum
 
 READ_BYTES = 65536
+GATHER_S = 0.2
 
 
 class Line(Enum):
@@ -14,6 +15,7 @@ class Line(Enum):
     WORKS = "works"
     SWALLOWS = "swallows"  # as a radio out of reach: what is sent is gone
     STALLS = "stalls"  # as a full tunnel: what is sent arrives when it works again
+    GATHERS = "gathers"  # as a busy machine's: what a server sends within a moment is read in one piece
     STALLS_SOCKETS = "stalls_sockets"  # as where a segment of theirs is lost: requests overtake what WebSockets send
 
 
@@ -31,7 +33,7 @@ class Proxy:
 
     def set_line(self, line: Line) -> None:
         self._line = line
-        if line is Line.WORKS:
+        if line in (Line.WORKS, Line.GATHERS):
             self._works.set()
         else:
             self._works.clear()
@@ -51,12 +53,14 @@ class Proxy:
                 self._writers.add(there_writer)
                 async with asyncio.TaskGroup() as tasks:
                     tasks.create_task(self._carry(reader, there_writer))
-                    tasks.create_task(self._carry(there_reader, writer))
+                    tasks.create_task(self._carry(there_reader, writer, is_answer=True))
         finally:
             self._writers.discard(writer)
             writer.transport.abort()
 
-    async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _carry(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, is_answer: bool = False
+    ) -> None:
         try:
             with contextlib.suppress(OSError):
                 is_socket = False
@@ -64,13 +68,25 @@ class Proxy:
                     is_socket |= b"upgrade: websocket" in data.lower()
                     if self._line is Line.STALLS or (is_socket and self._line is Line.STALLS_SOCKETS):
                         await self._works.wait()
-                    if self._line in (Line.WORKS, Line.STALLS_SOCKETS):
+                    if self._line is Line.GATHERS and is_answer:
+                        data += await _gather(reader)
+                    if self._line in (Line.WORKS, Line.STALLS_SOCKETS, Line.GATHERS):
                         writer.write(data)
                         await writer.drain()
             await self._works.wait()  # the end of one side is not passed on either
         finally:
             self._writers.discard(writer)
             writer.close()
+
+
+async def _gather(reader: asyncio.StreamReader) -> bytes:
+    """What comes within a moment."""
+    gathered = b""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(GATHER_S):
+            while data := await reader.read(READ_BYTES):
+                gathered += data
+    return gathered
 
 
 @contextlib.asynccontextmanager

@@ -11,9 +11,18 @@ import time
 from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -161,6 +170,42 @@ class Peer:
                 values=[plain(rclpy.parameter.parameter_value_to_python(value)) for value in future.result().values],
             )
         )
+
+    def param(self, request: dict[str, Any]) -> None:
+        """What `ros2 param VERB NODE ...` calls, and what it writes, by the sources of ros2param (ros2cli, Kilted)."""
+        verb, node, names = request["verb"], request["node"], request.get("names", [])
+        if verb == "list":
+            names = self._called(ListParameters, node, ListParameters.Request()).result.names
+            write(event="param", verb=verb, lines=sorted(names))
+            return
+        if verb == "describe":
+            found = self._called(DescribeParameters, node, DescribeParameters.Request(names=names)).descriptors
+            write(event="param", verb=verb, lines=[f"{each.name}: {each.type}" for each in found])
+            return
+        if verb == "get":
+            found = self._called(GetParameters, node, GetParameters.Request(names=names)).values
+            write(event="param", verb=verb, lines=[plain(parameter_value_to_python(value)) for value in found])
+            return
+        texts = request.get("values", [])
+        values = [get_parameter_value(text) for text in texts] if verb != "delete" else [ParameterValue()] * len(names)
+        parameters = [ParameterMessage(name=name, value=value) for name, value in zip(names, values, strict=True)]
+        if request.get("atomic"):
+            asked = SetParametersAtomically.Request(parameters=parameters)
+            results = [self._called(SetParametersAtomically, node, asked).result]
+        else:
+            results = self._called(SetParameters, node, SetParameters.Request(parameters=parameters)).results
+        write(event="param", verb=verb, lines=[each.reason or each.successful for each in results])
+
+    def _called(self, cls: Any, node: str, request: Any) -> Any:
+        """The response of a service that each node has for its parameters."""
+        name = "".join(f"_{char.lower()}" if char.isupper() else char for char in cls.__name__).lstrip("_")
+        client = self.node.create_client(cls, f"{node}/{name}", callback_group=self.group)
+        client.wait_for_service(timeout_sec=10.0)
+        done, pending = threading.Event(), client.call_async(request)
+        pending.add_done_callback(lambda _: done.set())
+        done.wait()
+        self.node.destroy_client(client)
+        return pending.result()
 
     def set_parameter(self, request: dict[str, Any]) -> None:
         client = AsyncParameterClient(self.node, request["node"], callback_group=self.group)

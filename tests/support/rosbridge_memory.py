@@ -32,7 +32,7 @@ class Peer:
         """JSON and CBOR messages, oldest first."""
         heard = []
         while (waiting := self.queue.pop()) is not None:
-            data, is_binary = waiting.item
+            data, is_binary = waiting.item.data, waiting.item.is_binary
             heard.append(cbor2.loads(data) if is_binary else json.loads(data))
         return heard
 

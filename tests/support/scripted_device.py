@@ -35,6 +35,10 @@ class ScriptedDevice:
         with contextlib.suppress(OSError):
             await self._end.send(encode(topic_id, payload))
 
+    def write(self, data: bytes) -> None:
+        """Send any bytes without waiting."""
+        self._end.write(data)
+
     async def announce(self) -> None:
         """Announce them, requested or not."""
         for info in self.infos:

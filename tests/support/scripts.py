@@ -7,6 +7,7 @@ from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 
+from hostlink.hub.robot import Robot
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.simulated import simulated_robot
@@ -49,9 +50,10 @@ class DrivenRobot:
 
     @property
     def is_held(self) -> bool:
-        """Whether somebody drives it, in the daemon's view."""
-        gate = self.host.hub.robots.find("robot_0").gate
-        return gate.owner_name is not None or not gate.current.is_zero
+        """Whether a source drives it and has not let go, in the daemon's view."""
+        robot = self.host.hub.robots.find("robot_0")
+        assert isinstance(robot, Robot)
+        return (robot.gate.owner is not None and not robot.gate.is_let_go) or not robot.gate.current.is_zero
 
     async def moves(self) -> None:
         await expect(lambda: self.is_held and self.body.speed_m_s > 0.02)
@@ -66,5 +68,5 @@ async def robot_to_drive(*, lease_s: float = ENDLESS_S) -> AsyncIterator[DrivenR
     """Its lease is so long that nothing but a stop, or the end of the connection, stops it in time."""
     async with daemon() as host, simulated_robot(host.tcp) as body:
         await expect(lambda: host.hub.robots.find("robot_0").link is not None)
-        host.hub.robots.find("robot_0").gate.lease_s = lease_s
+        host.hub.robots.find("robot_0").gate.admission.lease_s = lease_s
         yield DrivenRobot(host, body)

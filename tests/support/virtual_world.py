@@ -13,6 +13,7 @@ from hostlink.hub.message import Message
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.session import Session
 from hostlink.robot.velocity import Velocity
+from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import subscribe
 from tests.support.virtual_device import POSE, Program, VirtualDevice
@@ -79,10 +80,11 @@ class World:
 
 
 def command(hub: Hub, number: int) -> bool:
-    """Drive robot_0 at the speed of this number; False when the host has no such robot."""
+    """Drive robot_0 at the speed of this number, whatever was before; False when the host has no such robot."""
     velocity = Velocity(linear_x_m_s=(number + 1) * LEAST_STEP_M_S)
     try:
-        hub.gates.command(hub.robots.find("robot_0"), velocity, owner="test")
+        robot = hub.robots.find("robot_0")
+        drive_gate(hub.gates, robot, velocity, owner="test", epoch=robot.gate.admission.epoch)
     except HostlinkError:
         return False
     return True

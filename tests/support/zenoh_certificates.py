@@ -30,11 +30,11 @@ def make_authority(folder: Path) -> Path:
     return certificate
 
 
-def make_certificate(folder: Path, name: str) -> tuple[Path, Path]:
+def make_certificate(folder: Path, name: str, address: str = "127.0.0.1") -> tuple[Path, Path]:
     """Certificate and key of the daemon of this name, signed by the authority in the folder."""
     request, certificate, key = (folder / f"{name}.{kind}" for kind in ("csr", "pem", "key"))
     names = folder / f"{name}.ext"
-    names.write_text(f"subjectAltName=DNS:{name},IP:127.0.0.1\n")
+    names.write_text(f"subjectAltName=DNS:{name},IP:{address}\n")
     _openssl(
         "req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes",
         "-subj", f"/CN={name}", "-keyout", str(key), "-out", str(request),

@@ -10,9 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.api_loads import frame as api_frame
+from tests.support.api_loads import websocket_head
 from tests.support.daemon import daemon
-from tests.support.process import Process, serve
+from tests.support.late_commands import resident_mib
+from tests.support.process import HOSTLINK, Process, serve
 from tests.support.resources import in_use
+from tests.support.waiting import expect
 
 CLIENTS = 900
 AT_ONCE = 20
@@ -95,3 +99,38 @@ async def test_a_daemon_that_has_served_2700_clients_is_no_larger_than_after_180
             await asyncio.sleep(1.5)  # nobody drives: it collects
             sizes.append(resident_kib(host))
     assert sizes[2] - sizes[1] < MOST_KIB, sizes
+
+
+LATCHING, LATCHED_TOPICS, LATCHED_BYTES, ROUNDS = 30, 4, 900_000, 2
+LEFT_MIB = 24  # 10 are left; 40 and more where glibc keeps the blocks
+
+
+async def latching(port: int) -> None:
+    """A client with large latched messages, each published twice, that leaves once all were read."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(websocket_head(""))
+    await reader.readuntil(b"\r\n\r\n")
+    name = f"/latched_{writer.get_extra_info('sockname')[1]}"
+    for number in range(ROUNDS * LATCHED_TOPICS):
+        fields = {"op": "publish", "topic": f"{name}_{number % LATCHED_TOPICS}", "type": "std_msgs/String"}
+        writer.write(api_frame(json.dumps(fields | {"latch": True, "msg": {"data": "x" * LATCHED_BYTES}}).encode()))
+        await writer.drain()
+    writer.write(frame(op="call_service", service="/rosapi/get_time", args={}))
+    await reader.readuntil(b"service_response")
+    writer.write(CLOSE)
+    await reader.read()
+    writer.close()
+
+
+async def test_daemon_whose_clients_latched_large_messages_gives_their_memory_back(tmp_path: Path) -> None:
+    config = tmp_path / "hostlink.toml"
+    config.write_text("[black_box]\nmax_memory_mb = 2\n")  # it keeps what was published last
+    async with serve("--config", str(config), program=(HOSTLINK,)) as host:  # a forked one has its parent's heap, too
+        port = int(host.url.rpartition(":")[2])
+        await request(port)
+        before_mib = resident_mib(host.pid)
+        for _ in range(ROUNDS):
+            async with asyncio.TaskGroup() as tasks:
+                for _ in range(LATCHING):
+                    tasks.create_task(latching(port))
+        await expect(lambda: resident_mib(host.pid) < before_mib + LEFT_MIB, timeout_s=10.0)

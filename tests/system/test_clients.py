@@ -9,16 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
 from hostlink.config import ApiConfig, Config, RecordingConfig
 from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
-from tests.support.proxy import proxy
+from tests.support.proxy import Line, proxy
 from tests.support.simulated import simulated_robot
 from tests.support.waiting import expect
 
 CLIENTS = Path(__file__).parent.parent / "clients"
 TIMEOUT_S = 40.0
+EXAMPLES = "node_modules/@foxglove/ws-protocol-examples/dist/cjs/ws-protocol-examples/src/index.js"
 ODOMETRY = ["header", "child_frame_id", "pose", "twist"]
 
 
@@ -56,7 +58,7 @@ async def run(*command: str) -> Any:
 
 
 def check_what_all_receive(observed: Any) -> None:
-    assert observed["odom"]["header"]["frame_id"] == "odom"
+    assert observed["odom"]["header"]["frame_id"] == "robot_0/odom"
     assert observed["odom"]["pose"]["covariance"][0] == 0.001
     assert (observed["text"], observed["png"], observed["latched"]) == ("hällo", "plain", "kept")
     assert observed["throttled"] == [0, 9]
@@ -76,6 +78,7 @@ async def test_roslib_does_all_that_it_offers(library: str) -> None:
     assert observed["wide"] == [7, -7]
     assert bytes.fromhex(observed["raw"]) == b"\x03\x00\x00\x00abc"
     assert observed["lock"]["success"] is True
+    assert (observed["locked"]["level"], observed["locked"]["kind"]) == ("error", "locked")
     assert (observed["param"], observed["deleted"]) == ([1, 2.5], None)
     assert observed["status"] == "unknown op 'dance'"
     assert observed.get("action") in (None, "GoalError: Action was aborted: no actions here")  # roslib 1 has no actions
@@ -100,6 +103,7 @@ async def test_roslibpy_does_all_that_it_offers() -> None:
     observed = await run(sys.executable, "everything.py")
     check_what_all_receive(observed)
     assert observed["stamp"] == {"secs": 5, "nsecs": 6}
+    assert observed["locked"] == ['No handler registered for operation "status"']  # once a second
     api = observed["api"]
     assert api["time"].keys() == {"secs", "nsecs"}
     assert {"/robot_0/odom", "/rosout"} < set(api["topics"])
@@ -122,7 +126,7 @@ async def test_foxglove_does_all_that_its_packages_offer(subprotocol: str) -> No
     observed = await run("node", "foxglove.mjs", subprotocol)
     assert observed["protocol"] == subprotocol
     assert observed["info"]["capabilities"] == [
-        "clientPublish", "services", "parameters", "parametersSubscribe", "connectionGraph",
+        "clientPublish", "services", "parameters", "parametersSubscribe", "connectionGraph", "time",
     ]  # fmt: skip
     assert observed["info"]["supportedEncodings"] == ["ros1"]
     assert observed["isSameSession"] is observed["reconnected"] is True
@@ -133,8 +137,10 @@ async def test_foxglove_does_all_that_its_packages_offer(subprotocol: str) -> No
     )
     assert observed["errors"] == []
     assert 0.05 < observed["odom"]["pose"]["pose"]["position"]["x"] < 1.0
-    assert observed["odom"]["header"]["frame_id"] == "odom"
+    assert observed["odom"]["header"]["frame_id"] == "robot_0/odom"
     assert abs(observed["age"]) < 1000
+    assert abs(observed["time"]["age"]) < 1000
+    assert observed["time"]["behind"] < 100  # the app takes the newest time for when a message arrived
     (refused,) = observed["refused"]
     assert refused["level"] == 2
     assert "locked" in refused["message"]
@@ -172,8 +178,47 @@ async def test_foxglove_reads_a_recording_over_ranges_and_decodes_every_channel(
     assert observed["profile"] == "ros1"
     assert sum(topic["count"] for topic in observed["topics"].values()) == view["messages"]
     assert observed["topics"]["/robot_0/odometry"]["last"].keys() == {"x", "y", "theta"}
-    assert "kind" in observed["topics"]["/hostlink/events"]["last"]
+    assert "kind" in json.loads(observed["topics"]["/hostlink/events"]["last"]["data"])
     assert 3 <= observed["requests"] < 100
+
+
+@pytest.mark.parametrize("line_is", [Line.WORKS, Line.GATHERS])
+async def test_foxglove_mcap_record_records_every_channel(line_is: Line, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with (
+        daemon() as host,
+        proxy(address_of(host)) as line,
+        simulated_robot(host.tcp),
+        asyncio.timeout(TIMEOUT_S),
+    ):
+        await expect(lambda: bool(host.hub.robots.all()))
+        odometry = host.hub.topics.find("/robot_0/odometry")
+        line.set_line(line_is)
+        program = await asyncio.create_subprocess_exec(
+            "node", EXAMPLES, "mcap-record", line.url.replace("http", "ws"), "-o", str(path), cwd=CLIENTS,
+            stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
+        )  # fmt: skip
+        try:
+            await expect(lambda: any(str(one.key).startswith("client") for one in odometry.subscribers), timeout_s=20.0)
+            line.set_line(Line.WORKS)
+            there = odometry.messages
+            await expect(lambda: odometry.messages >= there + 5)
+            program.send_signal(signal.SIGINT)
+            _, err = await program.communicate()
+        finally:
+            if program.returncode is None:
+                program.kill()
+    assert program.returncode == 0, err.decode()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+    counts = {
+        channel.topic: summary.statistics.channel_message_counts.get(number, 0)
+        for number, channel in summary.channels.items()
+    }
+    assert {"/robot_0/odometry", "/robot_0/odom", "/tf", "/robot_0/cmd_vel", "/rosout"} <= set(counts)
+    assert counts["/robot_0/odometry"] >= 4  # the newest may be on its way
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

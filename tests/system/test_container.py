@@ -101,9 +101,11 @@ async def contained(log: Path, *arguments: str) -> AsyncIterator[tuple[Process, 
 
 
 async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tmp_path: Path) -> None:
-    """Process 1 lives on until the guardian has stopped it."""
+    """Process 1 lives on until the guardian has stopped it, and the incident is written."""
+    file = tmp_path / "hostlink.toml"
+    file.write_text("[recording]\nfolder = 'kept'\nmin_free_disk_mb = 0\n")
     async with (
-        contained(tmp_path / "log") as (process, daemon),
+        contained(tmp_path / "log", "--config", str(file)) as (process, daemon),
         fake_device(process.tcp, robot_topics()) as device,
         connect(process.url) as program,
     ):
@@ -113,6 +115,8 @@ async def test_a_daemon_that_is_killed_in_a_container_leaves_a_standing_robot(tm
         os.kill(daemon, signal.SIGKILL)
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
         assert await asyncio.wait_for(process.child.wait(), 10) == 128 + signal.SIGKILL
+    (incident,) = (tmp_path / "kept" / "incidents").glob("*.mcap")
+    assert "daemon_died" in incident.name
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

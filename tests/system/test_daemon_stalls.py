@@ -6,6 +6,10 @@ import signal
 import aiohttp
 import pytest
 
+from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S
+from hostlink.host_pauses import RECOVERY_S
+from hostlink.protocol.frame import Id, encode
+from hostlink.protocol.negotiation import SILENCE_S
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics
 from tests.support.process import serve
 from tests.support.rosbridge import Client
@@ -13,6 +17,8 @@ from tests.support.rosbridge import Client
 pytestmark = pytest.mark.quiet
 
 STILL, MOVING = (0.0, 0.0), (0.2, 0.0)
+TIME, TIME_PERIOD_S = encode(Id.TIME, bytes(8)), 2.5
+PAUSE_S = 7.0
 TWIST = {"linear": {"x": 0.2}}
 
 
@@ -49,3 +55,50 @@ async def velocities(device: FakeDevice, *, for_s: float) -> set[tuple[float, fl
                 found.add(await device.velocity())
     except TimeoutError:
         return found
+
+
+async def test_a_pause_of_the_daemon_is_no_finding_and_ends_no_link() -> None:
+    """Longer than a device may be silent; the device goes on meanwhile."""
+    async with serve() as daemon, fake_device(daemon.tcp, robot_topics()) as device, aiohttp.ClientSession() as session:
+        await daemon.read_log("robot.appeared")
+        async with asyncio.TaskGroup() as tasks:
+            requesting = tasks.create_task(request_the_time(device))
+            await asyncio.sleep(2 * TIME_PERIOD_S + 0.5)  # the daemon knows by then that it requests the time
+            daemon.child.send_signal(signal.SIGSTOP)
+            await asyncio.sleep(PAUSE_S)
+            daemon.child.send_signal(signal.SIGCONT)
+            stalled = await daemon.read_log("daemon.stalled")
+            assert stalled["seconds"] > SILENCE_S
+            await asyncio.sleep(RECOVERY_S + 3 * SAMPLE_INTERVAL_S)
+            async with session.get(f"{http_of(daemon.url)}/api/links") as answer:
+                view = await answer.json()
+            requesting.cancel()
+    assert [link["diagnosis"] for link in view["links"]] == [[]]
+    assert view["ended"] == []
+
+
+async def test_a_restart_of_the_daemon_is_no_finding_about_a_device_whose_requests_had_waited() -> None:
+    async with serve() as daemon, aiohttp.ClientSession() as session:
+        reader, writer = await asyncio.open_connection(*daemon.tcp)
+        writer.write(TIME * 6)  # in its WiFi module, while there was no host
+        device = FakeDevice(reader, writer)
+        await device.announce(robot_topics())
+        async with asyncio.TaskGroup() as tasks:
+            requesting = tasks.create_task(request_the_time(device))
+            await asyncio.sleep(2 * TIME_PERIOD_S + 3 * SAMPLE_INTERVAL_S)
+            async with session.get(f"{http_of(daemon.url)}/api/links") as answer:
+                view = await answer.json()
+            requesting.cancel()
+        writer.close()
+    assert [link["diagnosis"] for link in view["links"]] == [[]]
+
+
+async def request_the_time(device: FakeDevice) -> None:
+    """As a device that is configured."""
+    while True:
+        await asyncio.sleep(TIME_PERIOD_S)
+        await device.send(TIME)
+
+
+def http_of(url: str) -> str:
+    return url.replace("ws://", "http://").rstrip("/")

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from hostlink.robot.admission import LEASE_S
 from tests.support.killing import LIMIT_S, Drive, driving, end_at, killer
 from tests.support.process import HOSTLINK, Process, is_running, serve
 from tests.support.unwatched_robot import ZERO, Reading, robot_on_tcp
@@ -22,6 +23,7 @@ from tests.support.waiting import expect
 pytestmark = pytest.mark.quiet
 
 WITHOUT = "guardian = false\n"
+HANG_LIMIT_S = 1.5  # one second without a beat, and what a busy machine adds
 IDLE = "[link]\nidle_timeout_s = 0.6\nsilence_timeout_s = 0.6\n"
 
 
@@ -75,6 +77,47 @@ async def test_a_daemon_that_runs_out_of_address_space_leaves_no_robot_moving() 
         for robot in drive.robots:
             await robot.stood()
         assert drive.stood_after_s(ended_s) <= LIMIT_S
+
+
+@pytest.mark.parametrize("reading", [Reading(), Reading(bytes_a_turn=2048, with_blobs=True)], ids=["", "long frames"])
+async def test_a_daemon_that_hangs_has_its_robots_stopped_and_goes_on_with_them(reading: Reading) -> None:
+    """SIGSTOP: as a loop that is blocked, also inside a long frame. Its guardian sends zeros, and no id 11."""
+    async with driving(reading) as drive:
+        await wait_for_guardian(drive)
+        began_s = time.monotonic()
+        os.kill(drive.daemon.pid, signal.SIGSTOP)
+        for robot in drive.robots:
+            await expect(lambda robot=robot: robot.velocities[-1][1] == ZERO)
+        print(f"stood after {drive.stood_after_s(began_s):.3f} s")  # noqa: T201
+        assert drive.stood_after_s(began_s) <= HANG_LIMIT_S
+        os.kill(drive.daemon.pid, signal.SIGCONT)
+        await asyncio.sleep(0.5)
+        assert [robot.velocities[-1][1] for robot in drive.robots] == [ZERO] * 2  # a pause is an interruption
+        drive.is_let_go = True
+        await asyncio.sleep(2 * LEASE_S)
+        drive.is_let_go = False
+        for robot in drive.robots:
+            await robot.driven()
+            assert robot.stops == []
+            assert robot.ended_at_s is None
+        stopped = await drive.daemon.logged("guardian.stopped_robots")
+        assert (stopped["level"], stopped["robots"]) == ("warning", 2)
+        assert drive.daemon.lines("link.closed") == []
+        assert await end_at(drive, 0.0, killer(signal.SIGKILL)) <= LIMIT_S
+
+
+async def test_a_daemon_that_hangs_and_is_killed_then_has_its_robots_stopped_twice() -> None:
+    """As by systemd's watchdog."""
+    async with driving(Reading()) as drive:
+        await wait_for_guardian(drive)
+        os.kill(drive.daemon.pid, signal.SIGSTOP)
+        for robot in drive.robots:
+            await expect(lambda robot=robot: robot.velocities[-1][1] == ZERO)
+            assert robot.stops == []
+        os.kill(drive.daemon.pid, signal.SIGKILL)
+        for robot in drive.robots:
+            await robot.stood()
+            assert len(robot.stops) == 1
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

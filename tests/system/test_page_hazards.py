@@ -77,6 +77,10 @@ class Scene:
         sent = [each for each in self.server.published if each["op"] == "drive"]
         return [(each["robot"], each["linear"], each["angular"]) for each in sent]
 
+    def moving_epochs(self) -> list[int | None]:
+        sent = [each for each in self.server.published if each["op"] == "drive"]
+        return [each["epoch"] for each in sent if (each["linear"], each["angular"]) != (0, 0)]
+
     async def drives(self, name: str = "robot_0") -> None:
         await expect(lambda: any(each[0] == name and each[1:] != (0, 0) for each in self.commands()[-1:]))
 
@@ -342,6 +346,74 @@ async def test_a_stop_that_the_daemon_cannot_pass_on_now_is_tried_again(scene: S
     await scene.tab.shows("#notice", "robot_0 is stopped")
 
 
+async def test_a_stop_of_all_names_each_robot_that_moves_or_is_not_known_to_stand(scene: Scene) -> None:
+    state = fleet("robot_0", "robot_1", "robot_2")
+    state.standstills["robot_1"] = {
+        "state": "moves", "speed_m_s": -0.1, "after_s": None, "reason": "driven by client 3",
+    }  # fmt: skip
+    scene.server.show(state)
+    await scene.tab.layout("Fleet")
+    await scene.tab.page.get_by_role("button", name="Stop all").click()
+    await scene.tab.shows("#notice", "2 of 3 robots are stopped. robot_1 moves at 0.10 m/s, driven by client 3.")
+    unknown = {"state": "unknown", "speed_m_s": None, "turn_rad_s": None, "after_s": None}
+    state.standstills = {"robot_2": {**unknown, "reason": "its device is not connected"}}
+    await scene.tab.page.get_by_role("button", name="Stop all").click()
+    await scene.tab.shows("#notice", "Whether robot_2 stands is not known: its device is not connected.")
+    state.standstills = {}
+    await scene.tab.page.get_by_role("button", name="Stop all").click()
+    await scene.tab.shows("#notice", "All 3 robots are stopped.")
+
+
+async def test_a_confirmed_stop_is_withdrawn_when_a_source_drives_again(scene: Scene) -> None:
+    await scene.tab.page.keyboard.press("Escape")
+    await scene.tab.shows("#notice", "robot_0 is stopped.")
+    scene.server.show(fleet("robot_0", holder="client 3"))
+    await expect_page(scene.tab.page.locator("#notice")).to_be_hidden(timeout=1000)  # sooner than by itself
+
+
+async def test_a_motion_carries_the_epoch_of_its_first_answer(scene: Scene) -> None:
+    """The daemon refuses the motion after an interruption: a stop, a lock, a reconnection of the device."""
+    page, state = scene.tab.page, fleet("robot_0")
+    state.drive_answer = {"epoch": 7}
+    scene.server.show(state)
+    for epoch in (7, 8):
+        state.drive_answer = {"epoch": epoch}
+        scene.server.published.clear()
+        await page.keyboard.down("KeyW")
+        await expect(lambda: scene.moving_epochs()[-2:] == [epoch, epoch])  # noqa: B023 - it is awaited here
+        assert scene.moving_epochs()[0] is None
+        await page.keyboard.up("KeyW")
+        await scene.stands()
+
+
+@pytest.mark.parametrize("kind", ["disarmed", "locked", "late"])
+async def test_a_refused_motion_must_let_go(scene: Scene, kind: str) -> None:
+    page, state = scene.tab.page, fleet("robot_0")
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    state.drive_refusal = {"kind": kind, "reason": f"robot_0: {kind}"}
+    scene.server.show(state)
+    await scene.stands()
+    scene.server.show(fleet("robot_0"))
+    await scene.stands()
+    await page.keyboard.up("KeyW")
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    await page.keyboard.up("KeyW")
+
+
+async def test_a_stick_waits_for_a_source_with_a_higher_priority(scene: Scene) -> None:
+    page, state = scene.tab.page, fleet("robot_0")
+    await page.keyboard.down("KeyW")
+    await scene.drives()
+    state.drive_refusal = {"kind": "held", "reason": "robot_0: client 3 drives it with a higher priority"}
+    scene.server.show(state)
+    await scene.tab.shows("#drive-state", "with a higher priority")
+    await scene.drives()
+    scene.server.show(fleet("robot_0"))
+    await page.keyboard.up("KeyW")
+
+
 async def test_a_browser_that_keeps_nothing_shows_and_stops(browser: Browser) -> None:
     """As one that blocks the data of all pages: the token holds until the page is left."""
     async with page_server() as server, visit(browser, f"{server.url}/?token=secret", script=KEEPS_NOTHING) as tab:
@@ -365,7 +437,7 @@ async def test_a_lock_of_which_no_event_tells_must_be_followed_by_another_press(
     page, state = scene.tab.page, fleet("robot_0")
     await page.keyboard.down("KeyW")
     await scene.drives()
-    state.drive_refusal = {"kind": "RobotHeld", "reason": "robot_0: locked", "is_locked": True}
+    state.drive_refusal = {"kind": "locked", "reason": "robot_0: locked"}
     scene.server.show(state)
     await scene.stands()
     scene.server.show(fleet("robot_0"))

@@ -342,7 +342,7 @@ async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(bro
         assert sorted(server.requests) == sorted(("POST", f"/api/robots/{name}/lock") for name in names(50))
         server.requests.clear()
         await tab.page.get_by_role("button", name="Stop all").click()
-        await tab.shows("#notice", "Every robot is stopped")
+        await tab.shows("#notice", "All 50 robots are stopped.")
         assert server.requests == [("POST", "/api/stop")]
 
 

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from hostlink.robot.velocity_gate import LEASE_S
+from hostlink.robot.admission import LEASE_S
 from tests.support.screen import screen
 from tests.support.scripts import robot_to_drive, script
 from tests.support.waiting import expect_never
@@ -93,6 +93,7 @@ async def test_a_program_that_stands_still_drives_for_a_lease_and_not_again_when
         await robot.moves()
         child.send_signal(signal.SIGSTOP)
         await robot.stands()
+        await asyncio.sleep(LEASE_S)  # also since the last answer, by the program's own clock
         child.send_signal(signal.SIGCONT)
         await expect_never(lambda: robot.is_held, for_s=0.5)
 

@@ -190,8 +190,8 @@ async def test_incidents_are_listed_and_fetched(tmp_path: Path) -> None:
     ("words", "complaint"),
     [
         (("play", "none.mcap"), "No such file"),
-        (("play", "/etc/passwd"), "is no MCAP file"),
-        (("record", "--repair", "/etc/passwd"), "is no MCAP file"),
+        (("play", "/etc/passwd"), "is not an MCAP file"),
+        (("record", "--repair", "/etc/passwd"), "is not an MCAP file"),
         (("record", "-o", "/no/such/folder/run.mcap"), "No such file"),
         (("play", "none.mcap", "/chat"), "--as-program"),
         (("play", "none.mcap", "--as-program"), "name the topics"),

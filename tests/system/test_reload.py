@@ -1,10 +1,18 @@
 """`hostlink reload` and SIGUSR1, with a daemon in its own process."""
 
+import asyncio
 import json
+import os
 import signal
+import time
 from pathlib import Path
 
+import aiohttp
+import pytest
+
+from tests.support.fake_device import fake_device, robot_topics
 from tests.support.process import run, serve
+from tests.support.rosbridge import Client
 
 
 async def test_a_file_is_read_again_by_a_command_and_by_a_signal(tmp_path: Path) -> None:
@@ -29,3 +37,72 @@ async def test_a_file_is_read_again_by_a_command_and_by_a_signal(tmp_path: Path)
         assert complaint.count("\n") == 1
         assert "max_linear" in complaint
         assert await daemon.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.parametrize("what", ["settings", "token file"])
+async def test_reload_with_a_file_that_blocks_keeps_driving_stopping_and_ending(tmp_path: Path, what: str) -> None:
+    """A FIFO without a writer blocks whoever opens it, as a file of a dead NFS mount does."""
+    file, token_file, fifo = tmp_path / "hostlink.toml", tmp_path / "token", tmp_path / "fifo"
+    file.write_text("")
+    os.mkfifo(fifo)
+    async with (
+        serve("--config", str(file)) as daemon,
+        fake_device(daemon.tcp, robot_topics()) as device,
+        aiohttp.ClientSession() as session,
+    ):
+        await daemon.read_log("robot.appeared")
+        async with session.ws_connect(daemon.url) as socket:
+            program = Client(socket)
+            topic = "/robot_0/velocity_commands"
+            await program.send(op="advertise", topic=topic, type="geometry_msgs/Twist")
+            await program.send(op="publish", topic=topic, msg={"linear": {"x": 0.2}})
+            await device.velocity_of((0.2, 0.0))
+            threads = threads_of(daemon.pid)
+            if what == "settings":
+                fifo.rename(file)
+            else:
+                fifo.rename(token_file)
+                file.write_text(f'[[api.tokens]]\nname = "alice"\ntoken_file = "{token_file}"\n')
+            for _ in range(5):
+                daemon.child.send_signal(signal.SIGUSR1)
+                await program.send(op="publish", topic=topic, msg={"linear": {"x": 0.3}})
+                await device.velocity_of((0.3, 0.0))
+                await program.send(op="publish", topic=topic, msg={"linear": {"x": 0.2}})
+                await device.velocity_of((0.2, 0.0))
+            assert threads_of(daemon.pid) <= threads + 1
+        await device.velocity_of((0.0, 0.0))  # its driver has gone
+        assert await daemon.end(signal.SIGTERM) == 0
+        assert daemon.lines("daemon.stopped")
+
+
+async def test_reload_of_twenty_thousand_robots_blocks_the_loop_for_a_fraction_of_its_time(tmp_path: Path) -> None:
+    """Relative to the reload itself, which a loop that does nothing else would be blocked for."""
+    file = tmp_path / "hostlink.toml"
+    file.write_text("")
+    async with serve("--config", str(file)) as daemon, aiohttp.ClientSession() as session:
+        tables = (f'[robots.r{n}]\naddress = "10.{n >> 16}.{n >> 8 & 255}.{n & 255}"\n' for n in range(20_000))
+        file.write_text("".join(tables))
+        waits_s = [0.0]
+        async with asyncio.TaskGroup() as tasks:
+            began_s = time.monotonic()
+            reload = tasks.create_task(post(session, f"{daemon.url}/api/reload"))
+            while not reload.done():
+                asked_s = time.monotonic()
+                async with session.get(f"{daemon.url}/healthz") as response:
+                    assert response.status == 200
+                waits_s.append(time.monotonic() - asked_s)
+                await asyncio.sleep(0.01)
+            lasted_s = time.monotonic() - began_s
+        assert len((await reload)["changed"]) == 20_000
+        assert max(waits_s) < 0.3 * lasted_s
+        print(f"reload {lasted_s:.2f} s, longest wait {max(waits_s):.3f} s")  # noqa: T201
+
+
+def threads_of(pid: int) -> int:
+    return len(list(Path(f"/proc/{pid}/task").iterdir()))
+
+
+async def post(session: aiohttp.ClientSession, url: str) -> dict[str, list[str]]:
+    async with session.post(url) as response:
+        assert response.status == 200
+        return dict(await response.json())

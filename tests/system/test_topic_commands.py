@@ -137,9 +137,11 @@ async def test_stop_lock_and_unlock() -> None:
     topics = [*robot_topics("mule")]
     async with daemon() as host, fake_device(host.tcp, robot_topics()), fake_device(host.tcp, topics):
         at = ("--url", host.url)
-        assert await run("stop", *at) == (0, "mule is stopped\nrobot_0 is stopped\n", "")
-        assert await run("stop", "/mule", *at) == (0, "mule is stopped\n", "")
-        assert await run("lock", "mule", "--reason", "my foot", *at) == (0, "mule is locked: my foot\n", "")
+        unknown = "it is not known whether it stands: it sends no odometry\n"
+        assert await run("stop", *at) == (1, f"mule: {unknown}robot_0: {unknown}", "")
+        assert await run("stop", "/mule", *at) == (1, f"mule: {unknown}", "")
+        locked = f"mule is locked: my foot\nmule: {unknown}"
+        assert await run("lock", "mule", "--reason", "my foot", *at) == (1, locked, "")
         assert [robot.gate.lock_reason for robot in host.hub.robots.all()] == ["my foot", None]
         assert await run("unlock", *at) == (0, "mule may be driven\n", "")
         assert await run("unlock", *at) == (1, "", "hostlink: no robot is locked\n")

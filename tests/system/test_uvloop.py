@@ -9,6 +9,7 @@ from pathlib import Path
 import aiohttp
 import pytest
 
+from hostlink.errors import LibraryMissing
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.killing import LIMIT_S, driving, end_at, killer
 from tests.support.process import HOSTLINK, run, serve
@@ -33,8 +34,11 @@ async def test_devices_come_and_go_and_a_robot_is_driven() -> None:
             for _ in range(3):
                 async with fake_device(daemon.tcp, robot_topics()) as device:
                     await device.send(pose(1.0))
-                    url = f"{daemon.url}/api/robots/robot_0/velocity"
-                    async with session.put(url, json={"linear": 0.2, "angular": 0.0}) as response:
+                    robot = f"{daemon.url}/api/robots/robot_0"
+                    async with session.get(robot) as response:
+                        epoch = (await response.json())["epoch"]
+                    velocity = {"linear": 0.2, "angular": 0.0, "epoch": epoch}
+                    async with session.put(f"{robot}/velocity", json=velocity) as response:
                         assert response.status == 200
                     assert await device.velocity_other_than(ZERO) == (0.2, 0.0)
                     async with session.get(f"{daemon.url}/api/links") as response:
@@ -68,5 +72,5 @@ def test_a_loop_that_is_not_installed_is_one_line(tmp_path: Path) -> None:
     command = [HOSTLINK, "serve", *ON_UVLOOP]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20, env=environment)
-    message = 'hostlink: --loop: uvloop is not installed: pip install "hostlink[uvloop]"\n'
+    message = f"hostlink: {LibraryMissing('--loop', 'uvloop', 'uvloop')}\n"
     assert (ended.returncode, ended.stdout, ended.stderr) == (2, "", message)

@@ -85,6 +85,17 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path: Path, text: str, proble
     assert str(caught.value) == f"{path}: {problem}"
 
 
+def test_lists_in_lists_without_end_are_no_settings(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="nested too deeply"):
+        load(write(tmp_path, "a=" + "[" * 50_000))
+
+
+def test_a_file_without_end_is_no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hostlink.config.MAX_FILE_BYTES", 1000)
+    with pytest.raises(ConfigError, match="more than 1000 bytes"):
+        load(Path("/dev/zero"))
+
+
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
         load(tmp_path / "none.toml")

@@ -98,6 +98,41 @@ def test_a_link_to_what_is_not_there_is_found(text: str, found: list[str]) -> No
     assert list(broken_links(text, folder=ROOT / "docs")) == found
 
 
+INSTALLED = re.compile(r"""\b(?:pip3?|pipx|uv tool|uv pip|runpip \S+) install\b([^`\n#&|;]*)""")
+OF_AN_INDEX = re.compile(r"""(?<![\w./-])hostlink(?=$|[\s'",)\[=<>~!])""")
+
+
+def installed_from_an_index(text: str) -> list[str]:
+    """The commands that would fetch the package of our name from an index, where it may be anybody's."""
+    return [found[0].strip() for found in INSTALLED.finditer(text) if OF_AN_INDEX.search(found[1])]
+
+
+def test_no_command_installs_hostlink_by_its_name_from_an_index() -> None:
+    files = [file for file in (*sources(), ROOT / "Makefile") if file not in (Path(__file__), ROOT / "CHANGELOG.md")]
+    found = {str(file): installed_from_an_index(file.read_text()) for file in files}
+    assert {file: commands for file, commands in found.items() if commands} == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("pip install hostlink", 1),
+        ("robots/bin/pip install hostlink && robots/bin/hostlink ros2", 1),
+        ("pip install 'hostlink[zenoh]'", 1),
+        ('python -m pip install "hostlink>=0.1"', 1),
+        ("pipx runpip hostlink install 'hostlink[plot]'", 1),
+        ("pip install ros-rclpy hostlink", 1),
+        ("pip install . && hostlink demo", 0),
+        ("pip install '.[zenoh]' # hostlink", 0),
+        ("pipx install hostlink-0.1.0-py3-none-any.whl", 0),
+        ("pipx runpip hostlink install './hostlink-0.1.0-py3-none-any.whl[plot]'", 0),
+        ("pip install /opt/hostlink", 0),
+    ],
+)
+def test_a_command_that_installs_the_name_is_found(text: str, count: int) -> None:
+    assert len(installed_from_an_index(text)) == count
+
+
 WAY = re.compile(r"^\| `(hostlink/[\w/]+\.py)` \| `([\w.]+)` \|", re.MULTILINE)
 
 

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Process 1 of the container. When process 1 ends, the kernel kills everything else in the container at once, the guardian too:
-# so it outlives a daemon that was killed by the second in which the guardian stops the robots.
+# so it outlives a daemon that was killed by the second in which the guardian stops the robots, and any daemon by the
+# time in which incidents are written out of the memory that it has left.
 hostlink "$@" &
 daemon=$!
 trap 'kill -TERM "$daemon"' TERM INT HUP
@@ -11,4 +12,9 @@ while :; do
   kill -0 "$daemon" 2>/dev/null || break # else a signal came, and was passed on
 done
 [ "$status" -gt 128 ] && sleep 1
+for _ in 1 2 3 4 5 6 7 8; do
+  set -- /dev/shm/hostlink-*-"$daemon"-*
+  [ -e "$1" ] || break
+  sleep 0.5
+done
 exit "$status"

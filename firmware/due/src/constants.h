@@ -20,13 +20,17 @@ const int16_t kPwmLeast = 700;   // the least that turns a wheel
 const bool kIsReversedLeft = false;
 const bool kIsReversedRight = true;
 
-const float kFilterWeight = 0.1f;      // of the newest speed
-const float kSecondsPerTick = 0.018f;  // of minimum jerk, for each tick/s of change
-const float kTooFastFactor = 1.05f;    // of the requested speed, and so much more: from here a wheel brakes,
-const float kTooFastTicksS = 2.0f;     // whatever the PID computes
-const float kNothingTicksS = 0.001f;   // a set-point of less is zero: rounding must not decide a sign
-const float kStandingS = 0.1f;         // braked and without an edge: a wheel has come to rest, or all but
-const float kRestS = 5.0f;             // from a zero to rest; a wheel that is slower runs away
+const float kFilterWeight = 0.1f;             // of the newest speed
+const float kSecondsPerTick = 0.018f;         // of minimum jerk, for each tick/s of change
+const float kSlowerSecondsPerTick = 0.0009f;  // the same where the set-point goes towards zero
+const float kOutdatedShare = 0.05f;           // of the set-point: below it, the filter has forgotten the higher speed
+const float kSlowerFactor = 1.15f;            // of the set-point: until then, from here a wheel brakes,
+const uint8_t kBrakedTurns = 6;               // until a wheel that was braked is as fast as its PWM makes it
+const float kTooFastFactor = 1.05f;           // else of the requested speed, and so much more,
+const float kTooFastTicksS = 2.0f;            // whatever the PID computes
+const float kNothingTicksS = 0.001f;          // a set-point of less is zero: rounding must not decide a sign
+const float kStandingS = 0.1f;                // braked and without an edge: a wheel has come to rest, or all but
+const float kRestS = 5.0f;                    // from a zero to rest; a wheel that is slower runs away
 
 const int16_t kHighPwm = 2048;       // turns any wheel that is free
 const float kStalledS = 0.5f;        // with a high PWM and no edge

@@ -308,6 +308,7 @@ void Robot::receive_velocity(void* self, const uint8_t* payload, size_t) {
   if (robot.is_faulted_) return;
   robot.left_.aim(left_ticks_s);
   robot.right_.aim(right_ticks_s);
+  robot.hal_.drive(robot.left_.pwm_now(), robot.right_.pwm_now());  // a wheel that is to reverse brakes now
   robot.is_commanded_ = true;
   robot.commanded_at_ms_ = robot.hal_.milliseconds();
 }

@@ -4,6 +4,8 @@ namespace hostlink {
 
 namespace {
 
+const float kCountTicks = 0.49f;  // nearly an edge: so much a count may be off
+
 float magnitude(float value) { return value < 0.0f ? -value : value; }
 
 // Times are sums of turns: half a turn less, so that rounding decides nothing.
@@ -14,17 +16,18 @@ float travelled(float way, float s) { return way * s * s * s * (10.0f + s * (-15
 
 }  // namespace
 
-// The slope of each curve is 30 s^2 (1-s)^2 / kSecondsPerTick, whatever its way: one that begins at s has the slope
-// that the set-point has there. Its way is then what is left, divided by the share that a curve has left at s.
+// The slope of each curve is 30 s^2 (1-s)^2 / its seconds per tick, whatever its way: one that begins at s has the
+// slope that the set-point has there. Its way is then what is left, divided by the share that a curve has left at s.
 void MinimumJerk::aim(float target) {
   if (target == target_) return;
+  if (target == 0.0f || (target < 0.0f ? value_ > 0.0f : value_ < 0.0f)) stop_at_once();
   const float rest = target - value_;
   const bool goes_on = rest * (target_ - from_) > 0.0f;  // by the whole way: rounding decides what is left at its end
   const float s = goes_on ? rising_phase() : 0.0f;
   const float way = rest / (1.0f - travelled(1.0f, s));
   from_ = value_ - travelled(way, s);
   target_ = target;
-  length_s_ = magnitude(way) * kSecondsPerTick;
+  length_s_ = magnitude(way) * (magnitude(target) < magnitude(value_) ? kSlowerSecondsPerTick : kSecondsPerTick);
   elapsed_s_ = s * length_s_;
 }
 
@@ -117,14 +120,6 @@ float RecentRequest::most() const {
   return most;
 }
 
-void Wheel::aim(float ticks_s) {
-  if (ticks_s == 0.0f) {
-    set_point_.stop_at_once();
-  } else {
-    set_point_.aim(ticks_s);
-  }
-}
-
 float Wheel::step(uint32_t edges, float dt_s) {
   const float ticks = static_cast<float>(edges) * kTicksPerEdge;
   const float rolled = static_cast<float>(direction_) * ticks;
@@ -145,30 +140,61 @@ float Wheel::requested_ticks_s() const {
   return value > target ? value : target;
 }
 
-// Nearly an edge more: so much the count of a window may be off.
-bool Wheel::is_too_fast() const {
+// The filter and the integral are late by a third of a second and more. So they follow a set-point that goes slower,
+// and do not notice a braking: otherwise the wheel is braked to a standstill, driven too fast, and braked again, for as
+// long as the command lasts.
+void Wheel::forget(float before, float wanted) {
+  outdated_ticks_s_ -= kFilterWeight * outdated_ticks_s_;
+  if (magnitude(wanted) < magnitude(before)) {
+    outdated_ticks_s_ += before - wanted;
+    pid_.scale_integral(wanted / before);
+  }
+  if (braked_turns_ > 0) {
+    --braked_turns_;
+    outdated_ticks_s_ = speed_ticks_s_ - wanted;
+  }
+}
+
+// As long as the filter still has the higher speed.
+bool Wheel::is_to_slow_down(float dt_s) const {
+  const float wanted_ticks_s = magnitude(set_point_.value());
+  return magnitude(outdated_ticks_s_) > kOutdatedShare * wanted_ticks_s &&
+         recent_.last_ticks() > kSlowerFactor * wanted_ticks_s * dt_s + kCountTicks;
+}
+
+// The window is late by a tenth of a second: the last turn ends the braking before the wheel stands.
+bool Wheel::is_too_fast(float dt_s) const {
   const float allowed_ticks_s = kTooFastFactor * recent_request_.most() + kTooFastTicksS;
-  return recent_.ticks() > allowed_ticks_s * recent_.seconds() + 0.49f;
+  return recent_.ticks() > allowed_ticks_s * recent_.seconds() + kCountTicks &&
+         recent_.last_ticks() + kCountTicks > allowed_ticks_s * dt_s;
 }
 
 // The PWM of the motor, by the table of the class.
 float Wheel::regulate(float dt_s) {
+  const float before = set_point_.value();
   const float wanted = set_point_.step(dt_s);
+  forget(before, wanted);
   recent_request_.add(requested_ticks_s());
   const float along = wanted * static_cast<float>(direction_);
   const bool is_reversal = along < -kNothingTicksS;
   waited_s_ = along < kNothingTicksS && set_point_.target() != 0.0f ? waited_s_ + dt_s : 0.0f;
   if (along < kNothingTicksS) {
     pid_.reset();
+    outdated_ticks_s_ = 0.0f;
+    braked_turns_ = 0;
     if (stands()) speed_ticks_s_ = 0.0f;  // the filter need not find out
     if (is_reversal) set_point_.begin_at_zero();
     if (is_reversal && stands()) direction_ = static_cast<int8_t>(-direction_);
     return 0.0f;
   }
   const float full = static_cast<float>(kPwmMax);
-  const float output =
-      pid_.step(wanted, speed_ticks_s_, dt_s, direction_ > 0 ? 0.0f : -full, direction_ > 0 ? full : 0.0f);
-  return is_too_fast() ? 0.0f : output;
+  const float output = pid_.step(wanted, speed_ticks_s_ - outdated_ticks_s_, dt_s, direction_ > 0 ? 0.0f : -full,
+                                 direction_ > 0 ? full : 0.0f);
+  const bool is_over = is_too_fast(dt_s);
+  if (!is_over && !is_to_slow_down(dt_s)) return output;
+  if (is_over) pid_.scale_integral(recent_request_.most() * recent_.seconds() / recent_.ticks());
+  braked_turns_ = kBrakedTurns;
+  return 0.0f;
 }
 
 void Wheel::watch(bool has_edges, float dt_s) {

@@ -8,9 +8,10 @@
 
 namespace hostlink {
 
-// A set-point that goes from where it is to a target without a jerk. Its slope is at most 1.875 / kSecondsPerTick, and
-// it never passes the target. A further or nearer target the same way keeps the slope, so that commands which change
-// ten times a second add up to one motion; one the other way begins at zero slope.
+// A set-point that goes from where it is to a target without a jerk. Its slope is at most 1.875 / kSecondsPerTick away
+// from zero and 1.875 / kSlowerSecondsPerTick towards zero, and it never passes the target. A further or nearer target
+// the same way keeps the slope, so that commands which change ten times a second add up to one motion; one the other
+// way begins at zero slope. Before a target of the other sign it is zero at once, and at a target of zero, too.
 class MinimumJerk {
  public:
   void aim(float target);  // the same target again changes nothing
@@ -38,6 +39,7 @@ class Pid {
   float step(float wanted_ticks_s, float measured_ticks_s, float dt_s, float low = -static_cast<float>(kPwmMax),
              float high = static_cast<float>(kPwmMax));
   void reset();
+  void scale_integral(float factor) { integral_ *= factor; }  // to what another speed needs
   void tune(const Gains& gains) { gains_ = gains; }
   const Gains& gains() const { return gains_; }
 
@@ -55,12 +57,13 @@ class Pid {
 // Nothing up to 10, at least 700 above, 4095 at the most; what is no number is nothing.
 int16_t motor_output(float wanted);
 
-// The mean speed over the last fifth of a second: the filter of the PID is late by a third of one.
+// The mean speed over the last fifth of a second, and the last turn's: the filter of the PID is late by a third of one.
 class RecentSpeed {
  public:
   void add(float ticks, float dt_s);
   float ticks() const;
   float seconds() const;
+  float last_ticks() const { return ticks_[(at_ + kTurns - 1) % kTurns]; }
 
  private:
   static const uint8_t kTurns = 6;
@@ -94,6 +97,8 @@ enum class WheelFault : uint8_t {
 //   | zero              | any                           | brakes; the edges keep their sign                         |
 //   | along the sign    | faster than requested in the  | brakes, at the latest after 0.2 s                         |
 //   |                   | last 0.3 s                    |                                                           |
+//   | along the sign,   | faster than the set-point in  | brakes                                                    |
+//   | has gone slower   | the last turn                 |                                                           |
 //   | along the sign    | any                           | driven that way, or brakes: never a torque against it     |
 //   | against the sign  | had an edge in the last 0.1 s | brakes; the set-point waits at zero                       |
 //   | against the sign  | stands: braked for 0.1 s, and | the sign changes, then it is driven                       |
@@ -102,14 +107,15 @@ class Wheel {
  public:
   explicit Wheel(const Gains& gains, Feedback feedback = Feedback::kWashedOut) : pid_(gains, feedback) {}
 
-  void aim(float ticks_s);  // zero is no ramp but a stop
+  void aim(float ticks_s) { set_point_.aim(ticks_s); }
   void stop_at_once() { set_point_.stop_at_once(); }
   // One turn of the loop with the edges that the encoder counted in it; returns how far the wheel rolled, in ticks.
   // Rising and falling ones count: the edge that a wheel comes back over is then the one that it went over, and a
   // reversal costs nothing. The rising ones alone lie elsewhere on the way back, up to a tick from where they were.
   float step(uint32_t edges, float dt_s);
 
-  int16_t pwm() const { return pwm_; }
+  int16_t pwm() const { return pwm_; }  // of the last turn
+  int16_t pwm_now() const { return set_point_.value() == 0.0f ? static_cast<int16_t>(0) : pwm_; }
   float speed_ticks_s() const { return speed_ticks_s_; }
   float set_point_ticks_s() const { return set_point_.value(); }
   bool stands() const;
@@ -119,7 +125,9 @@ class Wheel {
 
  private:
   float requested_ticks_s() const;
-  bool is_too_fast() const;
+  void forget(float before, float wanted);
+  bool is_to_slow_down(float dt_s) const;
+  bool is_too_fast(float dt_s) const;
   float regulate(float dt_s);
   void watch(bool has_edges, float dt_s);
   bool is_stalled(bool has_edges, float dt_s);
@@ -130,6 +138,8 @@ class Wheel {
   RecentSpeed recent_;
   RecentRequest recent_request_;
   float speed_ticks_s_ = 0.0f;
+  float outdated_ticks_s_ = 0.0f;  // of speed_ticks_s_: what the PID ignores, as the set-point has given it up
+  uint8_t braked_turns_ = 0;       // for which the PID ignores what the wheel's brake did
   int16_t pwm_ = 0;
   int8_t direction_ = 1;       // the sign that the edges are given: one channel has none of its own
   float still_s_ = 0.0f;       // since the last edge, and since it was driven: a wheel may roll before it has an edge

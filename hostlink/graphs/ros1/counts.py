@@ -11,7 +11,6 @@ class Counts:
     messages_to_ros: int = 0
     dropped_to_slow_subscribers: int = 0
     superseded_velocities: int = 0  # a newer one was in the same piece of the stream
-    old_velocities: int = 0  # of a latching publisher that was there before: nobody means it any more
     refused_messages: int = 0  # by a robot, a gate or a lock
     malformed_messages: int = 0  # bytes that are not of the type that was agreed upon
     too_large_messages: int = 0

@@ -7,7 +7,6 @@ from struct import Struct
 
 from hostlink.errors import HostlinkError, ServiceFailed
 from hostlink.graphs.ros1.parts import TIMEOUT_S, Parts
-from hostlink.graphs.ros1.rpc import Unreachable
 from hostlink.graphs.ros1.tcpros import (
     ANY,
     LENGTH_BYTES,
@@ -18,7 +17,7 @@ from hostlink.graphs.ros1.tcpros import (
     encode_header,
     encode_message,
 )
-from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import ServiceType

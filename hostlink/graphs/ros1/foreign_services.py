@@ -6,9 +6,8 @@ from hostlink.errors import HostlinkError
 from hostlink.graphs.ros1.foreign_service import ForeignService, find_type
 from hostlink.graphs.ros1.name_map import NameMap
 from hostlink.graphs.ros1.parts import Parts, Spawned
-from hostlink.graphs.ros1.rpc import Unreachable
 from hostlink.graphs.ros1.tcpros import BadHeader
-from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.logs import printable
 
 MAX_SERVICES = 512

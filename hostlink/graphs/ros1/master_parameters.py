@@ -9,8 +9,7 @@ from hostlink.config import ParameterValue
 from hostlink.graphs.ros1.names import Names
 from hostlink.graphs.ros1.parameter_cache import ParameterCache
 from hostlink.graphs.ros1.parts import Parts
-from hostlink.graphs.ros1.rpc import Unreachable
-from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.logs import printable
 
 SIM_TIME = "/use_sim_time"

@@ -16,7 +16,10 @@ from hostlink.graphs.ros1.registrar import Registrar
 from hostlink.graphs.ros1.sim_time import SimTime
 from hostlink.graphs.ros1.tcpros import ANY
 from hostlink.graphs.ros1.wire import Wire
+from hostlink.hub.emergency_stop import own_services
 from hostlink.hub.graph import Graph
+from hostlink.hub.hub import Hub
+from hostlink.hub.robot_topic_publisher import own_topics
 
 HEADER_TIMEOUT_S = 5.0  # for whoever connects
 CRASHED = "a fault of hostlink"
@@ -89,9 +92,10 @@ class Member:
         self._registrar.note_change()
 
     def _name_map(self) -> NameMap:
-        links = self._parts.hub.links
+        hub = self._parts.hub
+        links = hub.links
         announced = [(info.name, links.shown_name(link, info.name)) for link in links.all() for info in link.topics]
-        return NameMap(self._names, announced)
+        return NameMap(self._names, announced, _own_names(hub))
 
     def _follow_parameters(self) -> None:
         self._sim_time.update(is_wanted=self._parameters.is_sim_time)
@@ -135,3 +139,12 @@ class Member:
     def update_parameter(self, key: str, value: Any) -> None:
         """The master reports a change."""
         self._parameters.update(key, value)
+
+
+def _own_names(hub: Hub) -> list[str]:
+    """What hostlink itself names after its robots; of those of other daemons all that is below their names."""
+    found = [name for robot in hub.robots.here() for name in (*own_topics(robot), *own_services(robot.name))]
+    found += [name for robot in hub.robots.remote for name in own_services(robot)]
+    if hub.robots.remote:
+        found += [name[1:] for name in hub.topics.names() if name.split("/", 2)[1] in hub.robots.remote]
+    return found

@@ -22,12 +22,12 @@ from hostlink.graphs.ros1.parts import Parts, Spawn
 from hostlink.graphs.ros1.port import Port
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.graphs.ros1.slave import serving_slave_api
+from hostlink.graphs.ros1.xml_rpc import MASTER_PORT
 from hostlink.hub.hub import Hub
 
 log = structlog.get_logger()
 
 RETRY_S = 2.0  # until the master's name has an address
-MASTER_PORT = 11311
 
 
 class Ros1Node:

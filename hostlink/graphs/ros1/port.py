@@ -14,9 +14,10 @@ import socket
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from hostlink.acceptor import Acceptor, bind, close_all
+from hostlink.acceptor import Acceptor, bind
 from hostlink.graphs.ros1.counts import Counts
 from hostlink.hub.spawn import Spawn
+from hostlink.listening import close_all
 
 
 class Admitted(Protocol):
@@ -55,7 +56,7 @@ class Port:
     def accept(self, make_protocol: MakeProtocol, spawn: Spawn) -> None:
         """Serve connections from now on."""
 
-        def accepted(connection: socket.socket, address: str) -> None:
+        def accepted(connection: socket.socket, address: str, _since_s: float) -> None:
             if not self._admits(address):
                 self._counts.refused_connections += 1
                 connection.close()

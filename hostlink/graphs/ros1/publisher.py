@@ -4,18 +4,24 @@ So the robot that it drives stops when its connection ends, or the master names 
 """
 
 import asyncio
+import math
 from typing import Any
 
+import structlog
+
 from hostlink.errors import BadPayload, HostlinkError
+from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.parts import TIMEOUT_S, Parts
-from hostlink.graphs.ros1.rpc import Unreachable
 from hostlink.graphs.ros1.tcpros import ANY, BadHeader, Header, decode_header
 from hostlink.graphs.ros1.wire import Wire
-from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.hub.graph import GraphTopic
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType
+from hostlink.robot.admission import EarlierMotion
+
+log = structlog.get_logger()
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.1, 8.0
 MAX_REASON = 200  # characters in the log
@@ -27,10 +33,11 @@ class Publisher:
     """Connected again and again, until `run` is cancelled and it is closed."""
 
     def __init__(self, parts: Parts, topic: GraphTopic, name: str, uri: str, *, is_new: bool) -> None:
-        """`name`: of the topic in ROS; `is_new`: it came after the subscription, so what it has latched is meant."""
+        """`name`: of the topic in ROS; `is_new`: it came after the subscription, so what it publishes first is new."""
         self.uri = uri
         self._parts, self._topic, self._name = parts, topic, name
-        self._is_latched_meant = is_new
+        self._is_new = is_new
+        self._refusals = RefusalLog()
         self._connection: _Connection | None = None
 
     @property
@@ -61,8 +68,8 @@ class Publisher:
         async with asyncio.timeout(TIMEOUT_S):
             found = await self._parts.rpc.call(self.uri, "requestTopic", self._parts.node, self._name, [["TCPROS"]])
             host, port = _address(found)
-        connection = _Connection(self._parts, self._topic, is_latched_meant=self._is_latched_meant)
-        self._connection, self._is_latched_meant = connection, False  # connected again, what it has latched is old
+        connection = _Connection(self._parts, self._topic, self._refusals, is_new=self._is_new)
+        self._connection, self._is_new = connection, False  # connected again, it may go on with what it did before
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 await asyncio.get_running_loop().create_connection(lambda: connection.wire, host, port)
@@ -76,11 +83,11 @@ class Publisher:
 class _Connection:
     """One connection to the publisher: first its header, then messages."""
 
-    def __init__(self, parts: Parts, topic: GraphTopic, *, is_latched_meant: bool) -> None:
+    def __init__(self, parts: Parts, topic: GraphTopic, refusals: RefusalLog, *, is_new: bool) -> None:
         self.wire = Wire(parts.hub, self._begin, self._end)
         self.accepted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._parts, self._topic, self._is_latched_meant = parts, topic, is_latched_meant
+        self._parts, self._topic, self._refusals, self._is_new = parts, topic, refusals, is_new
         self._source: _Source | None = None
 
     @property
@@ -110,11 +117,19 @@ class _Connection:
         type_ = self._type(header)
         is_latched, is_velocity = header.get("latching") == "1", self._topic.is_velocity
         participant = self._parts.join(printable(header.get("callerid", self.wire.peer)), self.wire.close)
-        self._source = _Source(self._parts, self._topic, type_, participant, self.wire)
-        self._source.drops_first = is_latched and is_velocity and not self._is_latched_meant
+        motion = self._earlier_motion(is_latched=is_latched)
+        self._source = _Source(self._parts, self._topic, type_, participant, self.wire, motion, self._refusals)
         participant.advertise(self._topic.name, type_.name, is_latched=is_latched and not is_velocity)
         self.wire.stream.max_bytes = self._parts.max_message_bytes
         self.wire.receive = self._source.receive
+
+    def _earlier_motion(self, *, is_latched: bool) -> EarlierMotion:
+        """What a publisher that was there before has latched is of then, whenever it comes."""
+        if self._is_new:
+            return EarlierMotion()
+        if is_latched:
+            return EarlierMotion(math.inf)
+        return EarlierMotion.within_a_lease(asyncio.get_running_loop().time())
 
     def _type(self, header: Header) -> MessageType:
         if "error" in header:
@@ -142,11 +157,18 @@ class _Source:
     """The messages of one connection, and the participant that publishes them here."""
 
     def __init__(
-        self, parts: Parts, topic: GraphTopic, type_: MessageType, participant: Participant, wire: Wire
+        self,
+        parts: Parts,
+        topic: GraphTopic,
+        type_: MessageType,
+        participant: Participant,
+        wire: Wire,
+        motion: EarlierMotion,
+        refusals: RefusalLog,
     ) -> None:
         self.participant = participant
-        self.drops_first = False
         self._parts, self._topic, self._type, self._stream = parts, topic, type_, wire.stream
+        self._motion, self._refusals = motion, refusals
         self._too_large = 0
 
     def receive(self, messages: list[bytes]) -> None:
@@ -155,10 +177,6 @@ class _Source:
         counts.messages_from_ros += len(messages)
         counts.too_large_messages += self._stream.too_large - self._too_large
         self._too_large = self._stream.too_large
-        if self.drops_first:
-            self.drops_first = False
-            counts.old_velocities += 1
-            del messages[0]
         if self._topic.is_velocity and len(messages) > 1:
             counts.superseded_velocities += len(messages) - 1
             del messages[:-1]
@@ -169,16 +187,33 @@ class _Source:
         name = self._topic.name
         try:
             self._check(payload)
-            self.participant.publish(name, payload)
+            self.participant.publish(name, payload, epoch=self._epoch())
         except BadPayload as error:
             self._parts.counts.malformed_messages += 1
-            self._log("ros1.message_malformed", type(error).__name__)
+            self._parts.log_once(
+                "ros1.message_malformed",
+                topic=printable(name),
+                node=self.participant.name,
+                reason=type(error).__name__,
+            )
         except HostlinkError as error:
             self._parts.counts.refused_messages += 1
-            self._log("ros1.message_refused", printable(str(error), MAX_REASON))
+            self._log_refusal(error)
 
-    def _log(self, event: str, reason: str) -> None:
-        self._parts.log_once(event, topic=printable(self._topic.name), node=self.participant.name, reason=reason)
+    def _epoch(self) -> int | None:
+        """Of a velocity; other messages have none."""
+        if not self._topic.is_velocity:
+            return None
+        return self._motion.pop_epoch(self._parts.hub.gates.came_s(asyncio.get_running_loop().time()))
+
+    def _log_refusal(self, error: HostlinkError) -> None:
+        """In the daemon's log and in that of ROS."""
+        topic, kind, reason = printable(self._topic.name), error.kind, printable(str(error), MAX_REASON)
+        count = self._refusals.count(kind, asyncio.get_running_loop().time())
+        if count:
+            node = self.participant.name
+            log.warning("ros1.message_refused", topic=topic, node=node, kind=kind, reason=reason, count=count)
+            self._parts.hub.rosout.warn(self._parts.node, f"{topic} of {node} is refused ({kind}): {reason}")
 
     def _check(self, payload: bytes) -> None:
         """A device reads what it is sent without checking it.

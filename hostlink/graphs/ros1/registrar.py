@@ -11,8 +11,7 @@ from hostlink.graphs.ros1.border import Border
 from hostlink.graphs.ros1.master_parameters import MasterParameters
 from hostlink.graphs.ros1.parts import Parts
 from hostlink.graphs.ros1.registrations import Kind, Registration, Registrations
-from hostlink.graphs.ros1.rpc import Unreachable
-from hostlink.graphs.ros1.xml_rpc import Refused
+from hostlink.graphs.ros1.xml_rpc import Refused, Unreachable
 from hostlink.logs import printable
 
 log = structlog.get_logger()

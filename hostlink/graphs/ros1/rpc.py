@@ -7,15 +7,16 @@ from typing import Any
 import aiohttp
 
 from hostlink.graphs.ros1.xml_parser import XmlParser
-from hostlink.graphs.ros1.xml_rpc import BadXml, Refused, decode_answer, encode_call
-
-TIMEOUT_S = 3.0
-MAX_ANSWER_BYTES = 4 * 1024 * 1024  # the state of a graph of ten thousand topics
-HEADERS = {"Content-Type": "text/xml", "Accept-Encoding": "identity"}
-
-
-class Unreachable(Exception):
-    """Nobody answers there, or not in time, or not in XML-RPC."""
+from hostlink.graphs.ros1.xml_rpc import (
+    HEADERS,
+    MAX_ANSWER_BYTES,
+    TIMEOUT_S,
+    BadXml,
+    Refused,
+    Unreachable,
+    decode_answer,
+    encode_call,
+)
 
 
 class Rpc:

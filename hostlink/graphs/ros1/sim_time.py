@@ -1,15 +1,11 @@
 """SimTime: the time of /clock for devices, while /use_sim_time is true."""
 
-import struct
 import time
 
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
-
-CLOCK, CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
-_TIME = struct.Struct("<II")
-_NS_PER_S = 1_000_000_000
+from hostlink.messages.clock import CLOCK, CLOCK_TYPE, decode_clock
 
 
 class SimTime:
@@ -38,6 +34,6 @@ class SimTime:
         return self._now_ns
 
     def _receive(self, message: Message) -> None:
-        if len(message.payload) == _TIME.size:
-            secs, nsecs = _TIME.unpack(message.payload)
-            self._now_ns = secs * _NS_PER_S + nsecs
+        now_ns = decode_clock(message.payload)
+        if now_ns is not None:
+            self._now_ns = now_ns

@@ -22,7 +22,7 @@ class Subscription:
         self._is_registered = False
 
     def add(self, uris: Iterable[str]) -> None:
-        """The master has answered the registration: these publish, and may have latched long ago.
+        """The master has answered the registration: these publish, and may have done so for long.
 
         A master that has begun anew knows few of them; the others are still connected.
         """
@@ -31,7 +31,7 @@ class Subscription:
         self._is_registered = True
 
     def update(self, uris: list[str]) -> None:
-        """The master reports who publishes from now on: those that came mean what they have latched."""
+        """The master reports who publishes from now on: those that came have just begun."""
         for uri in [uri for uri in self.publishers if uri not in uris]:
             self._remove(uri)
         for uri in uris:

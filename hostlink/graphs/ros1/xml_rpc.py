@@ -4,6 +4,10 @@ import xmlrpc.client
 from typing import Any
 
 SUCCESS, ERROR = 1, -1
+MASTER_PORT = 11311  # of a master whose address names none
+TIMEOUT_S = 3.0  # of a call
+MAX_ANSWER_BYTES = 4 * 1024 * 1024  # the state of a graph of ten thousand topics
+HEADERS = {"Content-Type": "text/xml", "Accept-Encoding": "identity"}
 
 _NOT_IN_XML_RPC = ("\0", "<!")  # UTF-16, and what defines or hides something: no node of ROS sends it
 
@@ -14,6 +18,10 @@ class BadXml(Exception):
 
 class Refused(Exception):
     """The other side answered that it could not do it."""
+
+
+class Unreachable(Exception):
+    """Nobody answers there, or not in time, or not in XML-RPC."""
 
 
 def encode_call(method: str, arguments: tuple[Any, ...]) -> bytes:

@@ -53,7 +53,7 @@ async def _bridge(config: BridgeConfig, node: Ros2Node, report: Report) -> None:
     async with contextlib.AsyncExitStack() as stack:
         host = await _connected(stack, config, report)
         report(f"connected to hostlink at {host.url}")
-        velocity = VelocityDriver(functools.partial(_connect, config), config.priority, report)
+        velocity = VelocityDriver(functools.partial(_connect, config), config.priority, report, node.warn)
         await Bridge(host, node, velocity, report).run()
 
 
@@ -90,7 +90,7 @@ class Bridge:
         async with self._velocity.running(), self._routes.running(), asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_connection())
             tasks.create_task(relay_log_lines(self._host, self._node))
-            tasks.create_task(ParameterMirror(self._node, self._host, self._report).run())
+            tasks.create_task(ParameterMirror(self._node, self._host).run())
             graphs = await self._host.watch_graph()
             graph = await anext(graphs)
             while True:

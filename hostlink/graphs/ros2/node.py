@@ -54,6 +54,10 @@ class Ros2Node:
         with contextlib.suppress(RuntimeError):  # it is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 
+    def warn(self, text: str) -> None:
+        """A warning in ROS 2's log: on the terminal and on /rosout."""
+        self.node.get_logger().warning(text)
+
     # -- the node's ends ----------------------------------------------------------------------------------------------
 
     @contextlib.asynccontextmanager
@@ -163,7 +167,7 @@ async def ros2_node(arguments: list[str], fail: Callable[[BaseException], None])
     context = Context()
     try:
         rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node(NODE_NAME, context=context)
+        node = rclpy.create_node(NODE_NAME, context=context, allow_undeclared_parameters=True)  # the daemon decides
     except Exception as error:  # its errors have no common class that all releases export
         raise ConfigError("--ros-args", str(error).splitlines()[0]) from error
     executor = SingleThreadedExecutor(context=context)

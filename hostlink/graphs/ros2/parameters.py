@@ -1,9 +1,11 @@
 """ParameterMirror: the daemon's parameters, which devices request, as parameters of the bridge's node; both ways."""
 
 import asyncio
+import concurrent.futures
+import contextlib
 import json
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
@@ -12,24 +14,34 @@ from hostlink.client import Host
 from hostlink.errors import HostlinkError
 from hostlink.graphs.ros2.names import parameter_name
 from hostlink.graphs.ros2.node import Ros2Node
-from hostlink.graphs.ros2.velocity import Report
 
 INTERVAL_S = 2.0  # the daemon has no event for a parameter
-MAX_PARAMETERS = 1024  # as the daemon
+ANSWER_TIMEOUT_S = 0.4  # of the daemon; rclpy's thread waits for it, and a lease is 0.5 s
+MAX_WAITING = 16  # changes
+
+
+class _Change(NamedTuple):
+    """What somebody in ROS 2 sets: values by the node's names, None deletes; `reason`: why it is not set, or empty."""
+
+    values: dict[str, Any]
+    reason: "concurrent.futures.Future[str]"
 
 
 class ParameterMirror:
-    """`/robot_0/gain` of the daemon is `robot_0.gain` of the node."""
+    """`/robot_0/gain` of the daemon is `robot_0.gain` of the node. What is set there, the daemon accepts or refuses."""
 
-    def __init__(self, node: Ros2Node, host: Host, report: Report) -> None:
-        self._node, self._host, self._report = node, host, report
+    def __init__(self, node: Ros2Node, host: Host) -> None:
+        self._node, self._host = node, host
+        self._own: frozenset[str] = frozenset()  # parameters that every node has, as use_sim_time
         self._known: dict[str, Any] = {}  # values by the node's names
         self._names: dict[str, str] = {}  # the daemon's names by the node's
-        self._changes: asyncio.Queue[tuple[str, Any]] = asyncio.Queue(MAX_PARAMETERS)
+        self._changes: asyncio.Queue[_Change] = asyncio.Queue(MAX_WAITING)
+        self._changed = 0  # how often the daemon's were changed from here
+        self._is_mirroring = False  # in rclpy's thread: what is set is what the daemon has
 
     async def run(self) -> None:
         """Until cancelled."""
-        await self._node.run(lambda: self._node.node.add_on_set_parameters_callback(self._accept))
+        self._own = await self._node.run(self._begin)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._follow_node())
             while True:
@@ -37,10 +49,19 @@ class ParameterMirror:
                     await self._follow_daemon()
                 await asyncio.sleep(INTERVAL_S)
 
+    def _begin(self) -> frozenset[str]:
+        node = self._node.node
+        node.add_on_set_parameters_callback(self._accept)
+        node.add_post_set_parameters_callback(self._describe)
+        return frozenset(node.list_parameters([], 0).names)
+
     async def _follow_daemon(self) -> None:
+        changed_before = self._changed
         try:
             answer = await self._host.call("/rosapi/get_param", {"name": "/", "default": "{}"})
         except HostlinkError:  # the connection is lost, as it reports itself
+            return
+        if self._changed != changed_before:  # the answer may be older than that
             return
         found = {}
         for name, value in leaves(json.loads(answer["value"])):
@@ -54,38 +75,96 @@ class ParameterMirror:
 
     def _set(self, changed: Mapping[str, Any], gone: set[str]) -> None:
         node = self._node.node
-        for name in gone:
-            if node.has_parameter(name):
-                node.undeclare_parameter(name)
-        for name, value in changed.items():
-            if node.has_parameter(name):
-                node.set_parameters([Parameter(name, value=value)])
-            else:
-                node.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
+        self._is_mirroring = True
+        try:
+            for name in gone:
+                if node.has_parameter(name):
+                    node.undeclare_parameter(name)
+            for name, value in changed.items():
+                if node.has_parameter(name):
+                    node.set_parameters([Parameter(name, value=value)])
+                else:
+                    node.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
+        finally:
+            self._is_mirroring = False
 
     def _accept(self, parameters: list[Any]) -> Any:
         """In rclpy's thread: somebody sets parameters of the node."""
-        for parameter in parameters:
-            value = parameter.value
-            plain = list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
-            if parameter.name in self._known and self._known[parameter.name] != plain:
-                self._node.post(self._put, parameter.name, plain)
-        return SetParametersResult(successful=True)
+        if self._is_mirroring:
+            return SetParametersResult(successful=True)
+        values = {each.name: plain(each.value) for each in parameters if each.name not in self._own}
+        reason = self._request(values) if values else ""
+        return SetParametersResult(successful=not reason, reason=reason)
 
-    def _put(self, name: str, value: Any) -> None:
+    def _describe(self, parameters: list[Any]) -> None:
+        """In rclpy's thread: what was not declared before it was set has no descriptor that `ros2 param` can show."""
+        node = self._node.node
+        for each in parameters:
+            if node.has_parameter(each.name) and not node.describe_parameter(each.name).name:
+                node.set_descriptor(each.name, ParameterDescriptor(dynamic_typing=True))
+
+    def _request(self, values: dict[str, Any]) -> str:
+        """Have the daemon set these; returns why not."""
+        change = _Change(values, concurrent.futures.Future())
+        self._node.post(self._put, change)
+        try:
+            return change.reason.result(ANSWER_TIMEOUT_S)
+        except TimeoutError:
+            change.reason.cancel()
+            return f"the daemon has not answered within {ANSWER_TIMEOUT_S:g} s"
+
+    def _put(self, change: _Change) -> None:
         if self._changes.full():
-            self._changes.get_nowait()
-        self._changes.put_nowait((name, value))
+            change.reason.set_result("too many parameters are being set")
+        else:
+            self._changes.put_nowait(change)
 
     async def _follow_node(self) -> None:
         while True:
-            name, value = await self._changes.get()
+            change = await self._changes.get()
+            if not change.reason.set_running_or_notify_cancel():  # nobody waits for it any more
+                continue
+            before = {name: self._known.get(name) for name in change.values}
+            done: list[str] = []
             try:
-                await self._host.call("/rosapi/set_param", {"name": self._names[name], "value": json.dumps(value)})
+                for name, value in change.values.items():
+                    await self._apply(name, value)
+                    done.append(name)
             except HostlinkError as error:
-                self._report(f"parameter {name}: {error}")
+                for name in done:  # all or none
+                    with contextlib.suppress(HostlinkError):
+                        await self._apply(name, before[name])
+                change.reason.set_result(str(error))
             else:
-                self._known[name] = value
+                change.reason.set_result("")
+
+    async def _apply(self, name: str, value: Any) -> None:
+        """Set or delete a parameter of the daemon.
+
+        Raises:
+            HostlinkError: the daemon refuses it, or ROS 2 has no such name.
+        """
+        if "/" in name or not all(name.split(".")):
+            raise HostlinkError(
+                f"{name}: the parts of a parameter's name are parted by single dots here, as robot_0.gain"
+            )
+        own = self._names.get(name, f"/{name.replace('.', '/')}")
+        self._changed += 1
+        if value is None:
+            await self._host.call("/rosapi/delete_param", {"name": own})
+            self._known.pop(name, None)
+            return
+        try:
+            text = json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise HostlinkError(f"{name}: a device is answered with numbers, truths and texts: {error}") from error
+        await self._host.call("/rosapi/set_param", {"name": own, "value": text})
+        self._names[name], self._known[name] = own, value
+
+
+def plain(value: Any) -> Any:
+    """A value of rclpy's as JSON has it."""
+    return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
 def leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:

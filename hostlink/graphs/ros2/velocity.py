@@ -4,14 +4,17 @@ of its own: it ends with the publisher, and the robot stops.
 
 import asyncio
 import contextlib
+import math
+from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from hostlink.client import Host
 from hostlink.client.connection import waits
 from hostlink.errors import HostlinkError
-from hostlink.graphs.ros2.commands import LEASE_S, Commands
+from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros2.plan import VelocityInput
+from hostlink.robot.admission import LEASE_S, EarlierMotion
 
 HEARTBEAT_S = 0.05
 STALL_S = LEASE_S  # this process did not run for longer than a velocity holds: what comes next may have waited
@@ -28,10 +31,10 @@ Key = bytes | str  # of a publisher: its gid, or its topic where rclpy does not 
 class VelocityDriver:
     """All velocity topics together. `running`, beside the routes."""
 
-    def __init__(self, connect: Connect, priority: int, report: Report) -> None:
-        self._connect, self._priority, self._report = connect, priority, report
+    def __init__(self, connect: Connect, priority: int, report: Report, warn: Report) -> None:
+        """`warn` is called with a line for each kind of refusal, at a limited rate."""
+        self._connect, self._priority, self._report, self._warn = connect, priority, report, warn
         self._links: Mapping[str, int] = {}
-        self._is_updated = False
         self._owners: dict[Key, _Owner] = {}
         self._older: dict[str, _Older] = {}  # by robot
         self._tasks: asyncio.TaskGroup | None = None
@@ -64,17 +67,16 @@ class VelocityDriver:
         owner = self._owners.get(key) or self._add(key)
         if owner is not None:
             older = self._older.get(route.robot)
-            interrupted_until_s = None if older is None or is_first or key not in older.keys else older.until_s
-            owner.receive(route, velocity, self._links.get(route.robot), interrupted_until_s)
+            is_older = older is not None and not is_first and key in older.keys
+            owner.receive(route, velocity, older.until_s if older is not None and is_older else None)
 
     def update(self, links: Mapping[str, int], publishers: frozenset[Key]) -> None:
         """The connections of the robots' devices, and the publishers that ROS 2 has now: who is gone drives no more."""
-        if self._is_updated:  # who streams already when the bridge begins is heard
-            until_s = asyncio.get_running_loop().time() + MATCH_S
-            come = [robot for robot, link in links.items() if self._links.get(robot) != link]
-            self._older.update(dict.fromkeys(come, _Older(publishers, until_s)))
+        until_s = asyncio.get_running_loop().time() + MATCH_S
+        come = [robot for robot, link in links.items() if self._links.get(robot) != link]
+        self._older.update(dict.fromkeys(come, _Older(publishers, until_s)))
         self._older = {robot: older for robot, older in self._older.items() if robot in links}
-        self._links, self._is_updated = links, True
+        self._links = links
         for key, owner in list(self._owners.items()):
             if owner.is_gone(is_there=key in publishers):
                 del self._owners[key]
@@ -84,7 +86,7 @@ class VelocityDriver:
         if len(self._owners) >= MAX_OWNERS or self._tasks is None:
             self._report(f"more than {MAX_OWNERS} publishers drive: the others are not heard")
             return None
-        owner = self._owners[key] = _Owner(self._connect, self._priority, self._report)
+        owner = self._owners[key] = _Owner(self._connect, self._priority, self._warn)
         owner.task = self._tasks.create_task(owner.run())
         return owner
 
@@ -104,7 +106,7 @@ class VelocityDriver:
 
 
 class _Older(NamedTuple):
-    """The publishers that were there before a robot's device, and until when a stream of them may reach the bridge."""
+    """The publishers that were there before the device or the bridge, and until when a stream of them may come."""
 
     keys: frozenset[Key]
     until_s: float
@@ -115,20 +117,20 @@ class _Waiting(NamedTuple):
 
     robot: str
     velocity: tuple[float, float]
-    link: int | None
+    epoch: int | None
     at_s: float
 
 
 class _Owner:
     """One publisher of ROS 2. What it drove stops when its connection ends."""
 
-    def __init__(self, connect: Connect, priority: int, report: Report) -> None:
+    def __init__(self, connect: Connect, priority: int, warn: Report) -> None:
         self.task: asyncio.Task[None] | None = None
-        self._connect, self._priority, self._report = connect, priority, report
-        self._commands: dict[VelocityInput, Commands] = {}
+        self._connect, self._priority, self._warn = connect, priority, warn
+        self._motions: dict[VelocityInput, EarlierMotion] = {}
         self._waiting: dict[VelocityInput, _Waiting] = {}
         self._news = asyncio.Event()
-        self._reported: dict[str, str] = {}  # the cause of the newest refusal, by robot
+        self._refusals: defaultdict[str, RefusalLog] = defaultdict(RefusalLog)  # by robot
         self._since_s = asyncio.get_running_loop().time()
         self._was_there = False
         self._free_at_s = 0.0
@@ -137,26 +139,17 @@ class _Owner:
         self,
         route: VelocityInput,
         velocity: tuple[float, float],
-        link: int | None,
-        interrupted_until_s: float | None,
+        older_until_s: float | None,
     ) -> None:
-        """It has published a velocity; `interrupted_until_s`: what it streams until then, it began before."""
+        """It has published a velocity; `older_until_s`: what it streams until then, it may have begun before."""
         now_s = asyncio.get_running_loop().time()
-        if route not in self._commands:
-            self._commands[route] = Commands()
-            if interrupted_until_s is not None:
-                self._commands[route].interrupt(interrupted_until_s)
-        commands = self._commands[route]
-        is_zero = velocity == ZERO
-        if commands.admit(is_zero=is_zero, link=link, now_s=now_s):
-            self._waiting[route] = _Waiting(route.robot, velocity, None if is_zero else link, now_s)
-            self._news.set()
-        else:
-            self._explain(
-                route.robot,
-                "was interrupted (its device or the daemon has connected again, or this program stood still): it moves "
-                f"after a zero, or {LEASE_S:g} s without velocities",
-            )
+        if route not in self._motions:
+            self._motions[route] = EarlierMotion() if older_until_s is None else EarlierMotion(older_until_s)
+        epoch, before = self._motions[route].pop_epoch(now_s), self._waiting.get(route)
+        if before is not None and epoch is None:
+            epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
+        self._waiting[route] = _Waiting(route.robot, velocity, None if velocity == ZERO else epoch, now_s)
+        self._news.set()
 
     def is_gone(self, *, is_there: bool) -> bool:
         """Whether the publisher has left, as ROS 2's graph has it."""
@@ -167,12 +160,12 @@ class _Owner:
     def interrupt(self) -> None:
         """What waits or comes next may be old, or was meant for another daemon."""
         self._waiting.clear()
-        for commands in self._commands.values():
-            commands.interrupt(asyncio.get_running_loop().time())
+        now_s = asyncio.get_running_loop().time()
+        self._motions = {route: EarlierMotion.within_a_lease(now_s) for route in self._motions}
 
     def end(self, route: VelocityInput) -> None:
         """The topic drives this robot no more."""
-        if self._commands.pop(route, None) is not None:
+        if self._motions.pop(route, None) is not None:
             now_s = asyncio.get_running_loop().time()
             self._waiting[route] = _Waiting(route.robot, ZERO, None, now_s)
             self._news.set()
@@ -213,14 +206,16 @@ class _Owner:
         self._free_at_s = max(self._free_at_s, loop.time() - 1.0) + 1.0 / MAX_COMMANDS_S
         robot = host.robot(waiting.robot, priority=self._priority)
         try:
-            await robot.command(*waiting.velocity, link=waiting.link)
+            await robot.command(*waiting.velocity, epoch=waiting.epoch)
         except HostlinkError as error:  # there is no connection, or the velocity is not finite
-            self._explain(waiting.robot, str(error))
+            self._explain(waiting.robot, error.kind, str(error))
+            if all(map(math.isfinite, waiting.velocity)):
+                self.interrupt()  # the daemon does not know yet of what motion the next one is
         else:
-            self._explain(waiting.robot, "" if robot.refusal is None else robot.refusal.reason)
+            if robot.refusal is not None:
+                self._explain(waiting.robot, robot.refusal.kind, robot.refusal.reason)
 
-    def _explain(self, robot: str, refusal: str) -> None:
-        """Once for each cause, until a velocity is accepted."""
-        if refusal and refusal != self._reported.get(robot):
-            self._report(refusal if refusal.startswith(robot) else f"{robot} {refusal}")
-        self._reported[robot] = refusal
+    def _explain(self, robot: str, kind: str, reason: str) -> None:
+        if self._refusals[robot].count(kind, asyncio.get_running_loop().time()):
+            what = reason if reason.startswith(robot) else f"{robot}: {reason}"
+            self._warn(f"{what} (velocity refused: {kind})")

@@ -132,6 +132,13 @@ class Fleet:
             elif self._roster.appear(sender, _now_s()):
                 self._states.greet()
                 log.info("fleet.daemon_appeared", host=printable(sender.name), zid=printable(sender.zid))
+                self._compare_name(sender)
+
+    def _compare_name(self, sender: Sender) -> None:
+        """Access rules go by the certificate: who has another name than that may not drive where names are drivers'."""
+        certificate = self._post.session.certificate_of(sender.zid)
+        if certificate not in ("", sender.name):
+            log.warning("fleet.name_differs", host=printable(sender.name), certificate=printable(certificate))
 
     def _lose(self, sender: Sender) -> None:
         neighbour = self._roster.find(sender)

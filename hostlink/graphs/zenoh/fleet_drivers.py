@@ -7,7 +7,7 @@ from typing import assert_never
 
 from structlog.contextvars import bound_contextvars
 
-from hostlink.errors import BadPayload, BadRequest, DeviceGone, HostlinkError, RobotHeld
+from hostlink.errors import BadPayload, BadRequest, CommandRefused, DeviceGone, HostlinkError
 from hostlink.graphs.zenoh.fleet_messages import (
     Answer,
     Drive,
@@ -26,6 +26,7 @@ from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Sample
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
+from hostlink.hub.robot import Robot
 from hostlink.logs import of_peer, printable
 
 MAX_DRIVERS = 64  # of one daemon; over it the one goes that commanded the longest ago
@@ -124,10 +125,12 @@ class FleetDrivers:
         return neighbour
 
     def _answer(self, neighbour: Neighbour, request: Request) -> Answer:
+        robot = None
         try:
             match request:
                 case Drive():
-                    return self._drive(neighbour, request)
+                    robot = self._hub.robots.find_here(request.robot)
+                    return self._drive(neighbour, robot, request)
                 case Release():
                     driver = self._drivers.get(neighbour.sender.zid, _Drivers()).of.pop(request.owner, None)
                     if driver is not None:
@@ -142,22 +145,22 @@ class FleetDrivers:
                     assert_never(request)
         except HostlinkError as error:
             self._post.counts["refused"] += 1
-            return _refusal(request.number, error)
+            return _refusal(request.number, error, robot)
 
-    def _drive(self, neighbour: Neighbour, request: Drive) -> Answer:
-        robot, velocity = self._hub.robots.find_here(request.robot), request.wanted
+    def _drive(self, neighbour: Neighbour, robot: Robot, request: Drive) -> Answer:
+        velocity = request.wanted
         if not velocity.is_zero:
             self._check_role(neighbour, robot.name)
             if robot.also_at:
                 raise DeviceGone(robot.name, f"several robots have this name, also at {', '.join(robot.also_at)}")
         if neighbour.is_silent:  # it has sent nothing by which its clock is known
             raise DeviceGone(robot.name, "the daemons have just met; try again")
-        late_s = neighbour.freshness.late_s(request.sent_s, _now_s())
-        if late_s > robot.gate.lease_s:
-            raise BadRequest(f"{robot.name}: the command was {late_s:.1f} s on its way, longer than it is valid")
+        received_s = _now_s() - neighbour.freshness.late_s(request.sent_s, _now_s())
         participant = self._participant(neighbour, request.owner, request.owner_name)
-        limited = participant.drive(robot, velocity, priority=request.priority, link=request.link, stops=request.stops)
-        return Answer(number=request.number, velocity=limited, stops=robot.gate.stops)
+        limited = participant.drive(
+            robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
+        )
+        return Answer(number=request.number, velocity=limited, epoch=robot.gate.admission.epoch)
 
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> Answer:
         name = request.robot
@@ -197,13 +200,11 @@ class FleetDrivers:
         self._post.session.put(key, encode(answer), is_urgent=True)
 
 
-def _refusal(number: int, error: HostlinkError) -> Answer:
-    owner = lock_reason = None
-    if isinstance(error, RobotHeld):
-        owner, lock_reason = error.owner, error.lock_reason
-    return Answer(
-        number=number, error=type(error).__name__, reason=str(error)[:512], owner=owner, lock_reason=lock_reason
-    )
+def _refusal(number: int, error: HostlinkError, robot: Robot | None = None) -> Answer:
+    holder = error.holder if isinstance(error, CommandRefused) else None
+    owner = None if holder is None else str(holder)
+    epoch = None if robot is None else robot.gate.admission.epoch
+    return Answer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
 
 
 def _now_s() -> float:

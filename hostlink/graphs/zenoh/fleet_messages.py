@@ -88,6 +88,7 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     is_played: bool = False  # its device is a recording
     velocity: tuple[float, float] = (0.0, 0.0)
     lease_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
+    epoch: int | None = None
     pose: PoseState | None = None
 
     @property
@@ -147,8 +148,7 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     owner_name: Text
     velocity: tuple[float, float, float, float, float, float]
     priority: Priority
-    link: int | None = None
-    stops: int | None = None  # of the robot, as an answer before has counted them
+    epoch: int | None = None  # of the robot, as the sender last saw it
 
     @property
     def wanted(self) -> Velocity:
@@ -188,16 +188,15 @@ class Lock(msgspec.Struct, frozen=True, kw_only=True, tag="lock"):
 class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """To the request of this number: the velocity after the limits, or the robots that it was for; or why not.
 
-    `stops`: how often the robot was stopped or locked.
+    `epoch`: how often the robot was interrupted.
     """
 
     number: int
-    error: Text = ""  # the name of a class of hostlink.errors
+    error: Text = ""  # a refusal's kind, or the name of a class of hostlink.errors
     reason: Annotated[str, msgspec.Meta(max_length=1024)] = ""
     owner: Text | None = None  # who drives it
-    lock_reason: Text | None = None
     velocity: tuple[float, ...] | None = None
-    stops: int | None = None
+    epoch: int | None = None
     robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 

@@ -11,9 +11,10 @@ import structlog
 from hostlink.errors import (
     BadPayload,
     BadRequest,
+    CommandRefused,
     DeviceGone,
     HostlinkError,
-    RobotHeld,
+    RefusalKind,
 )
 from hostlink.graphs.zenoh.fleet_messages import (
     Answer,
@@ -94,16 +95,13 @@ class FleetRequests:
     # -- Elsewhere ----------------------------------------------------------------------------------------------------
 
     def drive(
-        self, robot: RemoteRobot, velocity: Velocity, *, owner: Hashable, priority: int, stops: int | None
+        self, robot: RemoteRobot, velocity: Velocity, *, owner: Hashable, priority: int, epoch: int | None
     ) -> None:
         """Send a command of an owner.
 
         Raises:
-            BadRequest: it is not finite.
             HostlinkError: why the command before this one was refused, if nobody has learned it yet.
         """
-        if not velocity.is_finite:
-            raise BadRequest(f"{robot.name}: a velocity must be made of finite numbers")
         neighbour, now_s = self._neighbour(robot), _now_s()
         before = self._newest.pop((owner, robot.name), None)
         if before is not None and not velocity.is_zero:
@@ -123,8 +121,7 @@ class FleetRequests:
             owner_name=printable(str(owner)),
             velocity=velocity,
             priority=priority,
-            link=None if robot.link is None else robot.link.own_number,
-            stops=stops,
+            epoch=epoch,
         )
         self._request(neighbour, request)
 
@@ -211,8 +208,7 @@ class FleetRequests:
         if command is not None and sender == command.neighbour.sender:
             del self._waiting[answer.number]
             command.answer = answer
-            if answer.stops is not None:
-                command.robot.gate.stops = answer.stops
+            command.robot.gate.report(epoch=answer.epoch, lock_reason=command.robot.gate.lock_reason, now_s=_now_s())
             command.is_answered.set()
             return None
         unsettled = self._unsettled.get(answer.number)
@@ -284,8 +280,8 @@ class FleetRequests:
 def _refusal(robot: str, answer: Answer) -> HostlinkError:
     """The error that was raised there."""
     reason = printable(answer.reason, _TEXT)
-    if answer.error == RobotHeld.__name__:
-        return RobotHeld(robot, answer.owner, lock_reason=answer.lock_reason)
+    if answer.error in set(RefusalKind):
+        return CommandRefused(robot, RefusalKind(answer.error), reason, holder=answer.owner)
     if answer.error == DeviceGone.__name__:
         return DeviceGone(robot, reason.removeprefix(f"{robot}: "))
     return BadRequest(reason)

@@ -64,7 +64,9 @@ class FleetRobots:
             sender = place.neighbour.sender
             if robot is None or robot.place != sender.zid:
                 self._topics.hide(name)
-                robot = _remote_robot(place.neighbour, place.state, self._requests)
+                before, robot = robot, _remote_robot(place.neighbour, place.state, self._requests)
+                if before is not None:  # who commanded it there goes on here
+                    robot.gate.admission = before.gate.admission
                 self._hub.remote_robots.add(robot)
             if place.also_at and not robot.also_at:
                 _log_twice(name, (sender.name, *place.also_at))
@@ -94,9 +96,10 @@ class FleetRobots:
         robot.shown = _topics_of(state)
         gate = robot.gate
         holder = state.holder and state.holder.removesuffix(f" at {self._post.me.name}")  # one who is here
-        gate.owner_name, gate.priority, gate.lock_reason = holder, state.priority, state.lock_reason
+        gate.owner_name, gate.priority = holder, state.priority
+        gate.report(epoch=state.epoch, lock_reason=state.lock_reason, now_s=_now_s())
         gate.current = Velocity(linear_x_m_s=state.velocity[0], angular_z_rad_s=state.velocity[1])
-        gate.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
+        gate.admission.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
         robot.is_played = state.is_played
         if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):
             robot.follow()

@@ -103,7 +103,8 @@ def state_of(robot: Robot) -> RobotState:
         unreachable=None if cause is None else printable(cause, _TEXT),
         is_played=robot.is_played,
         velocity=(gate.current.linear_x_m_s, gate.current.angular_z_rad_s),
-        lease_s=gate.lease_s,
+        lease_s=gate.admission.lease_s,
+        epoch=gate.admission.epoch,
         pose=None if pose is None else _pose_of(pose),
     )
 

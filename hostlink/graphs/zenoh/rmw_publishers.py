@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import structlog
 
-from hostlink.errors import BadRequest, HostlinkError, WrongType
+from hostlink.errors import BadRequest, CommandRefused, HostlinkError, RefusalKind, WrongType
+from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros2_types import ros1_type
 from hostlink.graphs.zenoh.rmw_attachment import Attachment
 from hostlink.graphs.zenoh.rmw_freshness import SourceClock
@@ -17,11 +18,12 @@ from hostlink.graphs.zenoh.rmw_once import Once
 from hostlink.graphs.zenoh.rmw_token import EndpointToken
 from hostlink.hub.participant import Participant
 from hostlink.logs import printable
-from hostlink.robot.velocity_gate import LEASE_S
+from hostlink.robot.admission import EarlierMotion
 
 MAX_PUBLISHERS = 1024  # participants
 MAX_PUBLISHERS_OF_SESSION = 128  # of one process
-LOG_INTERVAL_S = 10.0  # of velocities that are refused again and again
+MATCH_S = 3.0  # until Zenoh has connected a publisher and a subscription that know of each other
+FIRST_NUMBER = 1  # of the messages of a publisher
 OWN_TOPICS = frozenset({"/rosout", "/parameter_events"})  # that every node of ROS 2 publishes, for its own tools
 
 log = structlog.get_logger()
@@ -34,11 +36,11 @@ class Publisher:
         """`leave` is called when a failure of its own ends its participant."""
         self.token = token
         self.clock = SourceClock()
+        self.motion = EarlierMotion()
         self.participant: Participant = node.hub.join(f"ros2 {token.node.full_name}", group=GROUP, on_end=leave)
         self._node = node
         self._is_advertised = False
-        self._log_at_s = float("-inf")
-        self._refused = 0
+        self._refusals = RefusalLog()
 
     def advertise(self) -> None:
         """Show its topic in the hub.
@@ -52,21 +54,18 @@ class Publisher:
             self.participant.advertise(token.name, ros1_type(token.type_name), is_latched=token.qos.is_transient_local)
             self._is_advertised = True
 
-    def publish(self, topic: str, payload: bytes) -> None:
+    def publish(self, topic: str, payload: bytes, *, received_s: float, epoch: int | None = None) -> None:
         """Pass a payload on; what the hub refuses is counted, and logged now and then."""
         try:
-            self.participant.publish(topic, payload)
+            self.participant.publish(topic, payload, at_s=received_s, epoch=epoch)
             self._node.counts["from_ros2"] += 1
         except HostlinkError as error:
-            self._node.counts["refused"] += 1
-            self._refused += 1
-            now_s = asyncio.get_running_loop().time()
-            if now_s >= self._log_at_s:
-                cause = printable(str(error), 200)
-                log.warning(
-                    "ros2.refused", topic=topic, by=printable(self.participant.name), cause=cause, count=self._refused
-                )
-                self._log_at_s, self._refused = now_s + LOG_INTERVAL_S, 0
+            is_late = isinstance(error, CommandRefused) and error.kind is RefusalKind.LATE
+            self._node.counts["late" if is_late else "refused"] += 1
+            count = self._refusals.count(error.kind, asyncio.get_running_loop().time())
+            if count:
+                by, reason = printable(self.participant.name), printable(str(error), 200)
+                log.warning("ros2.refused", topic=topic, by=by, kind=error.kind, reason=reason, count=count)
 
 
 class Publishers:
@@ -76,6 +75,7 @@ class Publishers:
         self._node, self._remote, self._once = node, remote, once
         self._publishers: dict[str, Publisher] = {}
         self._of_session: Counter[str] = Counter()
+        self._began_s = asyncio.get_running_loop().time()
 
     def add(self, token: EndpointToken, key: str) -> None:
         """A publisher has come."""
@@ -87,6 +87,8 @@ class Publishers:
             return
         self._of_session[token.node.session] += 1
         made = self._publishers[key] = Publisher(self._node, token, lambda: self._drop(key))
+        if asyncio.get_running_loop().time() < self._began_s + MATCH_S:  # it was there before this daemon
+            self._expect_earlier(made)
         self._advertise(made)
 
     def remove(self, removed: Removed) -> None:
@@ -104,6 +106,12 @@ class Publishers:
         for each in self._publishers.values():
             self._advertise(each)
 
+    def join(self, subject: Subject) -> None:
+        """A velocity is subscribed from now on: publishers that are there may be in the middle of a motion."""
+        for each in self._publishers.values():
+            if (each.token.name, each.token.type_name) == subject:
+                self._expect_earlier(each)
+
     def has_signed(self, gid: bytes) -> bool:
         """Whether a publisher has signed by it; in any thread."""
         return self._remote.is_known(gid)
@@ -113,22 +121,23 @@ class Publishers:
         for key in list(self._publishers):
             self._drop(key)
 
-    def publish(
-        self, attachment: Attachment, subject: Subject, payload: bytes, *, topic: str, is_velocity: bool
-    ) -> None:
-        """Publish as whoever has signed; a velocity that waited for a lease means nothing any more."""
+    def publish(self, attachment: Attachment, subject: Subject, payload: bytes, *, topic: str) -> None:
+        """Publish as the publisher that has signed the message, with the time that it waited on its way."""
         remote = self._remote.publisher(attachment.gid, subject)
         publisher = None if remote is None else self._publishers.get(remote.key)
         if publisher is None:
             self._node.counts["unidentified"] += 1
             return
-        late_s = publisher.clock.late_s(
-            attachment.sequence_number, attachment.source_ns, asyncio.get_running_loop().time()
-        )
-        if is_velocity and late_s > LEASE_S:
-            self._node.counts["late"] += 1
-            return
-        publisher.publish(topic, payload)
+        now_s = asyncio.get_running_loop().time()
+        late_s = publisher.clock.late_s(attachment.sequence_number, attachment.source_ns, now_s)
+        epoch = publisher.motion.pop_epoch(self._node.hub.gates.came_s(now_s))
+        if attachment.sequence_number <= FIRST_NUMBER:
+            epoch = None  # it is the first that it has ever sent
+        publisher.publish(topic, payload, received_s=now_s - late_s, epoch=epoch)
+
+    @staticmethod
+    def _expect_earlier(publisher: Publisher) -> None:
+        publisher.motion = EarlierMotion(asyncio.get_running_loop().time() + MATCH_S)
 
     def _advertise(self, publisher: Publisher) -> None:
         token = publisher.token

@@ -48,6 +48,8 @@ class Subscription:
         self._node, self._wanted, self._publishers = node, wanted, publishers
         type_ = wanted.type
         self._endpoint = node.endpoint(Kind.SUBSCRIPTION, wanted.name, type_.name, type_.type_hash, wanted.qos)
+        if wanted.is_velocity:
+            publishers.join((wanted.name, type_.name))
         self._subscription = node.session.subscribe(
             self._endpoint.key,
             self._receive,
@@ -82,5 +84,4 @@ class Subscription:
             (self._wanted.name, self._wanted.type.name),
             payload[-TWIST_BYTES:] if self._wanted.is_stripped else payload,
             topic=self._wanted.topic,
-            is_velocity=self._wanted.is_velocity,
         )

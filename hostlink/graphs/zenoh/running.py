@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 from hostlink.config import ZenohConfig
-from hostlink.errors import ConfigError
+from hostlink.errors import LibraryMissing
 from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.session import opened
 from hostlink.hub.hub import Hub
@@ -25,6 +25,6 @@ async def zenoh_running(hub: Hub, config: ZenohConfig) -> AsyncIterator[None]:
             try:
                 from hostlink.graphs.zenoh.rmw_bridge import ros2_bridged  # noqa: PLC0415 - a fleet without it is lighter
             except ImportError as error:
-                raise ConfigError("zenoh.ros2", "needs xxhash: pip install 'hostlink[zenoh]'") from error
+                raise LibraryMissing("zenoh.ros2", "xxhash", "zenoh") from error
             await parts.enter_async_context(ros2_bridged(hub, session, config))
         yield

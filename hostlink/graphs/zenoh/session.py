@@ -3,12 +3,9 @@
 import asyncio
 import contextlib
 import functools
-import json
-import re
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import structlog
@@ -18,18 +15,13 @@ from hostlink.errors import ConfigError
 from hostlink.graphs.zenoh.background import Background
 from hostlink.graphs.zenoh.history import declare_history_subscriber, declare_keeping_publisher
 from hostlink.graphs.zenoh.inbox import MAX_WAITING, Inbox
+from hostlink.graphs.zenoh.settings import library, reach_of, reason_of, settings_of
 from hostlink.hub.isolation import Isolation
 from hostlink.logs import printable
 
 log = structlog.get_logger()
 
-DEFAULTS: dict[str, object] = {
-    "transport/link/tx/lease": 1000,  # ms; a neighbour that is silent for so long is gone, and its tokens with it
-    "transport/link/tx/keep_alive": 4,  # in each lease
-    "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
-}
 CLOSE_TIMEOUT_S = 1.0
-BLOCKED_US = 100_000  # a neighbour for whom a declaration or a query has to wait longer is cut off; a fifth of a lease
 MAX_PAYLOAD_BYTES = 1024 * 1024
 MAX_KEY_CHARS = 512
 MAX_ANSWERS = 1024  # to one query
@@ -97,7 +89,8 @@ class Publisher:
         """Call `on_change` in the loop, with whether anybody elsewhere subscribes, when that changes."""
         inbox = self._session.inbox(on_change)
         with self._session.guarded("match"):
-            self._listener = self._publisher.declare_matching_listener(lambda status: inbox.put("", status.matching))
+            notice = self._session.callback(lambda status: inbox.put("", status.matching))
+            self._listener = self._publisher.declare_matching_listener(notice)
 
     def close(self) -> None:
         """Publish no more."""
@@ -184,7 +177,7 @@ class Session:
         declare = self._session.declare_subscriber
         if has_history:
             declare = functools.partial(declare_history_subscriber, self._session)
-        subscriber = self._declare(declare, key_expr, self._callback(put), allowed_origin=self._zenoh.Locality.REMOTE)
+        subscriber = self._declare(declare, key_expr, self.callback(put), allowed_origin=self._zenoh.Locality.REMOTE)
         return Declaration(inbox.close, lambda: self._undeclare(subscriber))
 
     def subscribe_tokens(self, key_expr: str, receive: Callable[[Token], None]) -> Declaration:
@@ -202,7 +195,7 @@ class Session:
                     inbox.put("", Token(key, sample.kind == self._zenoh.SampleKind.PUT))
 
         subscriber = self._declare(
-            self._session.liveliness().declare_subscriber, key_expr, self._callback(put), history=True
+            self._session.liveliness().declare_subscriber, key_expr, self.callback(put), history=True
         )
         return Declaration(inbox.close, lambda: self._undeclare(subscriber))
 
@@ -221,7 +214,7 @@ class Session:
                     reply, close = self._background.replies(query)
                     inbox.put("", Query(key, payload, _bytes(query.attachment), reply, close))
 
-        queryable = self._declare(self._session.declare_queryable, key_expr, self._callback(put), complete=is_complete)
+        queryable = self._declare(self._session.declare_queryable, key_expr, self.callback(put), complete=is_complete)
         return Declaration(inbox.close, lambda: self._undeclare(queryable))
 
     async def get(
@@ -244,7 +237,7 @@ class Session:
         with self.guarded("get"):
             self._session.get(
                 selector,
-                self._callback(put, end),
+                self.callback(put, end),
                 payload=payload,
                 attachment=attachment,
                 timeout=timeout_s,
@@ -254,6 +247,13 @@ class Session:
                 async with asyncio.timeout(timeout_s + CLOSE_TIMEOUT_S):
                     await done.wait()
         return list(answers)
+
+    def certificate_of(self, zid: str) -> str:
+        """The common name in the certificate of the neighbour of this id; empty without one, or behind a router."""
+        with self.guarded("links"):
+            names = [link.auth_identifier for link in self._session.info.links() if str(link.zid) == zid]
+            return next((name for name in names if name), "")
+        return ""
 
     # -- its end ------------------------------------------------------------------------------------------------------
 
@@ -302,7 +302,7 @@ class Session:
             with self.guarded("undeclare"):
                 declared.undeclare()
 
-    def _callback(self, call: Callable[[Any], None], end: Callable[[], None] = lambda: None) -> Any:
+    def callback(self, call: Callable[[Any], None], end: Callable[[], None] = lambda: None) -> Any:
         """Called in Zenoh's own threads, without one of its own: it only queues."""
         return self._zenoh.handlers.Callback(call, end, indirect=False)
 
@@ -321,72 +321,20 @@ async def opened(config: ZenohConfig, isolation: Isolation) -> AsyncIterator[Ses
     """A session for the length of the block.
 
     Raises:
-        ConfigError: eclipse-zenoh is not installed, or Zenoh refuses the settings.
+        ConfigError: eclipse-zenoh is not installed, or the settings are refused.
     """
+    zenoh, settings = library(), settings_of(config)
     try:
-        import zenoh  # noqa: PLC0415 - an optional dependency
-    except ImportError as error:
-        raise ConfigError("zenoh", "needs eclipse-zenoh: pip install 'hostlink[zenoh]'") from error
-    try:
-        raw = await asyncio.to_thread(lambda: zenoh.open(_settings(zenoh, config)))
+        raw = await asyncio.to_thread(lambda: zenoh.open(settings))
     except (zenoh.ZError, ValueError) as error:
-        raise ConfigError("zenoh", f"the session cannot be opened: {_reason(error)}") from error
+        raise ConfigError("zenoh", f"the session cannot be opened: {reason_of(error)}") from error
     session = Session(zenoh, raw, isolation)
-    log.info(
-        "zenoh.opened", zid=session.zid, mode=config.mode, listen=list(config.listen), connect=list(config.connect)
-    )
+    log.info("zenoh.opened", zid=session.zid, mode=config.mode, reach="; ".join(reach_of(settings, config).lines))
     try:
         yield session
     finally:
         await session.aclose()
         log.info("zenoh.closed", **session.counts)
-
-
-def _reason(error: Exception) -> str:
-    """What of Zenoh's text concerns the user: not the places in its sources."""
-    text = str(error)
-    found = re.search(r'msg: "(.*)"', text)
-    return printable((found[1] if found else text).split(" at /")[0], 300)
-
-
-def _settings(zenoh: Any, config: ZenohConfig) -> Any:
-    """Those of the file, and [zenoh] over them; this project's defaults where the file has Zenoh's."""
-    usual = zenoh.Config()
-    settings = zenoh.Config() if config.file is None else zenoh.Config.from_file(str(config.file))
-    for key, value in DEFAULTS.items():
-        if settings.get_json(key) == usual.get_json(key):
-            settings.insert_json5(key, json.dumps(value))
-    for key, value in _values(config).items():
-        settings.insert_json5(key, json.dumps(value))
-    return settings
-
-
-def _values(config: ZenohConfig) -> dict[str, Any]:
-    values: dict[str, Any] = {
-        "mode": config.mode,
-        "connect/exit_on_failure": False,
-        "timestamping/enabled": True,  # what is kept for later subscribers needs it
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,  # the loop waits for no neighbour
-        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCKED_US,
-    }
-    if config.connect:
-        values["connect/endpoints"] = list(config.connect)
-    if config.listen:
-        values["listen/endpoints"] = list(config.listen)
-    if not config.multicast:
-        values["scouting/multicast/enabled"] = False
-    files: dict[str, Path | None] = {
-        "root_ca_certificate": config.ca,
-        "listen_certificate": config.certificate,
-        "listen_private_key": config.key,
-        "connect_certificate": config.certificate,
-        "connect_private_key": config.key,
-    }
-    values |= {f"transport/link/tls/{name}": str(path) for name, path in files.items() if path is not None}
-    if config.certificate is not None and config.ca is not None:
-        values["transport/link/tls/enable_mtls"] = True
-    return values
 
 
 def _bytes(payload: Any) -> bytes:

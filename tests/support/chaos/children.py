@@ -3,16 +3,22 @@
 import asyncio
 import contextlib
 import json
+import os
 import resource
+import shutil
+import signal
+import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tests.support.chaos.names import HONEST, HONEST_ADDRESS, VERIFIED_ADDRESSES
-from tests.support.process import HOSTLINK
+from tests.support.core_part import CorePart, children_of
+from tests.support.process import HOSTLINK, free_port
+from tests.support.zenoh_certificates import make_authority, make_certificate
 
 ROOT = Path(__file__).resolve().parents[3]
 START_S = 20.0
@@ -23,8 +29,13 @@ CONFIG = f"""
 [robots.{HONEST}]
 address = "{HONEST_ADDRESS}"
 
+[recording]
+folder = "recordings"
+
 [black_box]
 max_memory_mb = 2  # its bound is reached, too
+after_s = 2.0  # incidents are saved while it runs
+max_disk_mb = 20
 
 [parameters]
 gain = [1.0, 2.0]
@@ -32,37 +43,140 @@ gain = [1.0, 2.0]
 UDP_CONFIG = f"""
 [udp]
 host = "127.0.0.1"
-port = 0
 trusted = {json.dumps([f"{address}/32" for address in (HONEST_ADDRESS, *VERIFIED_ADDRESSES)])}
 """
+FLEET_CONFIG = """
+[zenoh]
+name = "lab"
+listen = ["tls/127.0.0.1:{port}"]
+ca = "fleet/ca.pem"
+certificate = "fleet/lab.pem"
+key = "fleet/lab.key"
+"""
+WALL_CLOCK = Path(__file__).with_name("wall_clock.c")
 
 
 @dataclass
 class Daemon:
-    """A running `hostlink serve`; its log goes to a file."""
+    """`hostlink serve` on free ports, on the same ones after each restart; its log goes to a file.
 
-    child: asyncio.subprocess.Process
-    log: Path
-    tcp: tuple[str, int] = ("", 0)
-    api: tuple[str, int] = ("", 0)
+    `part`: of a core, which it has once it has started, together with its guardian.
+    """
+
+    folder: Path
+    has_udp: bool
+    part: CorePart | None = None
+    tcp: tuple[str, int] = ("127.0.0.1", 0)
+    api: tuple[str, int] = ("127.0.0.1", 0)
     udp: tuple[str, int] | None = None
+    fleet: tuple[str, int] = field(default_factory=lambda: ("127.0.0.1", free_port()))
+    is_away: bool = False  # it is being restarted
+    preloaded: dict[str, str] = field(default_factory=dict)  # its environment, for a wall clock that jumps
+    _child: asyncio.subprocess.Process | None = None
 
-    async def started(self) -> None:
-        """Wait until it has printed where it listens."""
+    @property
+    def child(self) -> asyncio.subprocess.Process:
+        """The process of the present."""
+        assert self._child is not None, "it has not been started"
+        return self._child
+
+    @property
+    def log(self) -> Path:
+        return self.folder / "daemon.log"
+
+    @property
+    def settings_file(self) -> Path:
+        return self.folder / "hostlink.toml"
+
+    @property
+    def clock_file(self) -> Path:
+        """By how many seconds its wall clock is wrong."""
+        return self.folder / "wall_clock"
+
+    @property
+    def wrong_certificate(self) -> tuple[Path, Path]:
+        """Certificate and key of another authority."""
+        return self.folder / "others" / "lab.pem", self.folder / "others" / "lab.key"
+
+    def settings(self) -> str:
+        """Its file, as it should be."""
+        udp = UDP_CONFIG + f"port = {self.udp[1]}\n" if self.udp else ""
+        return CONFIG + udp + FLEET_CONFIG.format(port=self.fleet[1])
+
+    def prepare(self) -> None:
+        """Make its files."""
+        if self.has_udp:
+            self.udp = ("127.0.0.1", free_port())
+        for name in ("fleet", "others"):
+            (self.folder / name).mkdir()
+            make_authority(self.folder / name)
+            make_certificate(self.folder / name, "lab")
+        self.clock_file.write_bytes(bytes(8))
+        self.log.touch()
+        if (compiler := shutil.which("cc")) is not None:
+            library = self.folder / "wall_clock.so"
+            subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", library, WALL_CLOCK, "-ldl"], check=True)
+            self.preloaded = {"LD_PRELOAD": str(library), "CHAOS_WALL_CLOCK": str(self.clock_file)}
+
+    async def start(self) -> None:
+        """Start it, and wait until it has printed where it listens."""
+        self.settings_file.write_text(self.settings())
+        begin = self.log.stat().st_size
+        with self.log.open("ab") as stderr:
+            self._child = await asyncio.create_subprocess_exec(
+                HOSTLINK, "serve", "--config", str(self.settings_file),
+                "--listen", "{}:{}".format(*self.tcp), "--api", "{}:{}".format(*self.api),
+                stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=stderr,
+                env=os.environ | self.preloaded,
+            )  # fmt: skip
+        resource.prlimit(self.child.pid, resource.RLIMIT_NOFILE, (DESCRIPTORS, DESCRIPTORS))
         async with asyncio.timeout(START_S):
-            while not (found := _started(self.log)):
+            while not (found := _started(self.log, begin)):
                 if self.child.returncode is not None:
                     raise RuntimeError(f"the daemon did not start: {self.log.read_text()[-2000:]}")
                 await asyncio.sleep(POLL_S)
         self.tcp, self.api = (_address(found[key].removeprefix("http://")) for key in ("tcp", "api"))
-        self.udp = _address(found["udp"]) if "udp" in found else None
+        if self.part is not None:
+            for pid in (self.child.pid, *children_of(self.child.pid)):
+                self.part.add(pid)
+
+    async def end(self, number: signal.Signals, most_s: float) -> int | None:
+        """Send a signal; its exit status, None where it had to be killed after that time."""
+        self.child.send_signal(number)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(most_s):
+                return await self.child.wait()
+        self.kill()
+        await self.child.wait()
+        return None
+
+    def kill(self) -> None:
+        if self._child is not None and self._child.returncode is None:
+            self._child.kill()
+
+    @contextlib.contextmanager
+    def signalled(self, begin: signal.Signals, end: signal.Signals) -> Iterator[None]:
+        """The one signal at the beginning of the block, the other at its end."""
+        child = self.child
+        if self.part is not None:
+            self.part.remove(child.pid)
+        child.send_signal(begin)
+        try:
+            yield
+        finally:
+            if child.returncode is None:
+                child.send_signal(end)
+                if self.part is not None:
+                    self.part.add(child.pid)
 
 
-def _started(log: Path) -> dict[str, Any] | None:
-    for line in log.read_text().splitlines():
-        if '"daemon.started"' in line:
-            found: dict[str, Any] = json.loads(line)
-            return found
+def _started(log: Path, begin: int) -> dict[str, Any] | None:
+    with log.open("rb") as file:
+        file.seek(begin)
+        for line in file:
+            if b'"daemon.started"' in line and line.endswith(b"\n"):
+                found: dict[str, Any] = json.loads(line)
+                return found
     return None
 
 
@@ -72,24 +186,17 @@ def _address(text: str) -> tuple[str, int]:
 
 
 @contextlib.asynccontextmanager
-async def daemon(folder: Path, *, has_udp: bool) -> AsyncIterator[Daemon]:
-    """`hostlink serve` on free ports, with as many descriptors as a process usually has."""
-    config, log = folder / "hostlink.toml", folder / "daemon.log"
-    config.write_text(CONFIG + (UDP_CONFIG if has_udp else ""))
-    with log.open("wb") as stderr:
-        child = await asyncio.create_subprocess_exec(
-            HOSTLINK, "serve", "--config", str(config), "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0",
-            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=stderr,
-        )  # fmt: skip
-    resource.prlimit(child.pid, resource.RLIMIT_NOFILE, (DESCRIPTORS, DESCRIPTORS))
-    running = Daemon(child, log)
+async def daemon(folder: Path, *, has_udp: bool, part: CorePart | None = None) -> AsyncIterator[Daemon]:
+    """A daemon with as many descriptors as a process usually has, killed at the end of the block."""
+    running = Daemon(folder, has_udp, part)
+    running.prepare()
     try:
-        await running.started()
+        await running.start()
         yield running
     finally:
-        if child.returncode is None:
-            child.kill()
-        await child.wait()
+        running.kill()
+        with contextlib.suppress(AssertionError):
+            await running.child.wait()
 
 
 class Talker:

@@ -5,7 +5,7 @@ import contextlib
 import random
 import socket
 import struct
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 
 from hostlink.cancellation import expire
 from tests.support.background import meanwhile
@@ -84,10 +84,11 @@ class Connection:
                     heard += data
         return heard
 
-    async def read_away(self, pause_s: float = 0.0) -> None:
-        """Read and forget, until the other end closes."""
+    async def read_away(self, hear: Callable[[bytes], None] = lambda _: None, *, pause_s: float = 0.0) -> None:
+        """Read and forget, until the other end closes; `hear` is called with each piece."""
         with contextlib.suppress(OSError):
-            while await self.receive():  # noqa: ASYNC110 - it reads slowly
+            while heard := await self.receive():
+                hear(heard)
                 await asyncio.sleep(pause_s)
 
     def half_close(self) -> None:
@@ -157,7 +158,7 @@ class DatagramConnection(Connection):
 @contextlib.asynccontextmanager
 async def reading(connection: Connection, pause_s: float = 0.0) -> AsyncIterator[None]:
     """Read it away for the length of the block."""
-    async with meanwhile(connection.read_away(pause_s)):
+    async with meanwhile(connection.read_away(pause_s=pause_s)):
         yield
 
 

@@ -21,6 +21,8 @@ WAITED_S = 0.2  # a driven robot hears its velocity eight times a second
 YOUNG_S = 0.4  # a command that is younger holds the robot: its lease is 0.5 s
 SAME_S = 1.0  # velocities of somebody else within it are one violation
 RIVAL_REST_S = 1.5  # what another commanded may still move the robot: its lease, and a flood's delay
+ON_ITS_WAY_S = 0.25  # a velocity that waited for longer between gate and robot has waited for its lease's end, too
+ENDS_AFTER_S = 2.0  # links of a daemon that is gone: its guardian waits half a second for whoever reads on
 
 
 @dataclass
@@ -43,12 +45,14 @@ class DriveRecord:
         self.baseline_s = 0.0  # the 99th percentile with nobody hostile: of the machine and the harness
         self.zeros_s: list[float] = []  # of each end, how long the robot moved on
         self.commands = 0
+        self.oldest_s = 0.0  # of the velocities that the robot obeyed
         self._limits, self._noise = limits, noise
         self._found: list[Violation] = []
         self._waiting: deque[tuple[int, float]] = deque()
         self._latencies: deque[tuple[float, float]] = deque(maxlen=10 * LEAST_COMMANDS)  # (when sent, how long)
         self._new = 0  # latencies since the last check
         self._is_driving = self._is_served = False
+        self._way = ""  # of the present drive, or the last
         self._end: _End | None = None
         self._opened_s: float | None = None  # a connection whose first velocity has not come
         self._honest_s = (-math.inf, -math.inf)  # when an honest velocity came last, and when it was sent
@@ -56,6 +60,42 @@ class DriveRecord:
         self._unowned_s = -math.inf  # when one that was not allowed was found last
         self._requested: dict[str, float] = {}
         self._rivals: dict[object, tuple[float, float]] = {}
+        self._paused_s: float | None = None  # since when the daemon is stopped by a signal
+        self._absent_s = (math.inf, math.inf)  # from when to when the daemon was away last
+        self._old_s = -math.inf  # when a velocity that was too old was found last
+
+    def daemon_paused(self, at_s: float) -> None:
+        """A signal stops the daemon from now on."""
+        self._paused_s = at_s
+
+    def daemon_resumed(self, at_s: float) -> None:
+        """It goes on: by now its guardian has stopped a robot that moved, if there was time."""
+        began_s, self._paused_s = self._paused_s, None
+        if began_s is None or self.last_velocity in (None, (0.0, 0.0)):
+            return
+        limit_s = self._limits.hang_s + self._lag(began_s)
+        if at_s - max(began_s, self._honest_s[0]) > limit_s:
+            self._fail("a daemon that hangs leaves no robot moving", began_s, at_s, limit_s)
+
+    def daemon_left(self, at_s: float, how: str) -> None:
+        """The daemon ends, and comes again."""
+        self._absent_s = (at_s, math.inf)
+        self._waiting.clear()
+        self._requested.clear()
+        if self._is_driving and self._end is None:
+            stands = self.last_velocity is None or not _is_honest(*self.last_velocity)
+            self._end = _End(at_s, f"{how} of the daemon", at_s if stands else None)
+
+    def daemon_came(self, at_s: float) -> None:
+        """It listens again."""
+        self._absent_s = (self._absent_s[0], at_s)
+        self._requested.clear()
+        if self._opened_s is not None:  # by datagrams, to nobody
+            self._opened_s = at_s
+
+    def _is_without_daemon(self, at_s: float) -> bool:
+        """Whether links and requests end then because of a restart."""
+        return self._absent_s[0] <= at_s <= self._absent_s[1] + ENDS_AFTER_S
 
     def rival_began(self, key: object, at_s: float) -> None:
         """From now on somebody else may drive the robot while the honest program does not."""
@@ -77,9 +117,12 @@ class DriveRecord:
         self._judge_latency(now_s)
         for what, at_s in list(self._requested.items()):
             self._judge_answer(what, at_s, now_s)
-        if self._opened_s is not None and now_s - self._opened_s > self._limits.reconnect_s + self._lag(self._opened_s):
-            self._fail("the honest robot is served again", self._opened_s, now_s, self._limits.reconnect_s)
-            self._opened_s = None
+        if self._opened_s is not None:
+            limit_s = self._limits.reconnect_s * self._noise.stretch(self._opened_s, now_s) + self._lag(self._opened_s)
+            limit_s += self._away_s(self._opened_s, now_s)
+            if now_s - self._opened_s > limit_s:
+                self._fail("the honest robot is served again", self._opened_s, now_s, limit_s)
+                self._opened_s = None
         found, self._found = self._found, []
         return found
 
@@ -88,9 +131,9 @@ class DriveRecord:
     def _on_lag(self, at_s: float, lag_s: float) -> None:
         self._noise.add_lag(at_s, lag_s)
 
-    def _on_began(self, at_s: float, way: str) -> None:  # noqa: ARG002 - for whoever reads the record
+    def _on_began(self, at_s: float, way: str) -> None:
         self._judge_end(at_s, is_over=True)
-        self._is_driving, self._end = True, None
+        self._is_driving, self._end, self._way = True, None, way
 
     def _on_sent(self, at_s: float, number: int) -> None:
         self.commands += 1
@@ -123,7 +166,11 @@ class DriveRecord:
         self._opened_s = at_s
 
     def _on_closed(self, at_s: float, is_ours: bool) -> None:
-        if not is_ours:
+        is_restart = self._is_without_daemon(at_s)
+        if is_restart and not is_ours and self.last_velocity not in (None, (0.0, 0.0)):
+            text = f"it was {self.last_velocity}"
+            self._found.append(Violation("the last velocity of a daemon is zero", 0.0, 0.0, text, at_s=at_s))
+        if not is_ours and not is_restart:
             self._found.append(Violation("the honest robot keeps its link", 0.0, 0.0, at_s=at_s))
         self._end, self._opened_s, self._is_served = None, None, False
         self._waiting.clear()
@@ -141,7 +188,8 @@ class DriveRecord:
             self._requested.pop(what, None)
 
     def _on_refused(self, at_s: float, why: str) -> None:
-        self._found.append(Violation("the honest program is served", 0.0, 0.0, why, at_s=at_s))
+        if not self._is_without_daemon(at_s):
+            self._found.append(Violation("the honest program is served", 0.0, 0.0, why, at_s=at_s))
 
     # -- velocities ---------------------------------------------------------------------------------------------------
 
@@ -150,7 +198,10 @@ class DriveRecord:
             self._end.stood_s = at_s
 
     def _move(self, at_s: float, number: int) -> None:
-        self._honest_s = (at_s, self._sent_s.get(number, -math.inf))
+        sent_s = self._sent_s.get(number)
+        self._honest_s = (at_s, -math.inf if sent_s is None else sent_s)
+        if sent_s is not None:
+            self._judge_age(at_s, at_s - sent_s)
         if any(number == waiting for waiting, _ in self._waiting):
             while self._waiting:
                 waiting, sent_s = self._waiting.popleft()
@@ -163,6 +214,15 @@ class DriveRecord:
         if end.is_judged:
             self._fail("no velocity after the driver's end", end.at_s, at_s, self._limits.zero_s, detail=end.how)
         end.stood_s = None
+
+    def _judge_age(self, at_s: float, age_s: float) -> None:
+        self.oldest_s = max(self.oldest_s, age_s)
+        since_s = at_s - ON_ITS_WAY_S
+        limit_s = self._limits.age_s + self._lag(at_s - age_s) + self._noise.waited_s(since_s, at_s)
+        if age_s > limit_s and at_s > self._old_s + SAME_S:
+            self._old_s = at_s
+            text = f"by {self._way}"
+            self._found.append(Violation("no velocity is obeyed after its lease", age_s, limit_s, text, at_s=at_s))
 
     def _judge_unowned(self, at_s: float, linear: float, angular: float) -> None:
         value = f"{linear:g} m/s, {angular:g} rad/s"
@@ -186,7 +246,7 @@ class DriveRecord:
         end = self._end
         if end is None or end.is_judged:
             return
-        limit_s = self._limits.zero_s + self._lag(end.at_s) + self._noise.waited_s(end.at_s, now_s)
+        limit_s = self._limits.zero_s + self._lag(end.at_s) + self._hindered_s(end.at_s, now_s)
         if not is_over and now_s < end.at_s + limit_s:
             return
         end.is_judged = True
@@ -206,13 +266,16 @@ class DriveRecord:
         began_s = samples[0][0]
         self.latest_p99_s = percentile([latency_s for _, latency_s in samples], 0.99)
         limit_s = self._limits.p99_s * self._noise.stretch(began_s, now_s) + self._lag(began_s) + self.baseline_s
+        limit_s += self._away_s(began_s, now_s)
         if self.latest_p99_s > limit_s:
-            detail = f"median {percentile([each for _, each in samples], 0.5):.4f} s of {len(samples)} commands"
+            median_s = percentile([each for _, each in samples], 0.5)
+            detail = f"median {median_s:.4f} s of {len(samples)} commands, by {self._way}"
             self._found.append(Violation("command p99", self.latest_p99_s, limit_s, detail, at_s=began_s))
             self._latencies.clear()
 
     def _judge_answer(self, what: str, requested_s: float, now_s: float) -> None:
         limit_s = self._limits.answer_s * self._noise.stretch(requested_s, now_s) + self._lag(requested_s)
+        limit_s += self._away_s(requested_s, now_s)
         if now_s - requested_s > limit_s:
             self._fail(f"the honest robot's {what} is answered", requested_s, now_s, limit_s)
             del self._requested[what]
@@ -227,6 +290,19 @@ class DriveRecord:
     def _count(self, sent_s: float, latency_s: float) -> None:
         self._latencies.append((sent_s, latency_s))
         self._new += 1
+
+    def _away_s(self, began_s: float, now_s: float) -> float:
+        """For how long no daemon ran."""
+        return self._noise.paused_s(began_s, now_s) + self._noise.absent_s(began_s, now_s)
+
+    def _hindered_s(self, end_s: float, now_s: float) -> float:
+        """How much longer a zero may take: as long as the daemon waited, or hung until its guardian acted, meanwhile.
+
+        In twice the time that a zero may take: without a bound a daemon that always waits would have for ever.
+        """
+        until_s = min(now_s, end_s + 2 * self._limits.zero_s)
+        paused_s = self._noise.paused_s(end_s, end_s + 2 * self._limits.zero_s)
+        return self._noise.waited_s(end_s, until_s) + min(paused_s, self._limits.hang_s)
 
     def _lag(self, since_s: float) -> float:
         return self._noise.lag_s(since_s, math.inf)

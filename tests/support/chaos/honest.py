@@ -1,6 +1,6 @@
 """The honest robot and the honest program that drives it, as a process of their own: they share a clock and no load.
 
-    python -m tests.support.chaos.honest SEED TCP_PORT API_PORT UDP_PORT
+    python -m tests.support.chaos.honest SEED TCP_PORT API_PORT UDP_PORT HANDSHAKE_S
 
 Writes events for DriveRecord, a JSON list a line. Drives by a rosbridge topic, by the operation `drive` or by REST;
 its drives end at random moments in every way. On a line of standard input ("last") it drives until the daemon ends it.
@@ -31,7 +31,6 @@ LATE_S = 0.003  # by which a tick is worth a line
 DRIVE_S = (0.5, 4.0)
 LEASE_S = 0.65
 REST_S = (0.75, 1.0)  # longer than any zero may need
-HANDSHAKE_S = 5.0
 WAYS = ("topic", "topic", "drive", "rest")
 ENDS = ("lease", "lease", "drop", "drop", "reset", "stop", "link")
 TWIST = struct.Struct("<6d")
@@ -127,9 +126,10 @@ class Robot:
 class Driver:
     """The honest program."""
 
-    def __init__(self, api: tuple[str, int], robot: Robot, dice: random.Random) -> None:
-        self._api, self._robot, self._dice = api, robot, dice
+    def __init__(self, api: tuple[str, int], robot: Robot, dice: random.Random, handshake_s: float) -> None:
+        self._api, self._robot, self._dice, self._handshake_s = api, robot, dice, handshake_s
         self._number = 0
+        self._is_disarmed = False
         self.is_last = False
 
     async def run(self) -> None:
@@ -147,7 +147,7 @@ class Driver:
         try:
             if way != "rest":
                 await connection.send(HANDSHAKE + b"\r\n")
-                heard = await connection.receive_until(b"\r\n\r\n", HANDSHAKE_S)
+                heard = await connection.receive_until(b"\r\n\r\n", self._handshake_s)
                 if b" 101 " not in heard:
                     event("refused", heard[:80].decode(errors="replace") or "no answer to its handshake")
                     return
@@ -157,7 +157,8 @@ class Driver:
 
     async def _drive_over(self, connection: Connection, way: str, end: str) -> None:
         async with asyncio.TaskGroup() as tasks:
-            reader = tasks.create_task(connection.read_away())
+            self._is_disarmed = False
+            reader = tasks.create_task(connection.read_away(self._hear))
             try:
                 await self._command(connection, way, end)
             finally:
@@ -183,6 +184,9 @@ class Driver:
                 if end == "link" and next_s > began_s + seconds / 2:
                     end = ""
                     self._robot.cut()
+                if self._is_disarmed:  # a stop, a pause or a new link has interrupted it: it lets go, and drives on
+                    self._is_disarmed = False
+                    await connection.send(command(way, 0, 0.0))
                 self._number = self._number % NUMBERS + 1
                 event("sent", self._number)
                 await connection.send(command(way, self._number))
@@ -193,6 +197,9 @@ class Driver:
             event("refused", "its connection was closed while it drove")
             raise
 
+    def _hear(self, data: bytes) -> None:
+        self._is_disarmed |= b'"disarmed"' in data
+
     async def _stop(self) -> None:
         connection = await Connection.dial(self._api, HONEST_PROGRAM_ADDRESS, "honest")
         await connection.send(http("POST", f"/api/robots/{HONEST}/stop"))
@@ -200,15 +207,15 @@ class Driver:
         connection.close()
 
 
-def command(way: str, number: int) -> bytes:
+def command(way: str, number: int, angular_rad_s: float = HONEST_RAD_S) -> bytes:
     """A command that is known by its speed."""
     speed = number * STEP_M_S
     if way == "topic":
-        twist = {"linear": {"x": speed}, "angular": {"z": HONEST_RAD_S}}
+        twist = {"linear": {"x": speed}, "angular": {"z": angular_rad_s}}
         return operation(op="publish", topic=HONEST_VELOCITY, type="geometry_msgs/Twist", msg=twist, priority=PRIORITY)
     if way == "drive":
-        return operation(op="drive", robot=HONEST, linear=speed, angular=HONEST_RAD_S, priority=PRIORITY, id=number)
-    body = json.dumps({"linear": speed, "angular": HONEST_RAD_S, "priority": PRIORITY})
+        return operation(op="drive", robot=HONEST, linear=speed, angular=angular_rad_s, priority=PRIORITY, id=number)
+    body = json.dumps({"linear": speed, "angular": angular_rad_s, "priority": PRIORITY})
     return http("PUT", f"/api/robots/{HONEST}/velocity", body.encode())
 
 
@@ -226,12 +233,14 @@ async def tick() -> None:
             event("lag", late_s)
 
 
-async def run(seed: int, tcp: tuple[str, int], api: tuple[str, int], udp: tuple[str, int] | None) -> None:
+async def run(
+    seed: int, tcp: tuple[str, int], api: tuple[str, int], udp: tuple[str, int] | None, handshake_s: float
+) -> None:
     """Until the standard input ends."""
     reader = asyncio.StreamReader()
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     robot = Robot(tcp, udp, random.Random(f"{seed} honest robot"))
-    driver = Driver(api, robot, random.Random(f"{seed} honest"))
+    driver = Driver(api, robot, random.Random(f"{seed} honest"), handshake_s)
     async with asyncio.TaskGroup() as tasks:
         running = [tasks.create_task(each) for each in (robot.run(), driver.run(), tick())]
         while await reader.readline():
@@ -241,6 +250,7 @@ async def run(seed: int, tcp: tuple[str, int], api: tuple[str, int], udp: tuple[
 
 
 if __name__ == "__main__":
-    numbers = [int(word) for word in sys.argv[1:]]
-    own_udp = ("127.0.0.1", numbers[3]) if numbers[3] else None
-    asyncio.run(run(numbers[0], ("127.0.0.1", numbers[1]), ("127.0.0.1", numbers[2]), own_udp))
+    *numbers, patience_s = map(float, sys.argv[1:])
+    seed_of_run, *ports = map(int, numbers)
+    own_tcp, own_api, own_udp = (("127.0.0.1", port) for port in ports)
+    asyncio.run(run(seed_of_run, own_tcp, own_api, own_udp if own_udp[1] else None, patience_s))

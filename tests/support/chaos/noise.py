@@ -1,17 +1,20 @@
 """Noise: what the machine and the harness themselves cost, so that nobody else is blamed for it. Pure."""
 
+import math
 from collections import deque
 
 KEPT = 4000  # samples: ten minutes and more
 
 
 class Noise:
-    """Lateness of the honest process's own loop, and how long the daemon waited for a core."""
+    """Lateness of the honest process's own loop, how long the daemon waited for a core, and when it was stopped."""
 
     def __init__(self, *, stretch_most: float) -> None:
         self._stretch_most = stretch_most
         self._lags: deque[tuple[float, float]] = deque(maxlen=KEPT)  # (when, by how much)
         self._turns: deque[tuple[float, float, float]] = deque(maxlen=KEPT)  # (when, ran, waited) of the daemon, sums
+        self._pauses: list[tuple[float, float]] = []  # in which it was stopped by a signal
+        self._absences: list[tuple[float, float]] = []  # in which it was being restarted
 
     def add_lag(self, at_s: float, lag_s: float) -> None:
         """The honest process woke so late."""
@@ -20,6 +23,22 @@ class Noise:
     def add_turn(self, at_s: float, ran_s: float, waited_s: float) -> None:
         """How long the daemon has run, and waited for a core, since its start."""
         self._turns.append((at_s, ran_s, waited_s))
+
+    def pause(self, began_s: float, ended_s: float = math.inf) -> None:
+        """The daemon is stopped by a signal; again with its end once that is known."""
+        _note(self._pauses, began_s, ended_s)
+
+    def absence(self, began_s: float, ended_s: float = math.inf) -> None:
+        """The daemon is gone, and comes again; again with its end once that is known."""
+        _note(self._absences, began_s, ended_s)
+
+    def paused_s(self, begin_s: float, end_s: float) -> float:
+        """How long the daemon was stopped by signals in a time."""
+        return _overlap(self._pauses, begin_s, end_s)
+
+    def absent_s(self, begin_s: float, end_s: float) -> float:
+        """How long the daemon was gone in a time."""
+        return _overlap(self._absences, begin_s, end_s)
 
     def lag_s(self, begin_s: float, end_s: float) -> float:
         """The longest lateness in a time."""
@@ -43,3 +62,13 @@ class Noise:
         if len(turns) < 2:
             return 0.0, 0.0
         return turns[-1][1] - turns[0][1], turns[-1][2] - turns[0][2]
+
+
+def _note(spans: list[tuple[float, float]], began_s: float, ended_s: float) -> None:
+    if spans and spans[-1][0] == began_s:
+        spans.pop()
+    spans.append((began_s, ended_s))
+
+
+def _overlap(spans: list[tuple[float, float]], begin_s: float, end_s: float) -> float:
+    return sum(max(0.0, min(ended_s, end_s) - max(began_s, begin_s)) for began_s, ended_s in spans)

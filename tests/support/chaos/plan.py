@@ -28,6 +28,14 @@ KINDS: dict[str, bool] = {
     "rest": True,
     "idle": False,
     "broken_websocket": False,
+    "bodies": False,
+    "latch": False,
+    "history": False,
+    "tls": False,
+    "reload": False,
+    "pause": False,
+    "restart": False,
+    "clock": False,
 }
 DOUBLE = ("flood", "announce", "call")  # kinds with more ways of their own than others
 

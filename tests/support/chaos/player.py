@@ -1,8 +1,8 @@
 """The generator as a process of its own: plays the step that it is asked for, and reports what it does.
 
-    python -m tests.support.chaos.player SEED TCP_PORT API_PORT UDP_PORT [KIND...]
+    python -m tests.support.chaos.player SEED STAGE [KIND...]
 
-UDP_PORT 0: no datagrams.
+STAGE: JSON, the daemon's addresses as Stage has them.
 
 Reads a JSON object a line ({"step": 3}, {"leave": true}) and writes one a line; ends with its standard input.
 """
@@ -17,7 +17,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from tests.support.chaos import calls, devices, programs
+from tests.support.chaos import calls, devices, loads, programs, tls_strangers, upheavals
 from tests.support.chaos.devices import quietly
 from tests.support.chaos.plan import Action, Step, draw_step
 from tests.support.chaos.stage import Stage
@@ -40,6 +40,14 @@ PLAY: dict[str, Callable[[Stage, Action], Awaitable[None]]] = {
     "rest": programs.rest,
     "idle": programs.idle,
     "broken_websocket": programs.broken_websocket,
+    "bodies": loads.bodies,
+    "latch": loads.latch,
+    "history": loads.history,
+    "tls": tls_strangers.strangers,
+    "reload": upheavals.reload,
+    "pause": upheavals.pause,
+    "restart": upheavals.restart,
+    "clock": upheavals.clock,
 }
 
 
@@ -104,13 +112,12 @@ class Player:
 
 
 def main() -> None:
-    seed, tcp_port, api_port, udp_port, *only = sys.argv[1:]
+    seed, stage, *only = sys.argv[1:]
     os.nice(NICE)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    udp = ("127.0.0.1", int(udp_port)) if int(udp_port) else None
-    stage = Stage(("127.0.0.1", int(tcp_port)), ("127.0.0.1", int(api_port)), report, udp)
-    asyncio.run(Player(int(seed), stage, tuple(only)).serve())
+    addresses = {name: tuple(value) for name, value in json.loads(stage).items()}
+    asyncio.run(Player(int(seed), Stage(report=report, **addresses), tuple(only)).serve())
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ async def subscriber(stage: Stage, action: Action) -> None:
             await connection.send(requests.flood_subscriptions(own))
             if manner == "never":
                 return
-            await connection.read_away(0.0 if manner == "at once" else 0.05)
+            await connection.read_away(pause_s=0.0 if manner == "at once" else 0.05)
 
     await together(one, dice.randint(1, 5))
 
@@ -73,10 +73,10 @@ async def publisher(stage: Stage, action: Action) -> None:
 
 
 async def rival(stage: Stage, action: Action) -> None:
-    """Somebody of a lower priority who wants to drive the honest robot, and stops it to get it."""
+    """A program of a lower priority that wants to drive the honest robot. It sends no stop, which ends a drive."""
     dice = action.dice()
-    interval_s, stops = dice.choice((0.02, 0.05)), dice.random() < 0.5
-    what = f"a rival drives each {interval_s} s{' and stops' if stops else ''}"
+    interval_s = dice.choice((0.02, 0.05))
+    what = f"a rival drives each {interval_s} s"
     stage.report({"action": action.number, "what": what})
     is_rest = dice.random() < 0.3
 
@@ -89,16 +89,7 @@ async def rival(stage: Stage, action: Action) -> None:
                 await connection.send(requests.rival_request(dice) if is_rest else requests.rival_frame(dice))
                 await asyncio.sleep(interval_s)
 
-    async def stop() -> None:
-        async with stage.program(dice) as connection, reading(connection):
-            while True:
-                await asyncio.sleep(dice.uniform(0.1, 0.5))
-                await connection.send(requests.http("POST", f"/api/robots/{requests.HONEST}/stop"))
-
-    async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(quietly(drive))
-        if stops:
-            tasks.create_task(quietly(stop))
+    await quietly(drive)
 
 
 async def rest(stage: Stage, action: Action) -> None:

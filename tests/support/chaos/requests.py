@@ -221,9 +221,9 @@ def draw_http(dice: random.Random) -> bytes:
     """Right, wrong, cut or strange."""
     path = dice.choice(PATHS)
     method = dice.choice(("GET", "GET", "GET", "POST", "PUT", "DELETE", "OPTIONS", "HEAD", "BREW", "get"))
-    if HONEST in path and path.endswith("/stop") and dice.random() < 0.9:
+    if HONEST in path and path.endswith("/stop"):
         method = "GET"  # everybody may stop a robot, but one that stands all the time shows nothing
-    if path == "/api/stop" and method == "POST" and dice.random() < 0.8:
+    if path == "/api/stop" and method == "POST":
         method = "GET"
     body = dice.choice((b"", b"{}", b'{"linear": 0.1, "angular": -0.75}', b"[" * 5000, b"\xff" * 20, b"x" * 200_000))
     header = dice.choice((

@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import dataclasses
+import json
+import shutil
 import signal
 import tempfile
 import time
@@ -14,22 +16,25 @@ from typing import Any
 from tests.support.chaos.children import Daemon, Talker, daemon, talker
 from tests.support.chaos.daemon_record import MIB, DaemonRecord
 from tests.support.chaos.drive_record import DriveRecord, percentile
+from tests.support.chaos.keeper import DaemonKeeper
 from tests.support.chaos.limits import Limits
 from tests.support.chaos.noise import Noise
 from tests.support.chaos.plan import PHASE_STEPS
 from tests.support.chaos.violation import Violation
-from tests.support.chaos.watch import Watch
+from tests.support.chaos.watch import REQUEST_TIMEOUT_S, Watch
+from tests.support.core_part import part_of_a_core
 
 BASELINE_COMMANDS = 80  # with nobody else there: what the harness itself measures
 STEP_MARGIN_S = 30.0  # after which the generator itself hangs
 CALLS_BEFORE_END_S = 2.0
-SETTLE_S = 4.0
+SETTLE_S = 12.0  # as long as Zenoh keeps a stranger that does not finish its handshake
 DEATH_S = 2.0
 POLL_S = 0.1
 JUDGE_S = 1.0
 LAST_WORD_S = 0.4  # in which a zero reaches the robot, whoever sends it for a daemon that has died
 DRIVE_BEFORE_END_S = 0.7
 SERVED_S = 20.0
+HANDSHAKE_S = 5.0
 CALL_IS_ANSWERED = "a device that calls is answered"
 
 
@@ -45,6 +50,13 @@ class Wanted:
     first_step: int = 0
     keeps_going: bool = False
     has_udp: bool = True
+    quota: float | None = None  # of a core, for the daemon and its guardian
+    log: Path | None = None  # where the daemon's log is kept
+
+    @property
+    def patience(self) -> float:
+        """How much longer everything may last."""
+        return 1.0 if self.quota is None else max(1.0, 1 / self.quota)
 
     def command(self) -> str:
         """What repeats it."""
@@ -53,6 +65,7 @@ class Wanted:
         words += [f"--first-step {self.first_step}"] if self.first_step else []
         words += [f"--steps {self.steps}"] if self.steps is not None else []
         words += ["--keep-going"] if self.keeps_going else []
+        words += [] if self.quota is None else [f"--quota {self.quota:g}"]
         words += [] if self.has_udp else ["--no-udp"]
         for each in dataclasses.fields(Limits):
             if (value := getattr(self.limits, each.name)) != each.default:
@@ -77,10 +90,13 @@ class Conductor:
     def __init__(self, wanted: Wanted, running: Daemon, honest: Talker, player: Talker, log: Callable[[str], None]):
         self.outcome = Outcome(wanted)
         self._wanted, self._daemon, self._honest, self._player, self._log = wanted, running, honest, player, log
-        noise = Noise(stretch_most=wanted.limits.stretch_most)
-        self._drive, self._record = DriveRecord(wanted.limits, noise), DaemonRecord(wanted.limits, noise)
+        noise = Noise(stretch_most=wanted.limits.stretch_most * wanted.patience)
+        # With a part of a core, a daemon that is late refuses commands that may be old: the robot stands meanwhile.
+        limits = dataclasses.replace(wanted.limits, p99_s=wanted.limits.p99_s * wanted.patience)
+        self._drive, self._record = DriveRecord(limits, noise), DaemonRecord(limits, noise)
         self._noise = noise
-        self._watch = Watch(running.child.pid, running.log, running.api, self._record)
+        self._watch = Watch(running, self._record, patience_s=REQUEST_TIMEOUT_S * wanted.patience)
+        self._keeper = DaemonKeeper(running, noise, self._drive, wanted.limits, self._note)
         self._under_way: dict[int, str] = {}
         self._recent: list[tuple[int, str]] = []  # what began in this phase
         self._began: list[str] = []  # in this step
@@ -101,6 +117,7 @@ class Conductor:
                 tasks.create_task(self._watch.poll_health()),
                 tasks.create_task(self._read_honest()),
                 tasks.create_task(self._read_player()),
+                tasks.create_task(self._keeper.run()),
             ]
             try:
                 await self._play()
@@ -116,6 +133,7 @@ class Conductor:
         while not self._is_over(number, time.monotonic() - began_s):
             await self._play_step(number)
             number += 1
+        await self._keeper.finish()
         if self._goes_on():
             await self._end()
         else:
@@ -144,8 +162,11 @@ class Conductor:
         return is_enough or not self._goes_on()
 
     def _goes_on(self) -> bool:
-        is_alive = self._daemon.child.returncode is None and not self._watch.is_deadly
+        is_alive = not self._has_died() and not self._watch.is_deadly
         return is_alive and (self._wanted.keeps_going or not self.outcome.violations)
+
+    def _has_died(self) -> bool:
+        return self._daemon.child.returncode is not None and not self._daemon.is_away
 
     async def _play_step(self, number: int) -> None:
         self._step = number
@@ -170,7 +191,7 @@ class Conductor:
         found = self._drive.check(now_s) if self._drive_is_due(now_s) else []
         found += self._record.check() + self._overdue_calls(now_s)
         status = self._daemon.child.returncode
-        if status is not None and not self._is_ending:
+        if self._has_died() and not self._is_ending:
             self._is_ending = True  # it is logged once
             self._watch.scan(now_s)
             dead = Violation("the daemon lives", 0, 0, f"exit status {status}", at_s=now_s)
@@ -216,6 +237,12 @@ class Conductor:
                 kind = self._under_way.get(facts["action"], "")
                 self._began.append(f"{kind}: {facts['what']}")
                 self._recent.append((facts["action"], self._began[-1]))
+            elif "daemon" in facts:
+                if facts["daemon"] == "restart":
+                    self._calls.clear()  # over UDP no device hears that its daemon is another one
+                self._keeper.request(facts)
+            elif "broken" in facts:
+                self._note([Violation(facts["broken"], 0, 0, facts["detail"], at_s=time.monotonic())])
             elif "ended" in facts:
                 self._under_way.pop(facts["ended"], None)
                 self._drive.rival_ended(facts["ended"], facts["at_s"])
@@ -241,6 +268,7 @@ class Conductor:
         found = []
         for what, began_s in list(self._calls.items()):
             limit_s = self._wanted.limits.requested_s * self._noise.stretch(began_s, now_s)
+            limit_s += self._noise.paused_s(began_s, now_s)
             if now_s - began_s > limit_s:
                 del self._calls[what]
                 found.append(Violation(CALL_IS_ANSWERED, now_s - began_s, limit_s, what, at_s=began_s))
@@ -285,10 +313,11 @@ class Conductor:
         self._watch.stop_requests()
         self._daemon.child.send_signal(signal.SIGTERM)
         try:
-            async with asyncio.timeout(5 * limits.end_s):
+            async with asyncio.timeout(5 * limits.end_s * self._wanted.patience):
                 status = await self._daemon.child.wait()
         except TimeoutError:
-            self._note([Violation("SIGTERM ends the daemon, s", 5 * limits.end_s, limits.end_s, "it still runs")])
+            most_s = 5 * limits.end_s * self._wanted.patience
+            self._note([Violation("SIGTERM ends the daemon, s", most_s, limits.end_s, "it still runs")])
             return
         lasted_s = time.monotonic() - began_s
         self.outcome.figures["end_s"] = lasted_s
@@ -327,6 +356,8 @@ class Conductor:
             "median_step_p99_s": percentile(self._p99s_s, 0.5) if self._p99s_s else 0.0,
             "ends": len(zeros_s),
             "longest_zero_s": max(zeros_s, default=0.0),
+            "oldest_velocity_s": self._drive.oldest_s,
+            **self._keeper.counts,
             "longest_lag_s": self._noise.lag_s(0.0, time.monotonic()),
             "daemon_waited_s": self._noise.waited_s(0.0, time.monotonic()),
             "most_memory_mib": self._record.most_memory_bytes / MIB,
@@ -346,16 +377,25 @@ async def _wait(event: asyncio.Event, seconds: float) -> bool:
 
 async def run(wanted: Wanted, log: Callable[[str], None]) -> Outcome:
     """Play it on a daemon of its own; nothing of it is left afterwards."""
-    with tempfile.TemporaryDirectory(prefix="chaos") as folder:
-        async with daemon(Path(folder), has_udp=wanted.has_udp) as running:
+    with tempfile.TemporaryDirectory(prefix="chaos") as folder, contextlib.ExitStack() as stack:
+        part = None if wanted.quota is None else stack.enter_context(part_of_a_core(wanted.quota))
+        async with daemon(Path(folder), has_udp=wanted.has_udp, part=part) as running:
             ports = [str(running.tcp[1]), str(running.api[1]), str(running.udp[1] if running.udp else 0)]
+            stage = {
+                "tcp": running.tcp,
+                "api": running.api,
+                "fleet": running.fleet,
+                "wrong_certificate": [str(path) for path in running.wrong_certificate],
+            } | ({"udp": running.udp} if running.udp else {})
             async with (
-                talker("honest", str(wanted.seed), *ports) as honest,
-                talker("player", str(wanted.seed), *ports, *wanted.kinds) as player,
+                talker("honest", str(wanted.seed), *ports, str(HANDSHAKE_S * wanted.patience)) as honest,
+                talker("player", str(wanted.seed), json.dumps(stage), *wanted.kinds) as player,
             ):
                 outcome = await Conductor(wanted, running, honest, player, log).run()
             if outcome.violations:
                 outcome.log_tail = _tail(running.log)
+            if wanted.log is not None:
+                shutil.copy(running.log, wanted.log)
     return outcome
 
 

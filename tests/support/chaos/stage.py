@@ -11,8 +11,15 @@ from tests.support.chaos.connection import Connection, DatagramConnection, Room,
 from tests.support.chaos.names import VERIFIED_ADDRESSES, hostile_address
 from tests.support.chaos.requests import draw_handshake
 
-DEVICE, SOCKET, IDLE, STUCK = "device", "socket", "idle", "stuck"
-ROOM = {DEVICE: 150, SOCKET: 60, IDLE: 1300, STUCK: 4}  # the daemon has 256 connections of devices, 1024 descriptors
+DEVICE, SOCKET, IDLE, STUCK, UPLOAD, TLS = "device", "socket", "idle", "stuck", "upload", "tls"
+ROOM = {
+    DEVICE: 150,
+    SOCKET: 60,
+    IDLE: 1300,
+    STUCK: 4,
+    UPLOAD: 100,
+    TLS: 32,
+}  # the daemon has 256 connections of devices, 1024 descriptors
 UDP_SHARE = 0.3  # of the devices, where the daemon receives datagrams
 REQUEST_TIMEOUT_S = 0.7
 HANDSHAKE_WAIT_S = 2.0
@@ -28,6 +35,8 @@ class Stage:
     api: tuple[str, int]
     report: Report
     udp: tuple[str, int] | None = None
+    fleet: tuple[str, int] | None = None
+    wrong_certificate: tuple[str, str] = ("", "")  # and its key: of another authority than the fleet's
     room: Room = field(default_factory=lambda: Room(**ROOM))
 
     @contextlib.asynccontextmanager

@@ -7,6 +7,7 @@ import os
 import time
 from pathlib import Path
 
+from tests.support.chaos.children import Daemon
 from tests.support.chaos.connection import Connection
 from tests.support.chaos.daemon_record import MIB, DaemonRecord, Health, Sample
 from tests.support.chaos.names import WATCH_ADDRESS
@@ -24,10 +25,16 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 class Watch:
     """Samples until it is cancelled, or the process has ended."""
 
-    def __init__(self, pid: int, log: Path, api: tuple[str, int], record: DaemonRecord) -> None:
-        self._process, self._log, self._api, self._record = Path(f"/proc/{pid}"), log, api, record
+    def __init__(self, daemon: Daemon, record: DaemonRecord, *, patience_s: float = REQUEST_TIMEOUT_S) -> None:
+        self._daemon, self._log, self._record, self._patience_s = daemon, daemon.log, record, patience_s
         self._scanned = 0
+        self._pid, self._turn, self._turns_before = 0, (0.0, 0.0), (0.0, 0.0)  # of all processes before this one
         self.is_deadly = self._is_ending = False
+
+    @property
+    def _process(self) -> Path:
+        """Of the daemon that runs now."""
+        return Path(f"/proc/{self._daemon.child.pid}")
 
     def stop_requests(self) -> None:
         """The daemon is ending: it may answer no more."""
@@ -37,7 +44,8 @@ class Watch:
         """Every SAMPLE_S."""
         while True:
             with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-                self.sample()
+                if not self._daemon.is_away:
+                    self.sample()
             await asyncio.sleep(SAMPLE_S)
 
     def sample(self) -> None:
@@ -68,8 +76,11 @@ class Watch:
         while True:
             requested_s = time.monotonic()
             status, _ = await self.get("/healthz")
-            if self._is_ending or not (self._process / "fd").exists():
+            if self._is_ending:
                 return
+            if self._daemon.is_away or not (self._process / "fd").exists():
+                await asyncio.sleep(REQUEST_INTERVAL_S)
+                continue
             self._record.add_health(Health(requested_s, time.monotonic() - requested_s, status))
             status, body = await self.get("/api/robots")
             if status == 200:
@@ -81,8 +92,8 @@ class Watch:
         """(status, body) over a connection of its own; status 0: no answer."""
         answer = b""
         with contextlib.suppress(OSError, TimeoutError):
-            async with asyncio.timeout(REQUEST_TIMEOUT_S):
-                connection = await Connection.dial(self._api, WATCH_ADDRESS, "watch")
+            async with asyncio.timeout(self._patience_s):
+                connection = await Connection.dial(self._daemon.api, WATCH_ADDRESS, "watch")
                 try:
                     await connection.send(http("GET", path, headers=CLOSE))
                     while data := await connection.receive():
@@ -94,12 +105,18 @@ class Watch:
         return (int(words[1]) if len(words) > 1 and words[1].isdigit() else 0), body
 
     def _scheduled(self) -> tuple[float, float]:
-        """Seconds that its main thread ran, and waited for a core; zeros where the system does not count."""
+        """Seconds that its main thread ran, and waited for a core, in all its lives; zeros where nobody counts."""
+        pid = self._daemon.child.pid
         try:
-            ran_ns, waited_ns, _ = (self._process / "schedstat").read_text().split()
+            ran_ns, waited_ns, _ = Path(f"/proc/{pid}/schedstat").read_text().split()
         except FileNotFoundError:
             return 0.0, 0.0
-        return int(ran_ns) / 1e9, int(waited_ns) / 1e9
+        if pid != self._pid:
+            (ran_s, waited_s), (more_ran_s, more_waited_s) = self._turns_before, self._turn
+            self._pid, self._turns_before = pid, (ran_s + more_ran_s, waited_s + more_waited_s)
+        self._turn = int(ran_ns) / 1e9, int(waited_ns) / 1e9
+        stopped_s = 0.0 if self._daemon.part is None else self._daemon.part.stopped_s
+        return self._turns_before[0] + self._turn[0], self._turns_before[1] + self._turn[1] + stopped_s
 
     def _most_descriptors(self) -> int:
         for line in (self._process / "limits").read_text().splitlines():

@@ -52,6 +52,7 @@ class FakeMaster:
     registered: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))  # kind: name: address
     publishers: dict[str, list[str]] = field(default_factory=dict)  # others', by topic
     services: dict[str, str] = field(default_factory=dict)  # others', by name: rosrpc://
+    parameters: dict[str, Any] = field(default_factory=dict)
     node_uri: str | None = None  # of the daemon, as the master has it
     other_uri: str | None = None  # of another node that has this one's name
     garbled: bytes | None = None  # instead of every answer
@@ -71,6 +72,9 @@ class FakeMaster:
             own = [[[name, [arguments[0]]] for name in self.registered[kind]] for kind in ("Publisher", "Subscriber")]
             services = [[name, [arguments[0]]] for name in self.registered["Service"]]
             return 1, "", [*own, services + [[name, ["/other"]] for name in self.services]]
+        if method == "getParam":
+            name = arguments[1]
+            return (1, "", self.parameters[name]) if name in self.parameters else (-1, "not set", 0)
         if method == "lookupService":
             found = self.services.get(arguments[1])
             return (1, "", found) if found else (-1, "no provider", "")

@@ -3,18 +3,23 @@
 import asyncio
 import contextlib
 import os
+import re
 import signal
+import socket
+import struct
 from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from hostlink.protocol.frame import Id
-from tests.support.fake_device import robot_topics, topic
+from hostlink.protocol.frame import Id, encode
+from tests.support.fake_device import CATALOG, FakeDevice, pose, repeating, robot_topics, topic
 from tests.support.fork_server import start
-from tests.support.process import HOSTLINK, Process, free_port, started
-from tests.support.ros1.debian import Graph, graph, living_device
+from tests.support.process import HOSTLINK, Process, free_port, run, started
+from tests.support.ros1.debian import PYTHON, Graph, call, graph, living_device
+from tests.support.ros1.fake import connection
 from tests.support.waiting import expect
 
 CHATTER = [*robot_topics(), topic(Id.PUBLISHER, 126, "chatter", "std_msgs/String")]
@@ -69,6 +74,89 @@ async def test_a_line_of_a_launch_file(ros: Graph) -> None:
             assert "/lab/base" in await ros.lines("rosnode", "list")
 
 
+RELATIVE = [
+    topic(Id.PUBLISHER, 125, "odometry", "geometry_msgs/Pose2D"),
+    topic(Id.SUBSCRIBER, 100, "velocity_commands", "geometry_msgs/Twist"),
+    topic(Id.SUBSCRIBER, 102, "~text", "std_msgs/String"),
+]
+OWN = ("robot/odom", "robot/cmd_vel", "robot/cmd_vel_stamped")  # hostlink's, of a robot without a name
+
+
+async def nodes_of(ros: Graph) -> list[dict[str, set[str]]]:
+    """Who publishes each topic, subscribes to it, and provides each service."""
+    _, _, state = await call(ros.url, "getSystemState", "/test")
+    return [{name: set(nodes) for name, nodes in part} for part in state]
+
+
+async def parameter(device: FakeDevice, name: str) -> bytes:
+    await device.send(encode(Id.PARAMETER, struct.pack("<I", len(name)) + name.encode()))
+    return await device.frame(Id.PARAMETER)
+
+
+async def test_two_nodes_in_two_namespaces_share_nothing_but_global_topics(ros: Graph) -> None:
+    """The same firmware twice: two robots of one name."""
+    spaces = ("r1", "r2")
+    async with contextlib.AsyncExitStack() as stack:
+        devices: list[FakeDevice] = []
+        for number, space in enumerate(spaces):
+            await ros.lines("rosparam", "set", f"/{space}/serial_node/kp", str(number + 5))
+            port = free_port()
+            words = (f"__ns:=/{space}",) if number else ()
+            environment = {} if number else {"ROS_NAMESPACE": f"/{space}"}
+            await stack.enter_async_context(ros1(ros, "--tcp", str(port), *words, **environment))
+            await expect(lambda port=port: is_listening(port), timeout_s=20)
+            devices.append(await stack.enter_async_context(living_device(("127.0.0.1", port), RELATIVE)))
+        readers = [
+            await stack.enter_async_context(ros.node("listen", f"/{space}/robot/odom", "nav_msgs/Odometry"))
+            for space in spaces
+        ]
+        for number, device in enumerate(devices):
+            await stack.enter_async_context(repeating(device, pose(number + 1.0)))
+        for number, (space, reader) in enumerate(zip(spaces, readers, strict=True)):
+            message = await reader.read("message")
+            assert message["by"] == f"/{space}/serial_node"
+            assert message["fields"]["pose"]["pose"]["position"]["x"] == number + 1.0
+        await topics(ros, "/r2/robot/odom")
+        published, subscribed, services = await nodes_of(ros)
+        both = {f"/{space}/serial_node" for space in spaces}
+        for space in spaces:
+            node = {f"/{space}/serial_node"}
+            assert published[f"/{space}/odometry"] == published[f"/{space}/robot/odom"] == node
+            for name in ("velocity_commands", "robot/cmd_vel", "robot/cmd_vel_stamped", "serial_node/text"):
+                assert subscribed[f"/{space}/{name}"] == node
+            assert services[f"/{space}/robot/lock"] == services[f"/{space}/robot/unlock"] == node
+        for name in ("/tf", "/diagnostics", "/rosout"):
+            assert both <= published[name]
+        assert not {f"/{name}" for name in OWN} & {*published, *subscribed}
+        assert not {"/robot/lock", "/robot/unlock"} & services.keys()
+        # A velocity and a lock are for one of them.
+        await stack.enter_async_context(ros.node("drive", "/r2/robot/cmd_vel", "0.2", "20"))
+        await devices[1].velocity_of((0.2, 0.0))
+        assert "success: True" in await ros.lines("rosservice", "call", "/r1/robot/lock")
+        assert [(await parameter(device, "~kp"))[4] for device in devices] == [5, 6]
+        for space in spaces:
+            assert {f"hostlink/{space}: daemon", f"hostlink/{space}: robot link"} <= await status_names(ros, space)
+
+
+async def status_names(ros: Graph, space: str) -> set[str]:
+    """Of one message of a node's /diagnostics; Debian has its type for rospy in no package that is needed otherwise."""
+    uri = await ros.slave_uri(f"/{space}/serial_node")
+    _, _, (_, host, port) = await call(uri, "requestTopic", "/test", "/diagnostics", [["TCPROS"]])
+    type_ = CATALOG.message("diagnostic_msgs/DiagnosticArray")
+    assert type_ is not None
+    fields = {"callerid": "/test", "topic": "/diagnostics", "type": type_.name, "md5sum": type_.md5}
+    async with connection((host, port), **fields) as peer:
+        await peer.read_header()
+        status: Any = type_.decode(await peer.read())["status"]
+        return {each["name"] for each in status}
+
+
+def is_listening(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
+        return True
+    return False
+
+
 LAUNCH = """<launch>
   <group ns="lab">
     <node pkg="hostlink" type="serial_node.py" name="base" output="screen" args="--api 127.0.0.1:0">
@@ -104,6 +192,32 @@ async def test_roslaunch_starts_the_package_that_the_command_writes(ros: Graph, 
         async with asyncio.timeout(20):
             await launch.wait()
     assert b"daemon.stopped" in log.read_bytes()
+
+
+CHECK_PACKAGE = """
+import sys, catkin_pkg.packages, catkin_pkg.topological_order
+found = catkin_pkg.packages.find_packages(sys.argv[1])  # as catkin_make begins; it raises what is wrong
+for path, package in found.items():
+    package.validate(warnings=(warnings := []))
+    print(path, package.name, package.version, package.get_build_type(), warnings)
+assert [each.name for _, each in catkin_pkg.topological_order.topological_order(sys.argv[1])] == ["hostlink"]
+"""
+
+
+async def test_package_that_the_command_writes_is_one_that_catkin_builds(tmp_path: Path) -> None:
+    status, out, err = await run("ros1", "--write-package", str(tmp_path))
+    assert status == 0, err
+    checked = await asyncio.create_subprocess_exec(
+        PYTHON, "-c", CHECK_PACKAGE, str(tmp_path), stdout=PIPE, stderr=asyncio.subprocess.STDOUT
+    )
+    found, _ = await checked.communicate()
+    assert checked.returncode == 0, found.decode()
+    assert re.fullmatch(r"hostlink hostlink \d+\.\d+\.\d+ catkin \[\]\n", found.decode()), found.decode()
+    package = tmp_path / "hostlink"
+    written = sorted(str(each.relative_to(package)) for each in package.rglob("*") if each.is_file())
+    assert written == ["CMakeLists.txt", "package.xml", "scripts/serial_node.py"]
+    assert "install(PROGRAMS scripts/serial_node.py" in (package / "CMakeLists.txt").read_text()
+    assert f"wrote {package}" in out
 
 
 async def test_the_arguments_of_serial_node(ros: Graph) -> None:

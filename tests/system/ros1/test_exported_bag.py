@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import EVENTS, ros_channel
+from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from tests.support.process import run
 from tests.support.ros1.debian import PYTHON
@@ -41,7 +41,7 @@ def recording(path: Path) -> Path:
     header = {"seq": 7, "stamp": {"secs": 10, "nsecs": 5}, "frame_id": "odom"}
     odometry = {"header": header, "pose": {"pose": {"position": {"x": 1.5}}}}
     write("/robot_0/odom", "nav_msgs/Odometry", odometry, BEGIN_NS)
-    writer.write(EVENTS, BEGIN_NS, b'{"kind": "locked"}')
+    writer.write(EVENTS, BEGIN_NS, as_text(b'{"kind": "locked"}'))
     writer.close()
     return path
 

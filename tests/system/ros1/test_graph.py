@@ -54,7 +54,7 @@ async def test_a_subscriber_receives_what_a_device_publishes_and_its_type_is_rig
         await received(listener, x=1.5, y=2.5, theta=0.5)
         assert (await listener.read("message"))["by"] == "/hostlink"
         assert (await odom.read("message"))["fields"]["pose"]["pose"]["position"]["x"] == 1.5
-        assert (await frames.read("message"))["fields"]["transforms"][0]["header"]["frame_id"] == "odom"
+        assert (await frames.read("message"))["fields"]["transforms"][0]["header"]["frame_id"] == "robot_0/odom"
 
 
 async def test_a_device_receives_what_a_program_publishes(ros: Graph) -> None:
@@ -68,6 +68,20 @@ async def test_a_device_receives_what_a_program_publishes(ros: Graph) -> None:
         assert await robot.frame(102) == encoded(STRING, data="before")  # what was latched, as ROS has it
         while await robot.frame(102) != encoded(STRING, data="häßlich"):
             pass
+
+
+async def test_latched_topic_of_rospy_second_and_rebooted_device_receive_last_message(ros: Graph) -> None:
+    text = [topic(Id.SUBSCRIBER, 102, "/text", STRING)]
+    async with (
+        ros.daemon() as daemon,
+        living_device(daemon.tcp, text) as first,
+        ros.node("talk", "/text", STRING, "{data: kept}", "0"),
+    ):
+        async with asyncio.timeout(10):
+            assert await first.frame(102) == encoded(STRING, data="kept")
+        for _ in range(2):  # the second is the first again, after a reboot
+            async with living_device(daemon.tcp, text, local_host="127.0.0.3") as second, asyncio.timeout(10):
+                assert await second.frame(102) == encoded(STRING, data="kept")
 
 
 async def test_what_is_latched_here_reaches_those_that_come_later(ros: Graph) -> None:

@@ -4,11 +4,12 @@ import asyncio
 import math
 import struct
 from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
 
 import pytest
 
 from hostlink.client import Host, HostlinkError, connect
-from hostlink.config import Config
+from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.protocol.frame import Id, encode
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
@@ -83,8 +84,8 @@ async def test_the_topics_of_a_robot_are_read_by_rclpy_and_come_and_go_with_it(e
             )
             assert other.messages("/robot_0/odometry")[-1] == {"x": 1.5, "y": -2.0, "theta": 0.25}
             odom = other.messages("/robot_0/odom")[-1]
-            assert odom["header"]["frame_id"] == "odom"
-            assert odom["child_frame_id"] == "base_link"
+            assert odom["header"]["frame_id"] == "robot_0/odom"
+            assert odom["child_frame_id"] == "robot_0/base_link"
             assert odom["header"]["stamp"]["sec"] > 1_600_000_000
             assert len(odom["pose"]["covariance"]) == 36
             read = other.messages("/robot_0/scan")[-1]
@@ -263,6 +264,62 @@ async def test_parameters_are_the_node_s_and_setting_one_there_sets_it_here(envi
         await expect(lambda: server.hub.parameters["/robot_0/gain"] == 2.5)
         await me.call("/rosapi/set_param", {"name": "/robot_0/gain", "value": "3.5"})
         await until_read(3.5)
+
+
+async def test_a_parameter_is_set_listed_described_and_deleted_as_ros2_param_does(environment: dict[str, str]) -> None:
+    config = Config(parameters={"/robot_0/gain": 1.5})
+    async with daemon(config) as server, bridge(environment, server.url), peer(environment) as other:
+
+        async def param(verb: str, *names: str, **fields: Any) -> list[Any]:
+            answer = await other.answer("param", "param", verb=verb, node="/hostlink", names=list(names), **fields)
+            return list(answer["lines"])
+
+        listed: list[Any] = []
+
+        async def list_all() -> None:
+            listed[:] = await param("list")
+
+        await repeat_until(lambda: "robot_0.gain" in listed, list_all)
+        assert await param("set", "rover.kp", values=["0.5"]) == [True]
+        assert server.hub.parameters == {"/robot_0/gain": 1.5, "/rover/kp": 0.5}
+        assert await param("set", "rover.kp", values=["[1, 2]"]) == [True]  # another type
+        assert await param("set", "rover.name", "robot_0.gain", values=["anna", "2"]) == [True, True]
+        assert server.hub.parameters == {"/robot_0/gain": 2, "/rover/kp": [1, 2], "/rover/name": "anna"}
+        assert await param("get", "rover.kp", "rover.name", "robot_0.gain") == [[1, 2], "anna", 2]
+        await list_all()
+        assert {"robot_0.gain", "rover.kp", "rover.name", "use_sim_time"} <= set(listed)
+        assert await param("describe", "rover.kp", "rover.name") == ["rover.kp: 7", "rover.name: 4"]
+
+        # what the daemon refuses fails here, with its reason, and changes nothing
+        (reason,) = await param("set", "rover.far", values=["1099511627776"])
+        assert "int32" in str(reason)
+        (reason,) = await param("set", "/rover/kp", values=["1"])
+        assert "as robot_0.gain" in str(reason)
+        (reason,) = await param("set", "rover.kp", "rover.far", values=["3", "1099511627776"], atomic=True)
+        assert "int32" in str(reason)
+        assert server.hub.parameters == {"/robot_0/gain": 2, "/rover/kp": [1, 2], "/rover/name": "anna"}
+        assert await param("list") == listed
+        assert await param("get", "rover.kp") == [[1, 2]]
+
+        assert await param("set", "use_sim_time", values=["false"]) == [True]  # the node's own
+        assert await param("delete", "rover.name") == [True]
+        assert server.hub.parameters == {"/robot_0/gain": 2, "/rover/kp": [1, 2]}
+        assert "rover.name" not in await param("list")
+
+
+async def test_a_parameter_that_the_token_may_not_set_is_refused_in_ros_2_too(environment: dict[str, str]) -> None:
+    tokens = (TokenConfig(name="reader", role="read", token="a-token-of-a-reader"),)
+    config = Config(parameters={"/robot_0/gain": 1.5}, api=ApiConfig(tokens=tokens))
+    async with (
+        daemon(config) as server,
+        bridge(environment, server.url, "--token", "a-token-of-a-reader"),
+        peer(environment) as other,
+    ):
+        answer = await other.answer(
+            "param", "param", verb="set", node="/hostlink", names=["robot_0.gain"], values=["2.5"]
+        )
+        assert "may only read" in str(answer["lines"][0])
+        assert server.hub.parameters == {"/robot_0/gain": 1.5}
 
 
 async def test_two_domains_know_nothing_of_each_other(environment: dict[str, str]) -> None:

@@ -142,7 +142,7 @@ async def test_a_stream_drives_on_after_a_zero_when_the_bridge_stood_still(envir
         await world.until_stopped()
         await asyncio.sleep(0.5)
         world.bridge.child.send_signal(signal.SIGCONT)
-        await expect(lambda: world.bridge.has_reported("was interrupted"))
+        await expect(lambda: world.bridge.has_reported("velocity refused: disarmed"))
         await world.drives_after_a_zero_and_not_for(0.5)
 
 
@@ -158,7 +158,7 @@ async def test_a_device_that_connects_again_is_not_driven_by_the_stream_of_befor
             await expect(lambda: server.hub.robots.find("robot_0").gate.owner is not None, timeout_s=DISCOVERY_S)
         async with simulated_robot(server.tcp) as body:
             await expect(lambda: server.hub.robots.find("robot_0").link is not None)
-            await expect(lambda: process.has_reported("robot_0 was interrupted"), timeout_s=DISCOVERY_S)
+            await expect(lambda: process.has_reported("velocity refused: disarmed"), timeout_s=DISCOVERY_S)
             await expect_never(lambda: abs(body.speed_m_s) > 0.005, for_s=1.0)
             await driver.do("silence", topic=CMD_VEL)
             await asyncio.sleep(LEASE_S + 0.2)
@@ -265,5 +265,5 @@ async def test_a_stream_that_went_on_through_a_lock_drives_after_a_zero_and_not_
         world.server.hub.emergency_stop.stop(robot, "a person is near")
         await expect(lambda: world.bridge.has_reported("a person is near"))
         world.server.hub.emergency_stop.release(robot)
-        await expect(lambda: world.bridge.has_reported("drives again after a zero"))
+        await expect(lambda: world.bridge.has_reported("velocity refused: disarmed"))
         await world.drives_after_a_zero_and_not_for(1.0)

@@ -135,11 +135,11 @@ async def _imports(folder: Path, ports: list[int]) -> AsyncIterator[Path]:
 async def test_wrong_settings_are_one_line(tmp_path: Path) -> None:
     file = tmp_path / "hostlink.toml"
     for text, reason in (
-        ('[zenoh]\nlisten = ["nonsense"]\n', "zenoh: the session cannot be opened"),
+        ('[zenoh]\nlisten = ["nonsense"]\n', "zenoh: Zenoh refuses the settings: Endpoints must be"),
         ('[zenoh]\nname = "a/b"\n', "zenoh.name 'a/b' must be made of letters"),
         ("[zenoh]\nconect = []\n", "did you mean connect?"),
         ('[zenoh]\ncertificate = "a.pem"\n', "zenoh.certificate and zenoh.key belong together"),
-        ('[zenoh]\nfile = "gone.json5"\n', "zenoh: the session cannot be opened"),
+        ('[zenoh]\nfile = "gone.json5"\n', "zenoh: Zenoh refuses the settings: "),
     ):
         file.write_text(text)
         status, _, error = await run("serve", "--listen", "127.0.0.1:0", "--api", "127.0.0.1:0", "--config", str(file))

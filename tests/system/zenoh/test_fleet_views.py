@@ -9,7 +9,7 @@ from playwright.async_api import Browser
 
 from hostlink.client import connect
 from hostlink.config import Config, LinkConfig
-from hostlink.errors import HostlinkError
+from hostlink.errors import CommandRefused, RefusalKind
 from tests.support.browser import visit
 from tests.support.fake_device import fake_device, pose, repeating, robot_topics
 from tests.support.process import HOSTLINK, run
@@ -71,9 +71,11 @@ async def test_a_script_drives_and_reads_a_robot_of_another_daemon() -> None:
             await robot.stop()
             assert await device.velocity_other_than((0.2, 0.0)) == STILL
             await robot.lock("a test")
-            with pytest.raises(HostlinkError, match="locked"):
+            with pytest.raises(CommandRefused, match="locked") as refused:
                 await robot.drive(0.2, 0.0)
+            assert refused.value.kind is RefusalKind.LOCKED
             await robot.unlock()
+            await robot.drive(0.0, 0.0)  # it lets go
             await robot.drive(0.1, 0.0)
             device.hang_up()
             await expect(lambda: not robot.is_driven)

@@ -2,16 +2,20 @@
 
 import asyncio
 import struct
+import time
 from typing import Any
 
 import pytest
 
-from hostlink.api.foxglove import BATCH
+from hostlink.api.foxglove import BATCH, CHANGES_INTERVAL_S
 from hostlink.api.foxglove_directory import ConnectionGraph
 from hostlink.api.foxglove_frames import ServiceCall, decode_frame, encode_message, encode_response
 from hostlink.api.foxglove_graph import NO_GRAPH, graph_update
+from hostlink.api.foxglove_parameters import CHECK_INTERVAL_S
+from hostlink.api.foxglove_time import INTERVAL_S, STEP_S
 from hostlink.errors import BadRequest
 from hostlink.hub.node import Role
+from hostlink.hub.participant import MAX_SUBSCRIPTIONS
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from tests.support.foxglove_memory import Peer, World, world
 from tests.support.virtual_loop import run_virtual
@@ -157,10 +161,133 @@ def test_changes_of_the_graph_wait_for_a_client_that_does_not_read_and_never_clo
             peer.client.flush(asyncio.get_running_loop().time())
         assert not peer.queue.is_too_slow
         peer.received()
-        due_s = peer.client.flush(asyncio.get_running_loop().time())
-        assert due_s is None
+        now_s = asyncio.get_running_loop().time()
+        due_s = peer.client.flush(now_s)
+        assert due_s is not None
+        assert due_s > now_s + CHANGES_INTERVAL_S  # of the clock alone
         robot.advertise("/flaps", "std_msgs/String")
         await number_of(peer, "/flaps")
+
+    play(test)
+
+
+# -- time -------------------------------------------------------------------------------------------------------------
+
+
+async def subscribed(here: World, peer: Peer, topic: str = "/chat") -> Any:
+    """Who publishes a topic to which the peer has subscribed."""
+    robot = here.hub.join("robot")
+    robot.advertise(topic, "std_msgs/String")
+    peer.send(op="subscribe", subscriptions=[{"id": 5, "channelId": await number_of(peer, topic)}])
+    peer.received()
+    return robot
+
+
+def clock(secs: int, nsecs: int = 0) -> bytes:
+    return struct.pack("<II", secs, nsecs)
+
+
+def test_the_time_of_the_host_is_offered_and_sent_without_any_message() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        began_ns = time.time_ns()
+        for number in range(10):
+            received = peer.received_with_times()
+            if number == 0:
+                assert "time" in received[0]["capabilities"]
+            await asyncio.sleep(INTERVAL_S + STEP_S)
+        assert len(peer.times) == 10
+        assert peer.times == sorted(set(peer.times))
+        assert began_ns <= peer.times[0] <= peer.times[-1] <= time.time_ns()
+
+    play(test)
+
+
+def test_a_time_before_a_message_is_its_time_and_comes_once_for_many() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        robot = await subscribed(here, peer)
+        await asyncio.sleep(2 * STEP_S)
+        for number in range(3):
+            robot.publish("/chat", text(str(number)))
+        at_ns, first, *others = peer.received_with_times()
+        assert struct.unpack_from("<BIQ", first) == (1, 5, at_ns)
+        assert [each[13:] for each in others] == [text("1"), text("2")]
+
+    play(test)
+
+
+def test_a_client_that_reads_nothing_loses_no_message_to_the_time() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        robot = await subscribed(here, peer)
+        for number in range(MAX_MESSAGES):
+            robot.publish("/chat", text(str(number)))
+            await asyncio.sleep(2 * STEP_S)
+            peer.client.flush(asyncio.get_running_loop().time())
+        assert peer.queue.dropped == 0
+        assert len(peer.messages()) == MAX_MESSAGES
+
+    play(test)
+
+
+def test_the_time_of_clock_holds_for_messages_and_alone_while_it_is_published() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        robot, simulator = await subscribed(here, peer), here.hub.join("simulator")
+        simulator.advertise("/clock", "rosgraph_msgs/Clock")
+        await asyncio.sleep(SETTLE_S)
+        peer.received()
+        simulator.publish("/clock", clock(77, 5))
+        assert peer.received_with_times() == [77_000_000_005]
+        robot.publish("/chat", text("simulated"))
+        ((_, _, stamp_ns, _),) = peer.messages()
+        assert stamp_ns == 77_000_000_005
+        await asyncio.sleep(5 * INTERVAL_S)
+        assert peer.received_with_times() == []  # it has stopped
+        simulator.publish("/clock", clock(3))  # it begins again
+        assert peer.received_with_times() == [3_000_000_000]
+        simulator.publish("/clock", b"no time")
+        simulator.leave()
+        await asyncio.sleep(SETTLE_S)
+        peer.received()
+        assert here.hub.topics.find_or_none("/clock") is None
+        await asyncio.sleep(INTERVAL_S)
+        robot.publish("/chat", text("real"))
+        ((_, _, stamp_ns, _),) = peer.messages()
+        assert abs(stamp_ns - time.time_ns()) < 60_000_000_000
+        assert peer.times[-1] == stamp_ns
+
+    play(test)
+
+
+def test_a_clock_of_another_type_is_no_time() -> None:
+    async def test(here: World) -> None:
+        peer = here.client()
+        robot, sketch = await subscribed(here, peer), here.hub.join("sketch")
+        sketch.advertise("/clock", "std_msgs/Time")
+        await asyncio.sleep(SETTLE_S)
+        peer.received()
+        sketch.publish("/clock", clock(77))
+        robot.publish("/chat", text("now"))
+        ((_, _, stamp_ns, _),) = peer.messages()
+        assert abs(stamp_ns - time.time_ns()) < 60_000_000_000
+
+    play(test)
+
+
+def test_a_client_with_all_subscriptions_that_it_may_have_keeps_the_time_of_the_host() -> None:
+    async def test(here: World) -> None:
+        peer, simulator = here.client(), here.hub.join("simulator")
+        for number in range(MAX_SUBSCRIPTIONS):
+            peer.client.participant.subscribe(f"/topic_{number}", lambda _: None)
+        simulator.advertise("/clock", "rosgraph_msgs/Clock")
+        await asyncio.sleep(SETTLE_S)
+        peer.received()
+        simulator.publish("/clock", clock(77))
+        await asyncio.sleep(INTERVAL_S)
+        peer.received()
+        assert peer.times[-1] > 1_600_000_000_000_000_000
 
     play(test)
 
@@ -347,22 +474,22 @@ def test_a_value_that_no_device_could_be_answered_with_is_refused(setting: dict[
 
 def test_watched_parameters_are_sent_when_anybody_changes_them() -> None:
     async def test(here: World) -> None:
-        peer, now_s = here.client(), asyncio.get_running_loop().time
+        peer = here.client()
         here.hub.parameters["/gain"] = 1
         peer.send(op="subscribeParameterUpdates", parameterNames=["/gain", "/later"])
         peer.received()
         here.hub.parameters.update({"gain": 5, "/later": True, "/other": 1})
         del here.hub.parameters["/gain"]
-        due_s = peer.client.flush(now_s())
-        assert due_s is not None
-        await asyncio.sleep(due_s - now_s())
+        await asyncio.sleep(CHECK_INTERVAL_S)
         (update,) = values(peer)
         assert update["parameters"] == [{"name": "/gain", "value": 5}, {"name": "/later", "value": True}]
         del here.hub.parameters["/later"]
         await asyncio.sleep(1.0)
         assert values(peer)[0]["parameters"] == [{"name": "/later"}]
         peer.send(op="unsubscribeParameterUpdates", parameterNames=[])
-        assert peer.client.flush(now_s()) is None
+        here.hub.parameters["/gain"] = 6
+        await asyncio.sleep(2 * CHECK_INTERVAL_S)
+        assert values(peer) == []
 
     play(test)
 

@@ -4,6 +4,7 @@ import pytest
 
 from hostlink.api.fragments import MAX_PENDING, MAX_PIECES, TIMEOUT_S, Fragments
 from hostlink.errors import BadRequest
+from hostlink.hub.byte_budget import Share
 
 
 @pytest.mark.parametrize(
@@ -18,7 +19,7 @@ from hostlink.errors import BadRequest
     ],
 )
 def test_a_piece_that_cannot_be_ends_its_message(number: int, total: int, data: str, reason: str) -> None:
-    fragments = Fragments(100)
+    fragments = Fragments(100, Share(100_000))
     fragments.add("m", number=0, total=3, data="x", now_s=0.0)
     with pytest.raises(BadRequest, match=reason):
         fragments.add("m", number=number, total=total, data=data, now_s=0.0)
@@ -26,7 +27,7 @@ def test_a_piece_that_cannot_be_ends_its_message(number: int, total: int, data: 
 
 
 def test_messages_in_pieces_are_few_and_forgotten_after_a_time() -> None:
-    fragments = Fragments(100)
+    fragments = Fragments(100, Share(100_000))
     for number in range(MAX_PENDING):
         fragments.add(number, number=0, total=2, data="x" * 20, now_s=0.0)
     with pytest.raises(BadRequest, match="more than 4 messages in pieces"):

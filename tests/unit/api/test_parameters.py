@@ -4,7 +4,7 @@ import pytest
 
 from hostlink.api.parameters import MAX_PARAMETERS, MAX_VALUE_CHARACTERS, Parameters
 from hostlink.config import ParameterValue
-from hostlink.errors import BadRequest, UnknownTopic
+from hostlink.errors import BadRequest, UnknownTopic, WrongType
 
 
 def test_names_are_full_and_any_spelling_is_understood() -> None:
@@ -42,6 +42,14 @@ def test_a_name_may_stand_for_a_tree() -> None:
 def test_what_no_device_can_be_answered_with_is_refused(text: str) -> None:
     with pytest.raises(BadRequest, match="set_param: value"):
         Parameters({}).put("/x", text)
+
+
+@pytest.mark.parametrize("text", ["4294967296", "[1, 2147483648]", '["a", 1]', '{"a": 1, "b": {"c": [true, "x"]}}'])
+def test_a_value_that_rosserial_cannot_carry_is_refused_and_changes_nothing(text: str) -> None:
+    settings: dict[str, ParameterValue] = {"/x": 1}
+    with pytest.raises(WrongType):
+        Parameters(settings).put("/x", text)
+    assert settings == {"/x": 1}
 
 
 def test_there_is_room_for_so_many_and_none_to_delete_is_an_error() -> None:

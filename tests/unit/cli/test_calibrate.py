@@ -101,6 +101,7 @@ def test_a_wrong_tape_measure_keeps_nothing(tmp_path: Path, mistake: str, text: 
         ("--nominal", "0.045"),
         ("--nominal", "0,0,0"),
         ("--nominal", "45,45,210"),
+        ("--nominal", "0.45,0.45,0.21"),
     ],
 )
 def test_an_argument_that_is_none_is_refused(tmp_path: Path, arguments: Sequence[str]) -> None:
@@ -192,7 +193,7 @@ class Answers(io.StringIO):
             case "x":
                 return f"{end.x_m} m\n"
             case "y":
-                return f"{end.y_m * 100}\n"
+                return f"{end.y_m * 100} cm\n"
         return word
 
 
@@ -204,6 +205,15 @@ def guided(folder: Path, drives: ExactDrives, *, is_quiet: bool = False) -> Guid
 
 
 DRIVE = ["start", "x", "y"]
+
+
+@pytest.mark.parametrize(("answer", "goes_on"), [("y\n", True), ("\n", False), ("no\n", False)])
+def test_a_doubted_number_is_asked_about(
+    answer: str, goes_on: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(answer))
+    assert AtTheTerminal(ExactDrives()).goes_on("0.45 m is 10 times the 0.045 m") is goes_on
+    assert "0.45 m is 10 times the 0.045 m" in capsys.readouterr().err
 
 
 def test_a_person_is_led_through_all_drives(
@@ -248,7 +258,7 @@ def test_what_cannot_be_is_asked_again_and_a_drive_that_was_broken_off_is_repeat
     drives = ExactDrives()
     drives.broken = 1
     first = ["start", "start", "long\n", "30.1 m\n", "0\n", "\n", "x", "y"]
-    slipped = ["start", "900\n", "0\n", "d\n", "start", "x", "y"]
+    slipped = ["start", "900 cm\n", "0\n", "d\n", "start", "x", "y"]
     monkeypatch.setattr("sys.stdin", Answers(drives, [*first, *slipped, *DRIVE * 4]))
     found, _ = guided(tmp_path, drives).run()
     assert found.geometry == pytest.approx(TRUE, rel=1e-3)
@@ -274,9 +284,11 @@ def test_numbers_that_contradict_each_other_are_entered_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     drives = ExactDrives()
-    exchanged = ["start", "-25\n", "-50\n"]
+    exchanged = ["start", "-25 cm\n", "-50\n", "cm\n"]
     again = ["2\n", *DRIVE, "3\n", *DRIVE]
-    monkeypatch.setattr("sys.stdin", Answers(drives, [*DRIVE, *exchanged, "start", "30\n", "40\n", *again, *DRIVE * 3]))
+    monkeypatch.setattr(
+        "sys.stdin", Answers(drives, [*DRIVE, *exchanged, "start", "30 cm\n", "40 cm\n", *again, *DRIVE * 3])
+    )
     found, _ = guided(tmp_path, drives).run()
     assert found.geometry == pytest.approx(TRUE, rel=1e-3)
     assert "a square of 1 m, clockwise: -25.0 cm forward, -50.0 cm to the left" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hostlink.cli.calibration_plan import (
     Saved,
     Sizes,
+    UnitMissing,
     checks_of,
     default_path,
     open_state,
@@ -27,10 +28,20 @@ RUN = MeasuredRun(Kind.STRAIGHT, 3.0, (Pose(), Pose(3.0, 0.1, 0.01)), Measuremen
 
 @pytest.mark.parametrize(
     ("text", "metres"),
-    [("12.5", 0.125), ("-3 mm", -0.003), ("3.012 m", 3.012), ("12,5cm", 0.125), (" +7 CM ", 0.07), ("1e2", 1.0)],
-)
-def test_lengths_have_a_unit_or_are_centimetres(text: str, metres: float) -> None:
+    [("12.5 cm", 0.125), ("-3 mm", -0.003), ("3.012 m", 3.012), ("12,5cm", 0.125), (" +7 CM ", 0.07), ("1e2cm", 1.0),
+     ("10 in", 0.254), ('-10"', -0.254), ("0", 0.0), ("-0.0", 0.0)],
+)  # fmt: skip
+def test_parse_length_with_a_unit_is_in_metres(text: str, metres: float) -> None:
     assert parse_length(text) == pytest.approx(metres)
+
+
+@pytest.mark.parametrize("text", ["12.5", "-0.42", "+3", "1e2", "12,5"])
+def test_parse_length_without_a_unit_needs_a_default(text: str) -> None:
+    with pytest.raises(UnitMissing, match=r"of what\? Enter it with its unit, as 12\.5 cm") as missing:
+        parse_length(text)
+    assert missing.value.number == text
+    assert parse_length(text, "cm") == pytest.approx(float(text.replace(",", ".")) / 100)
+    assert parse_length(text + " mm", "cm") == pytest.approx(float(text.replace(",", ".")) / 1000)
 
 
 @pytest.mark.parametrize("text", ["", "cm", "12 miles", "nan", "inf m", "1.2.3", "12 m m", "--1"])

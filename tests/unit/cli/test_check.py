@@ -9,7 +9,16 @@ import pytest
 
 from hostlink.cli.check import check, describe
 from hostlink.cli.descriptors import FEWEST, fitted
-from hostlink.config import ApiConfig, Config, LinkConfig, RobotConfig, SerialConfig, TcpConfig, TokenConfig
+from hostlink.config import (
+    ApiConfig,
+    Config,
+    LinkConfig,
+    RobotConfig,
+    SerialConfig,
+    TcpConfig,
+    TokenConfig,
+    ZenohConfig,
+)
 from hostlink.errors import ConfigError
 
 TOKEN = TokenConfig(name="phone", role="drive", token="a-token-of-a-driver")
@@ -45,6 +54,25 @@ def test_everything_that_would_be_served_has_a_line(tmp_path: Path) -> None:
         f"messages in {tmp_path}",
         "1 parameters",
     ]
+
+
+def test_who_reaches_a_zenoh_session_is_said() -> None:
+    plain = Config(zenoh=ZenohConfig(connect=("tcp/10.0.0.2:7447",)))
+    reach = (
+        "listens on tcp/[::]:0; connects to tcp/10.0.0.2:7447; no TLS, found by multicast and gossip: everybody who "
+        "reaches it can drive"
+    )
+    assert f"Zenoh, a peer: the fleet hostlink; {reach}" in describe(plain)
+    (warning,) = checked(plain)
+    assert "everybody who reaches its port can drive the robots" in warning
+    files = {"ca": Path("/ca.pem"), "certificate": Path("/a.pem"), "key": Path("/a.key")}
+    closed = Config(zenoh=ZenohConfig(drivers=("desk",), **files))
+    reach = (
+        "listens on nothing; TLS alone: reached by certificates of /ca.pem; of them desk may drive, by the name in the "
+        "certificate"
+    )
+    assert f"Zenoh, a peer: the fleet hostlink; {reach}" in describe(closed)
+    assert checked(closed) == []
 
 
 @pytest.mark.parametrize(
@@ -121,6 +149,10 @@ def test_what_cannot_be_served_is_refused(config: Config, problem: str) -> None:
         (
             Config(robots={"a": RobotConfig(cmd_vel_topic="drive", cmd_vel_stamped_topic="drive")}),
             "robots.a.cmd_vel_stamped_topic and robots.a.cmd_vel_topic are one topic, /drive",
+        ),
+        (
+            Config(robots={"a": RobotConfig(base_frame="base_link"), "b": RobotConfig(base_frame="base_link")}),
+            "robots.b.base_frame and robots.a.base_frame are one frame, base_link: give each its own name",
         ),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from hostlink.cli.check import check, describe
 from hostlink.cli.descriptors import FEWEST, fitted
-from hostlink.cli.serve import merge
+from hostlink.cli.serve_command import merge
 from hostlink.config import ApiConfig, Config, TcpConfig, UdpConfig, load
 from hostlink.errors import ConfigError
 

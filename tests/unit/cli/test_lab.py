@@ -14,7 +14,7 @@ def run(*arguments: str) -> None:
 
 
 def test_a_missing_library_names_the_extra() -> None:
-    with pytest.raises(ConfigError, match=r"needs no_such_library: run  pip install 'hostlink\[lab\]'"):
+    with pytest.raises(ConfigError, match=r"needs no_such_library: run  pip install '.\[lab\]'"):
         lab._require("no_such_library")
     lab._require(None)
 

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.ros1 import _Options, scalar, with_devices
+from hostlink.cli.ros1 import _catkin_version, _Options, with_devices
+from hostlink.cli.ros1_parameters import scalar
 from hostlink.config import Config
 from hostlink.errors import ConfigError
 
@@ -56,3 +57,10 @@ def test_a_rate_that_is_none() -> None:
 def test_a_parameter_of_the_command_line(text: str, value: object) -> None:
     assert scalar(text) == value
     assert type(scalar(text)) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("0.1.0", "0.1.0"), ("1.2", "1.2.0"), ("0.2.0.dev1", "0.2.0"), ("1.0rc1+local", "1.0.0")]
+)
+def test_version_of_the_package_is_three_numbers(text: str, expected: str) -> None:
+    assert _catkin_version(text) == expected

@@ -106,7 +106,7 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
     with pytest.raises(ConfigError, match="there is no folder"):
         require_picture(tmp_path / "nowhere" / "step.png")
     monkeypatch.setattr(step_picture, "LIBRARY", "no_such_library")
-    with pytest.raises(ConfigError, match=r"pip install 'hostlink\[pictures\]'"):
+    with pytest.raises(ConfigError, match=r"needs matplotlib: run  pip install '.\[pictures\]'"):
         require_picture(tmp_path / "step.png")
 
 

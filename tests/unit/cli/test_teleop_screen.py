@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.cli.driving import Driving
-from hostlink.cli.standstill import PATIENCE_S, Standstill
 from hostlink.cli.teleop_screen import MAPS, RED, YELLOW, Line, OwnState, folded, lost_screen, screen
 from hostlink.client import RobotState
 
@@ -75,30 +74,3 @@ def test_a_line_breaks_between_facts_before_it_breaks_between_words() -> None:
     assert folded("one two   three four   five", 19) == ["one two", "three four   five"]
     assert folded("a very long fact of many words", 12) == ["a very long", "  fact of", "  many words"]
     assert folded("", 20) == [""]
-
-
-STILL = {**ODOMETRY, "twist": {"linear_m_s": 0.0, "angular_rad_s": 0.001}}
-
-
-def warning_after(seconds: float, *states: RobotState) -> str:
-    standstill = Standstill()
-    for number in range(round(seconds / 0.2) + 1):
-        standstill.observe(states[min(number, len(states) - 1)], number * 0.2)
-    return standstill.warning
-
-
-def test_a_driven_robot_whose_odometry_stands_still_is_warned_of_after_a_second() -> None:
-    assert warning_after(PATIENCE_S - 0.2, state(odometry=STILL)) == ""
-    assert "its odometry stands still" in warning_after(PATIENCE_S, state(odometry=STILL))
-
-
-def test_odometry_that_is_old_or_missing_is_another_warning() -> None:
-    assert "sends no odometry" in warning_after(2.0, state(odometry={**ODOMETRY, "age_s": 3.0}))
-    assert "sends no odometry" in warning_after(2.0, state(odometry=None))
-
-
-def test_a_robot_that_moves_or_is_not_driven_is_not_warned_of() -> None:
-    assert warning_after(5.0, state()) == ""
-    still = {"linear_m_s": 0.0, "angular_rad_s": 0.0}
-    assert warning_after(5.0, state(odometry=STILL, velocity=still)) == ""
-    assert warning_after(5.0, *[state(odometry=STILL)] * 10, state()) == ""

@@ -1,6 +1,7 @@
 """What a monitor makes of a session's events: requests for the time, revivals, what is recent, what does not fit."""
 
 import errno
+import struct
 
 import pytest
 
@@ -8,6 +9,7 @@ from hostlink.diagnosis.evidence import Complaint
 from hostlink.diagnosis.host_clock import MIN_WALL_NS, HostClock
 from hostlink.diagnosis.link_monitor import LinkMonitor
 from hostlink.diagnosis.ports import port_finding
+from hostlink.diagnosis.rules import diagnose
 from hostlink.errors import FrameTooLarge
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.events import DeviceLogged, TimeRequested, TopicsNegotiated, TopicsRequested
@@ -57,6 +59,17 @@ def test_what_is_recent_is_of_the_last_half_minute() -> None:
     evidence = monitor.evidence(40.0, silent_s=1.0)
     assert (evidence.total.skipped_bytes, evidence.recent.skipped_bytes) == (60, 10)
     assert evidence.non_rosserial == b"more more "
+
+
+def test_syncs_inside_intact_messages_are_not_damage() -> None:
+    """An int16 of -257 is `ff fe`: a message full of them came as it was sent."""
+    negotiated = session()
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    negotiated.open(now_s=0.0)
+    negotiated.receive(encode(Id.TIME, bytes(8)) + encode(125, struct.pack("<24h", *[-257] * 24)) * 400, now_s=0.5)
+    evidence = monitor.evidence(1.0, silent_s=0.5)
+    assert (evidence.recent.frames, evidence.recent.bad_checksums) == (401, 0)
+    assert "damaged" not in {found.code for found in diagnose(evidence)}
 
 
 def test_what_does_not_fit_is_known_from_what_was_announced_refused_and_logged() -> None:
@@ -171,3 +184,99 @@ def test_it_knows_whether_topics_were_negotiated() -> None:
     assert not monitor.was_negotiated
     monitor.observe(TopicsNegotiated((TWIST,), is_changed=True, gap_at=None), 1.0)
     assert monitor.was_negotiated
+
+
+def requested(monitor: LinkMonitor, *times_s: float, has_waited: bool = False) -> tuple[float, ...]:
+    for now_s in times_s:
+        monitor.observe(TimeRequested(), now_s, has_waited=has_waited)
+    return monitor.evidence(times_s[-1], silent_s=0.0).time_intervals_s
+
+
+def test_time_requests_that_come_together_are_no_intervals() -> None:
+    """They waited on their way: in the device's WiFi module, or in the kernel while the host was away."""
+    monitor = LinkMonitor(session(), now_s=0.0)
+    monitor.observe(TopicsRequested("connected"), 0.0)
+    assert requested(monitor, 0.01, 0.01, 0.02, 0.02, 0.9) == ()
+    assert requested(monitor, 2.5) == ()  # the one before had waited, too: nobody knows when it was sent
+    assert requested(monitor, 5.0, 7.5) == (2.5, 2.5)
+    assert requested(monitor, 15.1, 15.1, 15.1, 17.0) == pytest.approx((2.5, 2.5, 7.6))
+    assert requested(monitor, 19.5) == pytest.approx((2.5, 2.5, 7.6, 2.5))
+
+
+def test_time_requests_that_waited_for_the_host_are_no_intervals() -> None:
+    monitor = LinkMonitor(session(), now_s=0.0)
+    assert requested(monitor, 2.5, 5.0) == (2.5,)
+    assert requested(monitor, 8.7, has_waited=True) == (2.5,)
+    assert requested(monitor, 10.0) == (2.5,)  # 1.3 s after one that was sent at 7.5 s
+    assert requested(monitor, 12.5) == (2.5, 2.5)
+
+
+def test_what_was_lost_while_the_host_was_away_is_not_damage() -> None:
+    negotiated = session()
+    negotiated.open(now_s=0.0)
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    negotiated.receive(b"noise", now_s=0.5)
+    monitor.sample(1.0)
+    assert monitor.sampled_at_s == 1.0
+    negotiated.receive(b"waited" * 100, now_s=9.0)
+    monitor.exclude_waited()
+    negotiated.receive(b"later", now_s=11.5)
+    monitor.sample(12.0)
+    evidence = monitor.evidence(12.0, silent_s=0.5)
+    assert evidence.total.skipped_bytes == 10
+    assert evidence.recent.skipped_bytes == 10
+    assert evidence.total.bytes_from_device == 610
+
+
+def test_a_device_that_was_running_when_the_host_came_has_no_boot_message() -> None:
+    """Its first bytes are the end of a long frame, and holes in what waited: no board started."""
+    running = session()
+    running.open(now_s=0.0)
+    monitor = LinkMonitor(running, now_s=0.0)
+    announcement = encode(Id.SUBSCRIBER, encode_topic_info(TWIST._replace(buffer_bytes=512))) + encode(
+        Id.TIME, bytes(8)
+    )
+    half = encode(125, b"x = 1, y = 2 " * 40)[260:]
+    for data in (half + encode(125, bytes(24)) + half + encode(125, bytes(24)), announcement):
+        for event in running.receive(data, now_s=0.5):
+            monitor.observe(event, 0.5)
+    for now_s in (1.0, 2.0, 3.0, 4.0):
+        monitor.sample(now_s)
+        assert diagnose(monitor.evidence(now_s, silent_s=0.5)) == []
+
+
+def test_stamps_of_messages_that_waited_are_not_a_wrong_clock() -> None:
+    negotiated, second_ns = session(), 1_000_000_000
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    codes = []
+    for tenth in range(300):
+        now_s = tenth / 10
+        behind_s = 9.0 if now_s < 0.5 else 0.0  # half a second long what waited for 9 s is read
+        stamp_ns, at_ns = round((100 + now_s - behind_s) * second_ns), round((100 + now_s) * second_ns)
+        negotiated.device_clock.update(stamp_ns, at_ns=at_ns, now_s=now_s)
+        if tenth % 10 == 0:
+            monitor.sample(now_s)
+            codes += [each.code for each in diagnose(monitor.evidence(now_s, silent_s=0.0))]
+    assert "clock_trouble" not in codes
+
+
+def test_stamps_that_stay_wrong_are_a_wrong_clock() -> None:
+    negotiated, second_ns = session(), 1_000_000_000
+    monitor = LinkMonitor(negotiated, now_s=0.0)
+    for second in range(15):
+        negotiated.device_clock.update((91 + second) * second_ns, at_ns=(100 + second) * second_ns, now_s=float(second))
+        monitor.sample(float(second))
+    (found,) = (each for each in diagnose(monitor.evidence(15.0, silent_s=0.0)) if each.code == "clock_trouble")
+    assert found.detail == "its stamps are 9.0 s behind"
+
+
+def test_a_device_that_gave_up_while_the_host_was_away_did_not_reboot() -> None:
+    monitor = LinkMonitor(session(), now_s=0.0)
+    monitor.observe(TimeRequested(), 2.5)
+    for start_s in (10.0, 30.0, 50.0):
+        monitor.sample(start_s - 1.0)
+        monitor.exclude_waited()
+        monitor.observe(TopicsRequested("no_time_requests"), start_s)
+        monitor.observe(TimeRequested(), start_s + 0.1)
+        monitor.observe(TimeRequested(), start_s + 2.6)
+    assert monitor.evidence(53.0, silent_s=0.0).revivals == 0

@@ -24,6 +24,10 @@ def test_zeros_at_three_times_50_ms_apart_then_id_11() -> None:
     assert list(parts) == [zero_frame(100)] * 3 + [STOP_REQUEST]
 
 
+def test_a_daemon_that_may_go_on_leaves_its_devices_talking() -> None:
+    assert stop_sequence((100,), 57, is_end=False) == stop_sequence((100,), 57)[:-1]
+
+
 @pytest.mark.parametrize("claim_bytes", [1, 56, 57, 58, 114, 512, 65543])
 def test_the_first_zero_is_repeated_over_the_length_of_any_frame(claim_bytes: int) -> None:
     first, *others = [part for _, part in stop_sequence((100,), claim_bytes)]

@@ -23,10 +23,26 @@ def test_every_record_has_one_size() -> None:
         records.encode_ping(),
         records.encode_goodbye(),
     ]
-    assert {len(record) for record in every} == {records.RECORD_BYTES}
+    assert len({len(record) for record in every}) == 1
     assert [records.decode(record)[0] for record in every] == [b"W", b"R", b"P", b"G"]
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_an_answer_counts_the_connections(connections: int) -> None:
-    assert records.decode_answer(records.encode_answer(connections)) == connections
+@given(st.sets(NUMBERS))
+def test_a_beat_names_the_links_that_may_move(driven: set[int]) -> None:
+    record = records.encode_beat(driven)
+    assert record[:1] == records.BEAT
+    assert set(records.decode_beat(record) or ()) == driven
+
+
+def test_a_beat_with_too_many_links_means_all_and_fits_the_record() -> None:
+    most = set(range(records.MAX_DRIVEN))
+    assert set(records.decode_beat(records.encode_beat(most)) or ()) == most
+    for surplus in (1, 100):
+        record = records.encode_beat(most | {10_000 + number for number in range(surplus)})
+        assert records.decode_beat(record) is None
+        assert len(record) <= records.MAX_RECORD_BYTES
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
+def test_an_answer_counts_the_connections_and_the_stopped_robots(connections: int, stopped: int) -> None:
+    assert records.decode_answer(records.encode_answer(connections, stopped)) == (connections, stopped)

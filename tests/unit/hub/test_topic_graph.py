@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.errors import UnknownTopic, WrongType
+from hostlink.errors import FrameTooLarge, UnknownTopic, WrongType
 from hostlink.hub.message import Message
 from hostlink.hub.topic import DeviceSubscription, Subscriber
 from hostlink.hub.topic_graph import TopicGraph
@@ -43,6 +43,45 @@ async def received_later(*, is_latched: bool) -> list[bytes]:
 def test_only_what_was_latched_is_delivered_to_a_later_subscriber() -> None:
     assert run_virtual(received_later(is_latched=True)) == [b"\1"]
     assert run_virtual(received_later(is_latched=False)) == []
+
+
+async def sent_to_later_device(*, is_gate: bool = False, is_command: bool = False) -> list[bytes]:
+    """What a device is sent that subscribes behind two publishers that latch, and announces its topics twice."""
+    graph, sent = TopicGraph(CATALOG), list[bytes]()
+    for source in ("one", "other"):
+        graph.advertise("/a", source, type_name=BOOL, is_latched=True)
+    topic = graph.find("/a")
+    for source, payload in (("one", b"\0"), ("other", b"\1"), ("one", b"\2")):
+        topic.publish(payload, source=source)
+    subscription = DeviceSubscription(lambda each: sent.append(each.payload), is_gate=is_gate, is_command=is_command)
+    graph.subscribe_device("/a", LINK, subscription, type_name=BOOL)
+    graph.leave("other")
+    graph.send_latched(LINK)
+    return sent
+
+
+def test_latched_messages_later_device_is_sent_those_of_publishers_that_are_there_newest_last() -> None:
+    assert run_virtual(sent_to_later_device()) == [b"\1", b"\2", b"\2"]
+
+
+def test_latched_messages_gate_and_command_topic_are_sent_none() -> None:
+    assert run_virtual(sent_to_later_device(is_gate=True)) == []
+    assert run_virtual(sent_to_later_device(is_command=True)) == []
+
+
+def test_latched_message_that_the_device_cannot_take_does_not_keep_it_from_subscribing() -> None:
+    async def subscribed() -> list[object]:
+        graph = TopicGraph(CATALOG)
+        graph.advertise("/a", "one", type_name=BOOL, is_latched=True).publish(b"\1", source="one")
+
+        def refuse(_: Message) -> None:
+            raise FrameTooLarge("/a", 600, 512)
+
+        return list(
+            graph.subscribe_device("/a", LINK, DeviceSubscription(refuse, is_gate=False), type_name=BOOL).devices
+        )
+
+    assert run_virtual(subscribed()) == [LINK]
 
 
 def test_a_topic_is_not_latched_unless_its_publisher_says_so() -> None:

@@ -5,7 +5,15 @@ import asyncio
 from hostlink.config import LinkConfig
 from hostlink.link.fair_share import FairShare
 from hostlink.link.link import Link
-from hostlink.link.piece_size import LEAST_BYTES, MOST_BYTES, PIECE_S, PieceSize
+from hostlink.link.piece_size import (
+    FIRST_BYTES,
+    LARGE_PIECE_S,
+    LEAST_BYTES,
+    MOST_BYTES,
+    MOST_FRAMES,
+    PIECE_S,
+    PieceSize,
+)
 from hostlink.protocol.events import Event
 from hostlink.protocol.frame import encode
 from hostlink.protocol.session import Session
@@ -24,7 +32,50 @@ def test_expensive_pieces_become_small_and_cheap_ones_large_again() -> None:
     assert piece.size_bytes == LEAST_BYTES
     for _ in range(10):
         piece.update(PIECE_S / 10)
+    assert piece.size_bytes == FIRST_BYTES
+    for _ in range(10):
+        piece.update(LARGE_PIECE_S / 3)
     assert piece.size_bytes == MOST_BYTES
+    piece.update(2 * LARGE_PIECE_S)
+    assert piece.size_bytes == MOST_BYTES // 2
+
+
+def test_many_short_frames_after_long_ones_are_read_in_parts() -> None:
+    piece = PieceSize()
+    assert not piece.is_crowded(FRAME * MOST_FRAMES)
+    assert piece.is_crowded(FRAME * (MOST_FRAMES + 1))
+    assert not piece.is_crowded(encode(125, b"\xff" * 4000))
+
+
+def test_short_expensive_frames_behind_long_cheap_ones_cost_others_no_more_than_a_first_piece() -> None:
+    """A device makes its pieces large by what is cheap, and then sends what is expensive."""
+    cost_s, cheap_s = 0.0001, 0.00001
+
+    async def run() -> list[float]:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        virtual, frames = loop, 0
+
+        def burn(_link: Link, _event: Event) -> None:
+            nonlocal frames
+            frames += 1
+            virtual.burn(cheap_s if 1 < frames <= 1 + 200 else cost_s)
+
+        host, device = memory_pair(room_bytes=1 << 20)
+        link = Link(host, Session(check=lambda _: None), LinkConfig(), number=1, on_event=burn, share=FairShare())
+        running = loop.create_task(link.run())
+        await device.send(encode(999, bytes(1000)) * 200 + FRAME * 3000)
+        turns_s, before_s = [], loop.time()
+        while link.session.counts.frames_from_device < 3200:
+            await asyncio.sleep(0)
+            turns_s.append(loop.time() - before_s)
+            before_s = loop.time()
+        assert link.unread_bytes == 0
+        await device.aclose()
+        await running
+        return turns_s
+
+    assert max(run_virtual(run())) <= (MOST_FRAMES + 4) * cost_s
 
 
 def test_a_flood_of_expensive_frames_leaves_the_loop_after_each_millisecond() -> None:

@@ -5,11 +5,13 @@ import asyncio
 import pytest
 
 from hostlink.config import LinkConfig
+from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.link.link import Link, LinkEnd
+from hostlink.protocol.events import Event
 from hostlink.protocol.session import Session
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.session_host import LED, ODOMETRY, TIME, check, wire
-from tests.support.virtual_loop import run_virtual
+from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 ANNOUNCEMENT = TIME + wire(ODOMETRY, LED) + TIME
 
@@ -68,3 +70,112 @@ async def serve_a_device_that_restarts(transport: MemoryTransport, device: Memor
 
 def test_a_board_that_restarts_behind_its_radio_keeps_its_link() -> None:
     assert run_virtual(serve_a_device_that_restarts(*memory_pair())) == 3
+
+
+async def pause_while(config: LinkConfig, *, sent: bytes, lasts_s: float, rest: bytes = b"") -> tuple[LinkEnd, Session]:
+    """The host stands still; the device sends meanwhile, and `rest` a second later. The end is the device's."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    watch = StallWatch(lambda: 0.0)
+    transport, device = memory_pair()
+    session = Session(check=check)
+    link = Link(transport, session, config, number=1, on_event=lambda _link, _event: None, pauses=watch.pauses)
+    async with asyncio.TaskGroup() as tasks:
+        running = tasks.create_task(link.run())
+        await device.send(ANNOUNCEMENT)
+        for _ in range(2):
+            await asyncio.sleep(2.5)
+            await device.send(TIME)
+        await asyncio.sleep(0.5)
+        watch.beat(loop.time())
+        loop.burn(lasts_s)
+        loop.call_soon(lambda: loop.call_soon(device.write, sent))  # timers are due before the sockets are looked at
+        await asyncio.sleep(1.0)
+        await device.send(rest)
+        await asyncio.sleep(0.5)
+        await device.aclose()
+        end = await running
+    return end, session
+
+
+@pytest.mark.parametrize("lasts_s", [4.0, 9.0, 60.0])
+def test_silence_of_a_device_while_the_host_was_paused_does_not_end_its_link(lasts_s: float) -> None:
+    end, session = run_virtual(pause_while(LinkConfig(), sent=TIME, lasts_s=lasts_s))
+    assert end is LinkEnd.PEER_CLOSED
+    assert session.counts.topic_requests == 1  # what waited was read before its silence was judged
+
+
+def test_half_a_frame_is_not_given_up_while_the_host_is_paused() -> None:
+    end, session = run_virtual(pause_while(LinkConfig(), sent=TIME[:9], lasts_s=9.0, rest=TIME[9:]))
+    assert end is LinkEnd.PEER_CLOSED
+    assert session.counts.skipped_bytes == 0
+
+
+def test_silence_of_a_dead_device_ends_its_link_after_the_pause() -> None:
+    """The time that the host has run counts: half a second before the pause."""
+
+    async def run() -> tuple[LinkEnd, float]:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        watch = StallWatch(lambda: 0.0)
+        transport, device = memory_pair()
+        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=_ignore, pauses=watch.pauses)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(link.run())
+            await device.send(ANNOUNCEMENT)
+            for _ in range(2):
+                await asyncio.sleep(2.5)
+                await device.send(TIME)
+            await asyncio.sleep(0.5)
+            watch.beat(loop.time())
+            loop.burn(20.0)
+            resumed_s = loop.time()
+            beating = tasks.create_task(_beat(watch))
+            end = await running
+            beating.cancel()
+        return end, loop.time() - resumed_s
+
+    end, lasted_s = run_virtual(run())
+    assert end is LinkEnd.IDLE
+    assert lasted_s == pytest.approx(4.5, abs=0.2)
+
+
+async def _beat(watch: StallWatch) -> None:
+    while True:
+        watch.beat(asyncio.get_running_loop().time())
+        await asyncio.sleep(BEAT_S)
+
+
+def _ignore(_link: Link, _event: Event) -> None:
+    """Nobody needs it."""
+
+
+class SlowTransport(MemoryTransport):
+    """Its peer takes what was written only after a while."""
+
+    drained_after_s = 3.0
+
+    async def drain(self) -> None:
+        await asyncio.sleep(self.drained_after_s)
+        await super().drain()
+
+
+def test_a_device_that_is_behind_is_not_given_up_for_a_pause_of_the_host() -> None:
+    async def run() -> LinkEnd:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        watch = StallWatch(lambda: 0.0)
+        end, device = memory_pair(room_bytes=0)
+        transport = SlowTransport(end._from_peer, end._to_peer, address="slow")
+        link = Link(transport, Session(check=check), LinkConfig(), number=1, on_event=_ignore, pauses=watch.pauses)
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(link.run())
+            await asyncio.sleep(0.5)  # the request for topics waits for the device
+            watch.beat(loop.time())
+            loop.burn(20.0)
+            await device.receive()
+            await asyncio.sleep(SlowTransport.drained_after_s + 0.5)
+            await device.aclose()
+            return await running
+
+    assert run_virtual(run()) is LinkEnd.PEER_CLOSED

@@ -58,6 +58,30 @@ def test_a_payload_may_contain_the_start_of_a_frame(payload: bytes) -> None:
     assert events(FrameStream(), encode(125, payload) + WIRE_B) == [Frame(125, payload), B]
 
 
+def test_rejected_syncs_inside_a_right_frame_are_not_counted() -> None:
+    """Bad length checksum, bad checksum, claim over the limit, wrong size, and a header too many: nothing was lost."""
+    wrong = bytes([*b"\xff\xfe\x01\x00\xfe\x7d\x00x", 0])
+    payload = b"".join([b"\xff\xfe" * 9, wrong, b"\xff\xfe\x00\x10\xef", encode(125, b"four")])
+    stream = FrameStream(fixed_bytes={125: 24})
+    assert (
+        events(stream, encode(130, payload), *[bytes([byte]) for byte in encode(130, payload)])
+        == [Frame(130, payload)] * 2
+    )
+    assert stream.rejected == {}
+    crowded = Frame(130, candidates_with_one_end(1000, 7000)[:-1])
+    large = FrameStream(limit_bytes=65535)
+    assert events(large, encode(*crowded)) == [crowded]
+    assert large.rejected == {}
+
+
+def test_rejected_syncs_inside_a_damaged_frame_are_counted() -> None:
+    stream = FrameStream()
+    broken = bytearray(encode(125, b"ab\xff\xfecdefghij"))
+    broken[-2] ^= 1
+    assert frames(stream, bytes(broken) + WIRE_B) == [B]
+    assert stream.rejected == {Rejection.CHECKSUM: 1, Rejection.LENGTH_CHECKSUM: 1}
+
+
 def test_a_damaged_payload_costs_its_frame_and_no_other() -> None:
     stream = FrameStream()
     broken = bytearray(WIRE_A)
@@ -177,8 +201,9 @@ def test_one_byte_completes_few_candidates(count: int, size_bytes: int, read_byt
     wire = candidates_with_one_end(count, size_bytes)
     before = wire[:-1]
     assert events(stream, *[before[at : at + read_bytes] for at in range(0, len(before), read_bytes)]) == []
-    assert stream.rejected.keys() == {Rejection.TOO_MANY}
+    assert stream.rejected == {}  # a frame around them all may still turn out right
     assert frames(stream, wire[-1:]) == []
+    assert stream.rejected.keys() == {Rejection.TOO_MANY, Rejection.CHECKSUM}
     claims_bytes = [size_bytes - at for at in range(0, 6 * count, 6)]
     assert sum(claims_bytes[: stream.rejected[Rejection.CHECKSUM]]) <= MAX_CLAIMED_BYTES
     assert stream.rejected.total() == count

@@ -16,6 +16,7 @@ class Story:
 
     def __init__(self) -> None:
         self.drives = Drives()
+        self.clock_ahead_s = 0.0  # of the clock on the wall, that somebody sets
 
     def command(self, at_s: float, owner: str = "ann", *, robot: str = "rover", m_s: float = 0.2) -> None:
         velocity = Velocity(linear_x_m_s=m_s)
@@ -32,7 +33,7 @@ class Story:
         return self.drives.pop_finished(int(at_s * S))
 
     def _note(self, kind: EventKind, at_s: float, robot: str, **facts: object) -> None:
-        self.drives.observe(RobotEvent(kind, robot, at_s, int(at_s * S), facts))
+        self.drives.observe(RobotEvent(kind, robot, at_s, int((at_s + self.clock_ahead_s) * S), facts))
 
 
 def test_a_drive_lasts_from_its_first_command_to_its_stop() -> None:
@@ -48,6 +49,17 @@ def test_a_drive_lasts_from_its_first_command_to_its_stop() -> None:
     assert drive.fastest_m_s == pytest.approx(0.29)
     assert drive.end == "no command came"
     assert len(story.drives) == 0
+
+
+@pytest.mark.parametrize("step_s", [8_640_000.0, -8_640_000.0])
+def test_a_drive_in_which_the_clock_is_set_lasts_as_long_as_it_took(step_s: float) -> None:
+    story = Story()
+    story.command(10.0)
+    story.clock_ahead_s = step_s
+    story.command(20.0)
+    story.stop(22.5)
+    (drive,) = story.drives.under_way()
+    assert drive.seconds == 12.5
 
 
 def test_a_pause_is_no_end() -> None:

@@ -6,6 +6,7 @@ import json
 import resource
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import EVENTS, ros_channel
+from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.contents import contents_of
 from hostlink.recording.export_csv import export_csv, file_name
 from hostlink.recording.export_ros import RosFormat, export_ros
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.recording.plot import draw_fields, draw_map, find_field
+from hostlink.recording.plot import Line, draw_fields, draw_map, read_lines, read_paths
 from hostlink.recording.reader import Reader
-from hostlink.recording.tables import read
 
 BEGIN_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
@@ -61,7 +61,7 @@ def recording(tmp_path: Path, catalog: Catalog) -> Path:
             assert type_ is not None
             channel = ros_channel(topic, name, type_, is_latched=False, robot="robot_0", origin="device")
             writer.write(channel, BEGIN_NS + number * STEP_NS, type_.encode(fields))
-    writer.write(EVENTS, BEGIN_NS, b'{"kind": "locked"}')
+    writer.write(EVENTS, BEGIN_NS, as_text(b'{"kind": "locked"}'))
     writer.write(ros_channel("/mystery", "my_msgs/Unknown", None, is_latched=False), BEGIN_NS, b"\1")
     writer.close()
     return path
@@ -72,7 +72,8 @@ def table(file: Path) -> list[dict[str, str]]:
 
 
 def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp_path: Path) -> None:
-    lines = export_csv(Reader(recording), tmp_path / "out")
+    done, lines = export_csv(Reader(recording), tmp_path / "out", skips_unknown=True)
+    assert list(done.left_out) == ["/mystery"]
     assert lines == {"robot_0.odometry.csv": 5, "robot_0.odom.csv": 5, "wheel.csv": 5, "hostlink.events.csv": 1}
     rows = table(tmp_path / "out" / "robot_0.odometry.csv")
     assert rows[1] == {"time_s": "1700000000.100000000", "x": "0.5", "y": "-1.0", "theta": "2.0"}
@@ -81,13 +82,13 @@ def test_csv_has_a_table_a_topic_with_its_fields_as_columns(recording: Path, tmp
 
 
 def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None:
-    done = export_ros(Reader(recording), tmp_path / "run.bag", RosFormat.ROS1)
+    done = export_ros(Reader(recording), tmp_path / "run.bag", RosFormat.ROS1, skips_unknown=True)
     before = {(message.channel.topic, message.payload) for message in Reader(recording).messages()}
     with Ros1Reader(tmp_path / "run.bag") as bag:
         found = [(connection.topic, bytes(payload)) for connection, _, payload in bag.messages()]
         types = {connection.topic: connection.msgtype for connection in bag.connections}
     assert (done.messages, list(done.left_out)) == (16, ["/mystery"])
-    assert {each for each in found if not each[0].startswith("/hostlink")} <= before
+    assert set(found) <= before
     assert types["/wheel"] == "my_msgs/msg/Wheel"
     (event,) = (payload for topic, payload in found if topic == EVENTS.topic)
     assert json.loads(event[4:]) == {"kind": "locked"}
@@ -97,7 +98,7 @@ def test_a_ros_1_bag_has_the_same_bytes(recording: Path, tmp_path: Path) -> None
 def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
     recording: Path, tmp_path: Path, format_: RosFormat
 ) -> None:
-    done = export_ros(Reader(recording), tmp_path / "bag", format_)
+    done = export_ros(Reader(recording), tmp_path / "bag", format_, skips_unknown=True)
     store = get_typestore(Stores.ROS2_KILTED)
     with Ros2Reader(tmp_path / "bag") as bag:
         messages = [(connection, stamp_ns, payload) for connection, stamp_ns, payload in bag.messages()]
@@ -112,7 +113,7 @@ def test_a_ros_2_bag_is_read_by_rosbags_with_the_same_values(
 
 def test_a_ros_2_export_is_decoded_by_mcaps_ros_2_support(recording: Path, tmp_path: Path) -> None:
     """By its own CDR reader, from the definitions in the file alone."""
-    export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP)
+    export_ros(Reader(recording), tmp_path / "bag", RosFormat.ROS2_MCAP, skips_unknown=True)
     (path,) = (tmp_path / "bag").glob("*.mcap")
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[Ros2DecoderFactory()])
@@ -138,13 +139,30 @@ def test_the_file_itself_is_decoded_by_mcaps_ros_1_support(recording: Path) -> N
     assert (found["/wheel"].name, list(found["/wheel"].speeds), found["/wheel"].pose.x) == ("left", [1.0, 2.0], 3.0)
 
 
-def test_a_payload_that_is_none_leaves_its_topic_out_with_the_reason(tmp_path: Path, catalog: Catalog) -> None:
-    writer = McapWriter(tmp_path / "run.mcap", metadata={})
+def test_payloads_that_are_not_messages_are_left_out_and_counted_with_the_reason(
+    tmp_path: Path, catalog: Catalog
+) -> None:
     text = catalog.message("std_msgs/String")
-    writer.write(ros_channel("/text", "std_msgs/String", text, is_latched=False), BEGIN_NS, b"\xff\xff\xff\xffx")
-    writer.close()
-    done = export_ros(Reader(tmp_path / "run.mcap"), tmp_path / "bag", RosFormat.ROS2_MCAP)
-    assert (done.messages, list(done.left_out)) == (0, ["/text"])
+    assert text is not None
+    bad = b"\xff\xff\xff\xffx"
+    path = write(tmp_path / "run.mcap", [("/text", text, each) for each in (bad, text.encode({"data": "a"}), bad)])
+    done = export_ros(Reader(path), tmp_path / "bag", RosFormat.ROS2_MCAP)
+    assert (done.messages, list(done.left_out)) == (1, ["/text"])
+    assert done.left_out["/text"].startswith("2 messages cannot be decoded, the first: ")
+
+
+@pytest.mark.parametrize("format_", [*RosFormat, None])
+def test_an_export_without_a_message_fails_and_leaves_nothing(
+    tmp_path: Path, catalog: Catalog, format_: RosFormat | None
+) -> None:
+    text, target = catalog.message("std_msgs/String"), tmp_path / "out"
+    for name, messages in (("bad", [("/text", text, b"\xff\xff\xff\xffx")]), ("empty", [])):
+        if name == "bad" and format_ is RosFormat.ROS1:
+            continue  # the bytes stay as they are
+        path = write(tmp_path / f"{name}.mcap", messages)
+        with pytest.raises(RecordingFailed, match="has no message to export"):
+            export_csv(Reader(path), target) if format_ is None else export_ros(Reader(path), target, format_)
+        assert not target.exists()
 
 
 def test_contents_are_counted_by_topic(recording: Path) -> None:
@@ -155,16 +173,20 @@ def test_contents_are_counted_by_topic(recording: Path) -> None:
 
 
 def test_pictures_are_drawn_and_a_wrong_field_names_those_that_are_there(recording: Path, tmp_path: Path) -> None:
-    tables = read(recording)
-    draw_fields(tables, ["/robot_0/odometry.x", "/robot_0/odom.pose.pose.position.x"], tmp_path / "fields.svg")
-    assert draw_map(tables, tmp_path / "map.png") == 2
+    names = ["/robot_0/odometry.x", "/robot_0/odom.pose.pose.position.x", "/robot_0/odom.header.stamp"]
+    lines = read_lines(Reader(recording), names)
+    draw_fields(lines, tmp_path / "fields.svg")
+    assert {name: len(found) for name, found in lines.items()} == dict.fromkeys(names, 1)
+    assert [each.tolist() for each in lines[names[0]][0].points()] == [[0.0, 0.1, 0.2, 0.3, 0.4], [0.5] * 5]
+    paths = read_paths(Reader(recording))
+    assert paths == {"/robot_0/odometry": [(0.5, -1.0)] * 5, "/robot_0/odom": [(1.5, 0.0)] * 5}
+    draw_map(paths, tmp_path / "map.png")
     assert "<svg" in (tmp_path / "fields.svg").read_text()
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(RecordingFailed, match="it has: x, y, theta"):
-        find_field(tables, "/robot_0/odometry.z")
+        read_lines(Reader(recording), ["/robot_0/odometry.z"])
     with pytest.raises(RecordingFailed, match=r"there are: .*/robot_0/odometry"):
-        find_field(tables, "/robot_1/odometry.x")
-    assert find_field(tables, "/robot_0/odom.header.stamp")[2] == "header.stamp"
+        read_lines(Reader(recording), ["/robot_1/odometry.x"])
 
 
 MANY = """int8[] few
@@ -223,7 +245,7 @@ def test_csv_has_a_column_for_whatever_any_message_has(tmp_path: Path, many: Any
 def test_events_have_a_column_for_every_fact(tmp_path: Path) -> None:
     writer = McapWriter(tmp_path / "a.mcap", metadata={})
     for facts in ({"kind": "gone", "facts": {}}, {"kind": "locked", "facts": {"reason": "a cat"}}):
-        writer.write(EVENTS, BEGIN_NS, json.dumps(facts).encode())
+        writer.write(EVENTS, BEGIN_NS, as_text(json.dumps(facts).encode()))
     writer.close()
     export_csv(Reader(tmp_path / "a.mcap"), tmp_path / "csv")
     assert [row["facts.reason"] for row in rows(tmp_path / "csv" / "hostlink.events.csv")] == ["", "a cat"]
@@ -237,7 +259,7 @@ def test_every_topic_and_type_has_a_file_whatever_their_names_are(tmp_path: Path
     long = "/" + "x" * 5000
     names = ("/a/b", "/a.b", "/A/b", "/a//b", "..", "/", long)
     path = write(tmp_path / "a.mcap", [*((name, text, one) for name in names), ("/a/b", number, other)])
-    lines = export_csv(Reader(path), tmp_path / "csv")
+    _, lines = export_csv(Reader(path), tmp_path / "csv")
     assert list(lines.values()) == [1] * (len(names) + 1)
     assert sorted(lines) == sorted(file.name for file in (tmp_path / "csv").iterdir())
     assert len({name.lower() for name in lines}) == len(lines)
@@ -253,7 +275,7 @@ def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path
     few, all_of_them = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (256, all_of_them))
     try:
-        lines = export_csv(Reader(path), tmp_path / "csv")
+        _, lines = export_csv(Reader(path), tmp_path / "csv")
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (few, all_of_them))
     assert list(lines.values()) == [2] * len(names)
@@ -265,8 +287,34 @@ def test_a_recording_may_have_more_topics_than_a_process_may_have_files(tmp_path
 def test_a_disk_that_is_full_is_one_line(recording: Path, tmp_path: Path, format_: str) -> None:
     """A file cannot be larger than a kilobyte here: what the system says then comes in another way, and as late."""
     target = str(tmp_path / "bag")
-    words = [sys.executable, "-m", "hostlink", "export", str(recording), "--to", format_, "-o", target]
+    words = [sys.executable, "-m", "hostlink", "export", str(recording), "--skip-unknown"]
+    words += ["--to", format_, "-o", target]
     limited = ["sh", "-c", 'ulimit -f 1; exec "$@"', "sh", *words]
     done = subprocess.run(limited, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert done.stderr.startswith(f"hostlink: {target}: ")
+    assert not Path(target).exists()
+
+
+def test_a_line_of_many_points_keeps_its_peaks_in_a_bounded_number() -> None:
+    line = Line(100)
+    for number in range(100_000):
+        line.add(number, 7.0 if number == 54_321 else -3.0 if number == 77_777 else number % 10 / 10)
+    times_s, values = line.points()
+    assert len(values) < 200
+    assert (values.max(), values.min()) == (7.0, -3.0)
+    assert (times_s[values.argmax()], times_s[values.argmin()]) == (54_321, 77_777)
+    assert times_s.tolist() == sorted(times_s.tolist())
+
+
+def test_a_ros_1_bag_of_many_messages_costs_as_much_memory_as_one_of_few(tmp_path: Path, catalog: Catalog) -> None:
+    number = catalog.message("std_msgs/UInt8")
+    assert number is not None
+    peaks = []
+    for count in (40_000, 160_000):
+        path = write(tmp_path / f"{count}.mcap", [("/a", number, b"\1")] * count)
+        tracemalloc.start()
+        assert export_ros(Reader(path), tmp_path / f"{count}.bag", RosFormat.ROS1).messages == count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.5 * peaks[0]

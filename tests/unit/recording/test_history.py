@@ -2,33 +2,56 @@
 
 import math
 import struct
+from typing import Any
 
 import pytest
 
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import DEVICE, Channel, ros_channel
-from hostlink.recording.history import MAX_SAMPLES, odometry_of, past_messages, past_poses, thinned
+from hostlink.recording.channel import (
+    DEVICE,
+    EVENT,
+    EVENTS,
+    EVENTS_TOPIC,
+    JSON,
+    VELOCITY,
+    Channel,
+    as_text,
+    ros_channel,
+)
+from hostlink.recording.history import MAX_SAMPLES, RobotHistory, thinned
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.velocity import TWIST_TYPE
 
 POSE_TYPE, TOPIC = "geometry_msgs/Pose2D", "/robot_0/odometry"
-STEP_NS = 100_000_000
+STEP_S = 0.1
 POSE = Catalog().message(POSE_TYPE)
 
 
 def channel(topic: str = TOPIC, type_name: str = POSE_TYPE) -> Channel:
-    return ros_channel(topic, type_name, POSE, is_latched=False)
+    return ros_channel(topic, type_name, POSE, is_latched=False, origin=DEVICE)
 
 
 def entries(*poses: tuple[float, float, float], of: Channel | None = None) -> list[Entry]:
     """One each tenth of a second."""
     at = channel() if of is None else of
-    return [Entry(at, number * STEP_NS, struct.pack("<3d", *pose)) for number, pose in enumerate(poses, 1)]
+    return [Entry(at, 0, struct.pack("<3d", *pose), number * STEP_S) for number, pose in enumerate(poses, 1)]
+
+
+def history(kept: list[Entry], odometry: tuple[str, str] | None = (TOPIC, POSE_TYPE)) -> RobotHistory:
+    found = RobotHistory("robot_0", odometry=odometry)
+    for entry in kept:
+        found.add(entry)
+    return found
+
+
+def no_rest() -> None:
+    """Nothing else runs."""
 
 
 def shown(kept: list[Entry], present: Pose | None = None) -> list[Pose]:
-    return [each.pose for each in past_poses(kept, TOPIC, POSE_TYPE, OdometryEstimator(), present)]
+    return [each.pose for each in history(kept).poses(OdometryEstimator(), present, no_rest)]
 
 
 def test_poses_are_those_of_the_topic_in_their_order() -> None:
@@ -52,29 +75,55 @@ def test_a_restart_of_the_device_does_not_jump() -> None:
 
 
 def test_damage_is_left_out() -> None:
-    kept = [*entries((0.0, 0.0, 0.0)), Entry(channel(), 2 * STEP_NS, b"short")]
+    kept = [*entries((0.0, 0.0, 0.0)), Entry(channel(), 0, b"short", 2 * STEP_S)]
     assert shown(kept) == [Pose()]
-    assert POSE is not None
-    assert [stamp_ns for stamp_ns, _ in past_messages(kept, TOPIC, POSE.name, POSE.decode)] == [STEP_NS]
-    assert past_messages(kept, TOPIC, "std_msgs/String", POSE.decode) == []
+
+
+def event(kind: str, at_s: float, of: Channel = EVENTS) -> Entry:
+    text = f'{{"kind": "{kind}"}}'.encode()
+    return Entry(of, 0, text if of.encoding == JSON else as_text(text), at_s)
+
+
+@pytest.mark.parametrize("of", [EVENTS, Channel(EVENTS_TOPIC, JSON, EVENT, "{}")])
+def test_events_are_those_of_hostlink_without_single_commands_also_of_old_files(of: Channel) -> None:
+    programs = ros_channel(EVENTS_TOPIC, "std_msgs/String", None, is_latched=False)
+    kept = [event("locked", 1.0, of), event("commanded", 2.0, of), Entry(programs, 0, as_text(b'{"kind": "x"}'), 3.0)]
+    kept += [Entry(of, 0, b"[]", 4.0), event("gone", 5.0, of)]
+    assert history(kept).events(no_rest) == [(1.0, {"kind": "locked"}), (5.0, {"kind": "gone"})]
+
+
+def test_more_entries_than_are_shown_are_not_decoded() -> None:
+    twist = ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, origin=VELOCITY)
+    decoded = []
+
+    def decode(payload: bytes) -> dict[str, Any]:
+        decoded.append(payload)
+        return {"number": int(payload)}
+
+    found = history([Entry(twist, 0, b"%d" % number, float(number)) for number in range(100_003)])
+    commands = found.commands(decode, no_rest)
+    assert len(decoded) <= MAX_SAMPLES
+    assert len(commands) <= MAX_SAMPLES
+    assert (commands[0][0], commands[-1]) == (pytest.approx(0, abs=50), (100_002.0, {"number": 100_002}))
 
 
 def test_an_estimator_begins_anew_with_its_settings() -> None:
     used = OdometryEstimator(continues=False)
     used.update(Pose(1.0, 2.0, 0.0), now_s=0.0, wall_ns=0)
     moving = [(0.05 * number, 0.0, 0.0) for number in range(11)]
-    again = past_poses(entries(*moving, (0.0, 0.0, 0.0)), TOPIC, POSE_TYPE, used.anew(), None)
+    again = history(entries(*moving, (0.0, 0.0, 0.0))).poses(used.anew(), None, no_rest)
     assert again[0].pose == Pose()
     assert again[-1].pose == Pose()  # it begins again with the device
 
 
 def test_the_odometry_of_a_file_is_the_devices_topic_of_that_name() -> None:
-    found = [
-        entries((0.0, 0.0, 0.0), of=ros_channel(topic, POSE_TYPE, POSE, is_latched=False, origin=origin))
-        for topic, origin in (("/robot_0/aim", DEVICE), (TOPIC, DEVICE), ("/a/odometry", "a program"))
-    ]
-    assert odometry_of(entry for kept in found for entry in kept) == (TOPIC, POSE_TYPE)
-    assert odometry_of(found[2]) is None
+    aim, odometry, programs = (
+        entries((x, 0.0, 0.0), of=ros_channel(topic, POSE_TYPE, POSE, is_latched=False, origin=origin))
+        for x, topic, origin in ((1.0, "/robot_0/aim", DEVICE), (2.0, TOPIC, DEVICE), (3.0, "/a/odometry", "a program"))
+    )
+    found = history([*aim, *odometry, *programs], odometry=None)
+    assert [each.pose.x_m for each in found.poses(OdometryEstimator(), None, no_rest)] == [2.0]
+    assert history(programs, odometry=None).poses(OdometryEstimator(), None, no_rest) == []
 
 
 def test_more_samples_than_are_shown_lose_every_second_one_and_never_the_last() -> None:

@@ -10,6 +10,7 @@ import lz4.frame
 import pytest
 import zstandard
 
+from hostlink.errors import RecordingFailed
 from hostlink.recording.contents import contents_of
 from hostlink.recording.export_csv import export_csv
 from hostlink.recording.export_ros import RosFormat, export_ros
@@ -152,14 +153,15 @@ def test_channels_of_one_schema_share_its_text(tmp_path: Path) -> None:
 def test_json_in_json_without_end_is_a_message_that_nobody_can_decode(tmp_path: Path, payload: bytes) -> None:
     path = one(tmp_path, "{}", payload, encoding="json")
     assert read(path).undecoded == {"/x": 1}
-    assert export_csv(Reader(path), tmp_path / "csv") == {}
+    with pytest.raises(RecordingFailed, match="has no message to export"):
+        export_csv(Reader(path), tmp_path / "csv")
 
 
 @pytest.mark.parametrize("number", [b'"x"', b"[]", b"null", b"9" * 400])
 def test_json_that_looks_like_a_time_and_is_none_has_its_fields(tmp_path: Path, number: bytes) -> None:
     path = one(tmp_path, "{}", b'{"at":{"secs":' + number + b',"nsecs":1}}', encoding="json")
     assert list(read(path)["/x"]) == ["at.secs", "at.nsecs"]
-    assert export_csv(Reader(path), tmp_path / "csv") == {"x.csv": 1}
+    assert export_csv(Reader(path), tmp_path / "csv")[1] == {"x.csv": 1}
 
 
 def test_json_with_other_fields_in_each_message_is_a_table_of_bounded_width(tmp_path: Path) -> None:
@@ -192,7 +194,7 @@ def test_of_a_thousand_tables_of_text_none_keeps_its_buffer(tmp_path: Path) -> N
 
 def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> None:
     path = one(tmp_path, "{}", b'{"a\\ud800":"\\udc00"}', encoding="json")
-    assert export_csv(Reader(path), tmp_path / "csv") == {"x.csv": 1}
+    assert export_csv(Reader(path), tmp_path / "csv")[1] == {"x.csv": 1}
     assert (tmp_path / "csv" / "x.csv").read_text().splitlines()[0] == "time_s,a?"
 
 
@@ -212,12 +214,22 @@ def test_half_a_surrogate_pair_is_written_as_one_character(tmp_path: Path) -> No
 def test_a_type_that_grows_without_end_is_left_out(
     tmp_path: Path, definition: str, payload: bytes, format_: RosFormat
 ) -> None:
-    done = export_ros(Reader(one(tmp_path, definition, payload)), tmp_path / "bag", format_)
-    assert done.messages == 0
-    assert done.left_out.keys() == {"/x"}
+    with pytest.raises(RecordingFailed, match="/x"):
+        export_ros(Reader(one(tmp_path, definition, payload)), tmp_path / "bag", format_)
+    assert not (tmp_path / "bag").exists()
 
 
 def test_a_time_beyond_all_clocks_is_read_and_shown(tmp_path: Path) -> None:
     path = one(tmp_path, "string data", text("a"), stamp_ns=2**64 - 1)
     assert contents_of(path).messages == 1
     assert read(path)["/x"].stamp_ns.tolist() == [2**63 - 1]
+
+
+@pytest.mark.parametrize(("format_", "beyond_ns"), [(RosFormat.ROS1, 2**32 * 10**9), (RosFormat.ROS2_SQLITE, 2**63)])
+def test_a_message_of_a_time_that_a_bag_cannot_have_is_left_out(
+    tmp_path: Path, format_: RosFormat, beyond_ns: int
+) -> None:
+    parts = schema(1, TEXT, "string data"), channel(1, "/x"), message(1, text("a"), beyond_ns - 1)
+    path = file(tmp_path, *parts, message(1, text("b"), beyond_ns))
+    done = export_ros(Reader(path), tmp_path / "bag", format_)
+    assert (done.messages, list(done.left_out)) == (1, ["/x"])

@@ -69,6 +69,24 @@ def test_the_same_cause_at_the_same_robot_is_one_incident_for_a_while() -> None:
     assert len(causes(locked(0.0), event(EventKind.GONE, 1.0, was_moving=True))) == 2
 
 
+@pytest.mark.parametrize("code", ["went_silent", "time_stopped"])
+def test_one_silence_of_a_device_is_one_incident(code: str) -> None:
+    silent = event(EventKind.DIAGNOSED, 7.0, link=1, code=code, cause="it is silent", next_step="", detail="")
+    gone = event(EventKind.GONE, 11.0, was_moving=True)
+    assert causes(silent, gone) == ["diagnosed"]
+    assert causes(gone._replace(at_s=5.0), silent) == ["gone"]
+    assert causes(gone, silent._replace(at_s=11.0 + AGAIN_S)) == ["gone", "diagnosed"]
+
+
+def test_a_pause_of_the_host_is_one_incident_that_names_the_host() -> None:
+    rules = IncidentRules()
+    rules.observe(commanded(FAST))
+    found = rules.observe(stopped("hostlink did not run"))
+    assert found is not None
+    assert (found.cause, found.detail) == ("lease", "hostlink did not run while pilot drove")
+    assert rules.observe(event(EventKind.LOGGED, 0.1, link=1, level=2, text="no command for 500 ms: stopped")) is None
+
+
 def test_a_robot_that_is_forgotten_leaves_nothing() -> None:
     rules = IncidentRules()
     rules.observe(commanded(FAST))

@@ -32,8 +32,10 @@ def drawn(count: int, seed: int = 1) -> list[StoredMessage]:
     random_ = random.Random(seed)
     stamps = [10**18 + 10**9 * (number if number < count // 2 else number - 5) for number in range(count)]
     return [
-        StoredMessage(random_.choice(CHANNELS), stamp_ns, random_.randbytes(random_.choice((0, 3, 24, 700))))
-        for stamp_ns in stamps
+        StoredMessage(
+            random_.choice(CHANNELS), stamp_ns, random_.randbytes(random_.choice((0, 3, 24, 700))), 10**18 + number
+        )
+        for number, stamp_ns in enumerate(stamps)
     ]
 
 
@@ -78,7 +80,7 @@ def test_the_librarys_seeking_reader_reads_it_by_its_index(tmp_path: Path) -> No
 def test_a_schema_has_all_that_its_type_contains(tmp_path: Path) -> None:
     odometry = CATALOG.message("nav_msgs/Odometry")
     channel = ros_channel("/odom", "nav_msgs/Odometry", odometry, is_latched=False)
-    write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"")])
+    write(tmp_path / "a.mcap", [StoredMessage(channel, 1, b"", 1)])
     (message,) = Reader(tmp_path / "a.mcap").messages()
     assert "MSG: geometry_msgs/PoseWithCovariance" in message.channel.schema
     assert odometry is not None
@@ -156,7 +158,7 @@ def test_repairing_a_whole_file_leaves_its_bytes(tmp_path: Path) -> None:
 def test_what_is_no_recording_is_a_line_and_stays(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    with pytest.raises(RecordingFailed, match="is no MCAP file"):
+    with pytest.raises(RecordingFailed, match="is not an MCAP file"):
         repair(path)
     assert path.read_bytes() == content
     assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]

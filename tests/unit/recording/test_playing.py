@@ -12,7 +12,7 @@ SECOND_NS = 1_000_000_000
 
 
 def at(*seconds: float) -> list[StoredMessage]:
-    return [StoredMessage(EVENTS, int(each * SECOND_NS), b"") for each in seconds]
+    return [StoredMessage(EVENTS, 0, b"", int(each * SECOND_NS)) for each in seconds]
 
 
 def due(*seconds: float, rate: float = 1.0, start_s: float = 0.0) -> list[float]:
@@ -58,7 +58,7 @@ def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() ->
         ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot=name, origin=VELOCITY) for name in ("a", "b")
     )
     stored = [
-        StoredMessage(of, int(at_s * SECOND_NS), velocity.encode())
+        StoredMessage(of, 0, velocity.encode(), int(at_s * SECOND_NS))
         for at_s, of, velocity in ((0.0, mine, forward), (0.25, mine, ZERO), (4.0, others, back))
     ]
     found = [(each.at_s, each.velocity) for each in drives(schedule(stored), "a", "/cmd_vel")]

@@ -4,17 +4,22 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
+
 from hostlink.config import Config
 from hostlink.hub.graph_changes import LATEST_S
 from hostlink.hub.hub import Hub
 from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.recording.channel import Channel
+from hostlink.hub.robot_events import EventKind
+from hostlink.recording.channel import EVENTS, Channel, json_of
 from hostlink.recording.recorder import Recorder, Selection
 from hostlink.robot.directory import RobotTopicNames
+from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
 
 TYPE = "std_msgs/Bool"
+VELOCITY = Velocity(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 
 
 class Kept:
@@ -69,6 +74,18 @@ def test_a_robot_that_comes_or_leaves_costs_a_recorder_what_it_has() -> None:
     assert (came, left) == (["/new/topic"], [])
     assert set(asked) == {"/new/topic"}
     assert len(asked) <= 4
+
+
+def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
+    async def run() -> bytes:
+        hub, kept = Hub(Config(), CATALOG, reraises=True), Kept()
+        Recorder(hub, kept, Selection()).start()
+        hub.events.note(EventKind.COMMANDED, "robot_0", owner="client 1", address="10.0.0.1", limited=VELOCITY)
+        return kept.payloads[-1]
+
+    facts = {"owner": "client 1", "limited": VELOCITY._asdict()}  # no address: files go to others
+    event = msgspec.json.decode(json_of(EVENTS, run_virtual(run())))
+    assert event == {"kind": "commanded", "robot": "robot_0", "facts": facts}
 
 
 def test_the_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> None:

@@ -1,36 +1,49 @@
-"""What is kept of robots: the newest, within the time and the room."""
+"""What is kept of robots: the newest, within the time and the room; and what is left when the process is gone."""
 
 import itertools
+import random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.recording.channel import EVENTS
-from hostlink.recording.ring import ENTRY_BYTES, MOST_AT_ONCE, Entry, Rings
+from hostlink.recording.channel import EVENTS, LOG, Channel
+from hostlink.recording.ring import HEADER_BYTES, MAX_MESSAGES, Entry, Rings, read_blocks, read_entries
+from hostlink.recording.ring_memory import BLOCK_BYTES, RingMemory
 
 SECOND_NS = 1_000_000_000
 KEEP_S = 10.0
 
 
-def entry(at_s: float, size_bytes: int = 0) -> Entry:
-    return Entry(EVENTS, int(at_s * SECOND_NS), bytes(size_bytes), at_s)
+def rings_of(blocks: int, *, keep_s: float = KEEP_S) -> Rings:
+    return Rings(RingMemory(blocks * BLOCK_BYTES), keep_s=keep_s)
+
+
+def entry(at_s: float, size_bytes: int = 0, channel: Channel = EVENTS) -> Entry:
+    return Entry(channel, int(at_s * SECOND_NS), bytes(size_bytes), at_s)
 
 
 def kept_of(rings: Rings, robot: str) -> list[Entry]:
     return list(itertools.chain(*rings.copies(robot)))
 
 
-def test_what_is_older_than_the_time_goes() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=10**6)
+def left_of(rings: Rings, memory: bytes | None = None) -> dict[str, list[Entry]]:
+    """What another process reads out of the memory."""
+    schemas = rings._memory.schemas()
+    blocks = read_blocks(rings._memory.bytes[:] if memory is None else memory)
+    return {robot: list(read_entries(found, schemas)) for robot, found in blocks.items()}
+
+
+def test_ring_drops_what_is_older_than_the_time() -> None:
+    rings = rings_of(16)
     for second in range(30):
         rings.add("robot_0", *entry(second))
     assert [each.stamp_ns // SECOND_NS for each in kept_of(rings, "robot_0")] == list(range(19, 30))
     assert rings.dropped == 0
 
 
-def test_a_robot_has_what_is_nobodys_too_and_nothing_of_another() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=10**6)
+def test_ring_of_a_robot_has_what_is_nobodys_too_and_nothing_of_another() -> None:
+    rings = rings_of(16)
     for robot in ("robot_0", "robot_1", ""):
         rings.add(robot, *entry(1.0, len(robot)))
     assert [len(each.payload) for each in kept_of(rings, "robot_0")] == [7, 0]
@@ -39,81 +52,140 @@ def test_a_robot_has_what_is_nobodys_too_and_nothing_of_another() -> None:
     assert [len(each.payload) for each in kept_of(rings, "robot_0")] == [0]
 
 
-def test_a_robot_that_floods_leaves_the_others_their_part() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=100 * (ENTRY_BYTES + 100))
-    for number in range(10):
-        rings.add("quiet", *entry(number / 10, 100))
+def test_ring_of_a_robot_that_floods_leaves_the_others_their_part() -> None:
+    rings = rings_of(16)
+    for number in range(1000):
+        rings.add("quiet", *entry(number / 1000, 100))
     for number in range(10_000):
         rings.add("loud", *entry(1 + number / 10_000, 100))
-    assert len(kept_of(rings, "quiet")) == 10
-    assert len(kept_of(rings, "loud")) == 50
-    assert rings.dropped == 10_000 - 50
+    assert len(kept_of(rings, "quiet")) == 1000
+    kept = len(kept_of(rings, "loud"))
+    assert 7 * BLOCK_BYTES < kept * (100 + HEADER_BYTES) <= 8 * BLOCK_BYTES
+    assert rings.dropped == 10_000 - kept
 
 
-@given(st.lists(st.tuples(st.sampled_from(("a", "b", "")), st.floats(0, 100), st.integers(0, 5000)), max_size=200))
-def test_the_room_is_never_exceeded_and_the_newest_stays_if_it_fits(drawn: list[tuple[str, float, int]]) -> None:
-    max_bytes = 30_000
-    rings = Rings(keep_s=KEEP_S, max_bytes=max_bytes)
-    for robot, at_s, size_bytes in drawn:
-        newest = entry(at_s, size_bytes)
+channels = st.sampled_from((EVENTS, LOG))
+robots = st.sampled_from(("a", "b", ""))
+additions = st.lists(st.tuples(robots, st.floats(0, 9), st.integers(0, 40_000), channels), max_size=60)
+
+
+@given(additions, st.integers(4, 12))
+def test_rings_keep_the_newest_of_each_robot_in_order_within_the_room(
+    drawn: list[tuple[str, float, int, Channel]], blocks: int
+) -> None:
+    """And whoever reads the memory afterwards finds the same."""
+    rings, added = rings_of(blocks), dict[str, list[Entry]]()
+    for robot, at_s, size_bytes, channel in sorted(drawn, key=lambda each: each[1]):
+        newest = Entry(channel, int(at_s * SECOND_NS), random.Random(size_bytes).randbytes(size_bytes), at_s)
         rings.add(robot, *newest)
-        assert newest in kept_of(rings, robot) or newest.at_s < max(each.at_s for each in kept_of(rings, robot))
-    for robot in {robot for robot, _, _ in drawn}:
-        rings.add(robot, *entry(200.0))
-    assert rings.size_bytes <= max_bytes
+        room = blocks // (len(added) + (robot not in added))
+        kept = list(rings.copies(robot)[-1] if robot == "" else rings.copies(robot)[0])
+        added.setdefault(robot, [])
+        if size_bytes <= (room - 1) * BLOCK_BYTES - 4096:
+            assert kept[-1] == newest
+        if kept[-1:] == [newest]:
+            added[robot].append(newest)
+        assert kept == added[robot][len(added[robot]) - len(kept) :]
+        assert rings.size_bytes <= blocks * BLOCK_BYTES
+    left = left_of(rings)
+    for robot, entries in added.items():
+        kept = list((rings.copies(robot) or [iter(())])[0])
+        assert left.get(robot, []) == kept
+        assert kept == entries[len(entries) - len(kept) :]
 
 
 @pytest.mark.parametrize("jump_s", [-1000, 1000])
-def test_a_clock_that_is_set_loses_nothing_that_is_new_and_keeps_nothing_that_is_old(jump_s: int) -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=10**6)
+def test_ring_with_a_clock_that_is_set_loses_nothing_new_and_keeps_nothing_old(jump_s: int) -> None:
+    rings = rings_of(16)
     stamps_s = [2000 + second + (second >= 15) * jump_s for second in range(20)]
     for second, stamp_s in enumerate(stamps_s):
         rings.add("robot_0", *Entry(EVENTS, stamp_s * SECOND_NS, b"", second))
     assert [each.stamp_ns // SECOND_NS for each in kept_of(rings, "robot_0")] == stamps_s[9:]
 
 
-def test_a_message_that_is_larger_than_the_room_is_not_kept() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=1000)
-    rings.add("robot_0", *entry(1.0, 2000))
-    assert (kept_of(rings, "robot_0"), rings.size_bytes, rings.dropped) == ([], 0, 1)
+def test_ring_drops_a_message_that_is_larger_than_the_room_and_nothing_else() -> None:
+    rings = rings_of(4)
+    rings.add("robot_0", *entry(1.0, 100))
+    rings.add("robot_0", *entry(2.0, 4 * BLOCK_BYTES))
+    assert [len(each.payload) for each in kept_of(rings, "robot_0")] == [100]
+    assert rings.dropped == 1
 
 
-def test_robots_that_come_make_the_room_of_another_less_piece_by_piece() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=10_000 * ENTRY_BYTES)
-    for number in range(10_000):
-        rings.add("loud", *entry(number / 10_000))
-    for number in range(9):
-        rings.add(f"robot_{number}", *entry(1.0))
-    dropped, kept = [], len(kept_of(rings, "loud"))
-    for number in range(9_000 // (MOST_AT_ONCE - 1) + 1):
-        rings.add("loud", *entry(1.0 + number / 10_000))
-        dropped.append(kept + 1 - len(kept_of(rings, "loud")))
-        kept = len(kept_of(rings, "loud"))
-    assert max(dropped) == MOST_AT_ONCE
-    assert kept == 1000
+def test_ring_drops_a_message_of_a_channel_whose_definition_fits_no_block() -> None:
+    rings = rings_of(8)
+    rings.add("robot_0", *entry(1.0, 100))
+    rings.add("robot_0", *entry(2.0, 0, Channel("/" + BLOCK_BYTES * "x", "ros1", "", "")))
+    assert rings.dropped == 1
+    rings.add("robot_0", *entry(3.0, 100))
+    assert [each.at_s for each in kept_of(rings, "robot_0")] == [1.0, 3.0]
 
 
-def test_a_copy_for_another_thread_is_not_changed_by_what_comes() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=10**6)
+def test_rings_of_more_robots_than_blocks_keep_the_newest() -> None:
+    rings = rings_of(4)
+    for number in range(40):
+        rings.add(f"robot_{number}", *entry(number / 100, 100))
+    assert [len(kept_of(rings, f"robot_{number}")) for number in range(40)] == [0] * 36 + [1] * 4
+
+
+def test_ring_has_no_more_messages_than_fit_into_memory_as_objects() -> None:
+    rings = Rings(RingMemory(2 * MAX_MESSAGES * HEADER_BYTES), keep_s=KEEP_S)
+    for number in range(MAX_MESSAGES + 5000):
+        rings.add("robot_0", *entry(number / 1e6))
+    assert MAX_MESSAGES - 1000 < len(kept_of(rings, "robot_0")) <= MAX_MESSAGES + 1000
+
+
+def test_ring_copy_for_another_thread_is_not_changed_by_what_comes() -> None:
+    rings = rings_of(4)
     rings.add("robot_0", *entry(1.0))
     (copy,) = rings.copies("robot_0")
     rings.add("robot_0", *entry(2.0))
     assert list(copy) == [entry(1.0)]
 
 
-def test_names_that_nobody_uses_any_more_leave_the_room_to_the_others() -> None:
+def test_rings_of_names_that_nobody_uses_any_more_leave_the_room_to_the_others() -> None:
     """A name may be that of a topic, or of a robot that was forgotten a moment before its last line."""
-    rings = Rings(keep_s=KEEP_S, max_bytes=1000 * (ENTRY_BYTES + 100))
-    for number in range(1000):
+    rings = rings_of(10)
+    for number in range(100):
         rings.add(f"name {number}", *entry(number / 100, 100))
-    for number in range(400):
-        rings.add("robot_0", *entry(30 + number / 100, 100))
-    assert len(kept_of(rings, "robot_0")) == 400
-    assert rings.size_bytes == 400 * (ENTRY_BYTES + 100)
+    for number in range(1000):
+        rings.add("robot_0", *entry(30 + number / 1000, 100))
+    assert len(kept_of(rings, "robot_0")) == 1000
 
 
-def test_a_message_that_is_larger_than_the_room_leaves_nothing_behind() -> None:
-    rings = Rings(keep_s=KEEP_S, max_bytes=1000)
-    rings.add("robot_0", *entry(1.0, 5000))
-    rings.add("robot_1", *entry(2.0))
-    assert [len(kept_of(rings, robot)) for robot in ("robot_0", "robot_1")] == [0, 1]
+def test_ring_uses_blocks_again_before_it_needs_more() -> None:
+    """Memory that was never needed is never taken from the system."""
+    rings = rings_of(1000)
+    for number in range(100_000):
+        rings.add("robot_0", *entry(number / 100, 100))
+    assert rings._taken * BLOCK_BYTES < 3 * KEEP_S * 100 * (100 + HEADER_BYTES)
+
+
+@given(st.integers(0, 3 * BLOCK_BYTES), st.binary(min_size=1, max_size=64))
+def test_ring_with_torn_or_damaged_bytes_loses_what_is_behind_them_in_that_block_alone(
+    place: int, damage: bytes
+) -> None:
+    rings = rings_of(4)
+    added = [Entry(EVENTS, number, number.to_bytes(4, "little") * 50, number / 1000) for number in range(200)]
+    for each in added:
+        rings.add("robot_0", *each)
+    before = left_of(rings)["robot_0"]
+    memory = bytearray(rings._memory.bytes[:])
+    memory[place : place + len(damage)] = damage
+    after = left_of(rings, bytes(memory)).get("robot_0", [])
+    blocks_hit = {place // BLOCK_BYTES, (place + len(damage) - 1) // BLOCK_BYTES}
+    lost = [each for each in before if each not in after]
+    assert len(lost) <= len(blocks_hit) * BLOCK_BYTES // (200 + HEADER_BYTES)
+
+
+def test_ring_memory_that_was_cut_at_any_write_of_a_message_has_all_the_others() -> None:
+    """As by a kill: the bytes of a message are written from its first to its last."""
+    rings = rings_of(4)
+    for number in range(3):
+        rings.add("robot_0", *entry(number, 20))
+    (kept,) = rings._rings.values()
+    begin = kept.end
+    rings.add("robot_0", *Entry(EVENTS, 7, b"\xff" * 20, 7.0))
+    for cut in range(begin, kept.end):
+        memory = bytearray(rings._memory.bytes[:])
+        memory[cut : kept.end] = bytes(kept.end - cut)
+        assert [each.at_s for each in left_of(rings, bytes(memory))["robot_0"]] == [0.0, 1.0, 2.0]

@@ -9,7 +9,7 @@ import pytest
 import hostlink.recording
 from hostlink.errors import RecordingFailed
 from hostlink.messages.catalog import Catalog
-from hostlink.recording.channel import EVENTS, ros_channel
+from hostlink.recording.channel import EVENTS, as_text, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 
 CATALOG = Catalog()
@@ -64,7 +64,7 @@ def test_events_whose_fields_differ_have_none_where_there_is_nothing(tmp_path: P
     path = tmp_path / "run.mcap"
     writer = McapWriter(path, metadata={})
     for payload in (b'{"kind": "locked", "facts": {"reason": "a"}}', b'{"kind": "gone"}', b"[]", b"\xff"):
-        writer.write(EVENTS, BEGIN_NS, payload)
+        writer.write(EVENTS, BEGIN_NS, as_text(payload))
     writer.close()
     tables = hostlink.recording.read(path)
     assert tables[EVENTS.topic]["facts.reason"].tolist() == ["a", None]

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.recording.black_box import BURST, write_incident
 from hostlink.recording.channel import EVENTS, LOG
 from hostlink.recording.folder import Folder
 from hostlink.recording.incident import Incident
+from hostlink.recording.incident_writer import BURST, write_incident
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import Entry
 
@@ -15,7 +15,7 @@ SECOND_NS = 1_000_000_000
 COUNT = 10 * BURST
 
 
-def test_an_incident_is_written_by_time_with_a_rest_after_each_burst(tmp_path: Path) -> None:
+def test_an_incident_is_written_in_the_order_of_arrival_with_a_rest_after_each_burst(tmp_path: Path) -> None:
     robot = [Entry(EVENTS, (100 + number) * SECOND_NS, b"{}", 100 + number) for number in range(COUNT // 2)]
     nobody = [Entry(LOG, (100 + number) * SECOND_NS + 1, b"{}", 100 + number) for number in range(COUNT // 2)]
     old = Entry(LOG, 1 * SECOND_NS, b"{}", 1)
@@ -46,4 +46,6 @@ def test_a_clock_that_is_set_changes_nothing_of_what_is_in_an_incident(tmp_path:
         before_s=20.0,
         rest=lambda: None,
     )
-    assert [message.stamp_ns for message in Reader(path).messages()] == sorted(stamps_ns[25:])
+    found = list(Reader(path).messages())
+    assert [message.stamp_ns for message in found] == stamps_ns[25:]
+    assert [message.steady_ns - stamps_ns[45] for message in found] == [each * SECOND_NS for each in range(-20, 5)]

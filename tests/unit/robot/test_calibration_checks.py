@@ -1,12 +1,19 @@
 """What a person enters wrong is found before it is kept: slips, exchanges, and in the check drive whatever is left."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 
 from hostlink.robot.calibration import Kind, MeasuredRun, Measurement, WheelGeometry, calibrated, uncorrected
-from hostlink.robot.calibration_checks import complaint_of_run, complaint_of_runs, confirm
+from hostlink.robot.calibration_checks import (
+    complaint_of_nominal,
+    complaint_of_run,
+    complaint_of_runs,
+    confirm,
+)
 from tests.unit.robot.drives import ExactRobot
 
 NOMINAL = WheelGeometry()
@@ -113,6 +120,47 @@ def test_turns_that_contradict_the_squares_are_refused() -> None:
     assert "one of them was measured or entered wrong" in complaint_of_runs(runs, NOMINAL)
 
 
+@pytest.mark.parametrize("factor", [10.0, 0.1, 2.54, 1 / 2.54, 100.0])
+@pytest.mark.parametrize("number", range(3))
+def test_a_nominal_number_in_another_unit_is_doubted(number: int, factor: float) -> None:
+    values = list(NOMINAL)
+    values[number] *= factor
+    complaint = complaint_of_nominal(WheelGeometry(*values), NOMINAL)
+    assert f"{values[number]:g} m, is" in complaint
+    assert "a decimal slip, or a unit? Numbers are metres" in complaint
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 1.0, 1.3, 2.0, 3.5])
+def test_nominal_numbers_of_another_robot_are_not_doubted(share: float) -> None:
+    assert complaint_of_nominal(WheelGeometry(*(share * value for value in NOMINAL)), NOMINAL) == ""
+
+
+def test_squares_in_metres_taken_for_centimetres_contradict_lines_and_turns() -> None:
+    complaint = complaint_of_runs(all_squares(RUNS, 0.01, 0.01), NOMINAL)
+    assert "as if metres were entered as centimetres" in complaint
+    assert "enter the unit" in complaint
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(0.01, "metres"), (10.0, "millimetres"), (1 / 2.54, "inches")])
+def test_a_line_in_another_unit_is_refused_with_that_unit(factor: float, unit: str) -> None:
+    line = RUNS[0]
+    wrong = with_measured(line, line.measured.x_m * factor, line.measured.y_m)
+    assert f"was it in {unit}? Enter the unit with the number" in complaint_of_run(wrong, OWN)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_drawn_robots_with_an_honest_person_have_no_complaint(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    size, uneven, apart = random.uniform(-0.03, 0.03), random.uniform(-0.008, 0.008), random.uniform(-0.06, 0.06)
+    true = WheelGeometry(0.045 * (1 + size - uneven), 0.045 * (1 + size + uneven), 0.21 * (1 + apart))
+    runs = ExactRobot(NOMINAL, true, noise_m=0.002, seed=seed).drives()
+    assert [complaint_of_run(run, OWN) for run in runs] == [""] * len(runs)
+    assert complaint_of_runs(runs, NOMINAL) == ""
+    off_m = max(math.hypot(*run.measured[:2]) for run in runs if run.kind in SQUARES)
+    if off_m > 0.2:  # with less, metres for centimetres are within the scatter of the squares
+        assert complaint_of_runs(all_squares(runs, 0.01, 0.01), NOMINAL) != ""
+
+
 @pytest.mark.parametrize(("x", "y"), [(0.1, 0.1), (-1.0, -1.0)], ids=["decimal slip", "towards the wrong side"])
 def test_the_check_drive_refuses_squares_that_were_all_read_wrong(x: float, y: float) -> None:
     found = calibrated(all_squares(RUNS, x, y), NOMINAL)
@@ -151,3 +199,8 @@ def test_wheels_that_are_both_too_large_are_a_gain_for_lines_alone() -> None:
     robot = ExactRobot(NOMINAL, WheelGeometry(0.0459, 0.0459, 0.2142), noise_m=0.0003)
     found = calibrated(robot.drives(), NOMINAL)
     assert confirm(found, [robot.drives(1)[0], robot.square(1), robot.square(-1)]).complaint == ""
+
+
+def test_squares_without_turns_on_the_spot_say_nothing_of_units() -> None:
+    runs = [run for run in RUNS if run.kind not in (Kind.TURNS_CCW, Kind.TURNS_CW)]
+    assert complaint_of_runs(runs, NOMINAL) == ""

@@ -5,8 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.robot.directory import Accepted, Directory, TopicClaim
+from hostlink.robot.robot_names import Places
 from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import Limits, VelocityGate
+from hostlink.robot.velocity_gate import Limits
+from tests.support.gates import GateOfRobot
 
 PLACES = tuple(f"10.0.0.{number}" for number in range(1, 6))
 TOPICS: list[TopicClaim] = [
@@ -29,15 +31,15 @@ def claim(directory: Directory, link: int) -> str:
 def test_what_the_configuration_says_of_nobody_changes_nothing() -> None:
     directory = Directory({})
     claim(directory, 0)
-    assert directory.misplaced({"rover": PLACES[3]}) == {}
+    assert directory.misplaced(Places({"rover": PLACES[3]})) == {}
 
 
 def test_the_name_of_a_robot_that_is_away_is_free_too() -> None:
     directory = Directory({})
     name = claim(directory, 0)
     directory.leave(0)
-    assert directory.misplaced({"rover": PLACES[0]}) == {name: None}
-    directory.reconfigure({"rover": PLACES[0]})
+    assert directory.misplaced(Places({"rover": PLACES[0]})) == {name: None}
+    directory.reconfigure(Places({"rover": PLACES[0]}))
     assert claim(directory, 0) == "rover"
 
 
@@ -48,8 +50,8 @@ def test_every_robot_has_the_name_that_the_new_configuration_gives_to_its_place(
     """And who has none keeps the one that he has, unless it is another's."""
     directory = Directory(before)
     old = {link: claim(directory, link) for link in range(count)}
-    misplaced = directory.misplaced(after)
-    directory.reconfigure(after)
+    misplaced = directory.misplaced(Places(after))
+    directory.reconfigure(Places(after))
     new = {link: claim(directory, link) for link in range(count)}
     at = {place: name for name, place in after.items()}
     for link, name in new.items():
@@ -59,15 +61,15 @@ def test_every_robot_has_the_name_that_the_new_configuration_gives_to_its_place(
             assert name == old[link]
         assert (name != old[link]) == (old[link] in misplaced)
     assert len(set(new.values())) == count
-    assert directory.misplaced(after) == {}
+    assert directory.misplaced(Places(after)) == {}
 
 
 @given(configurations)
 def test_the_same_configuration_again_changes_nothing(addresses: dict[str, str]) -> None:
     directory = Directory(addresses)
     names = {link: claim(directory, link) for link in range(len(PLACES))}
-    assert directory.misplaced(addresses) == {}
-    directory.reconfigure(addresses)
+    assert directory.misplaced(Places(addresses)) == {}
+    directory.reconfigure(Places(addresses))
     assert {link: claim(directory, link) for link in range(len(PLACES))} == names
 
 
@@ -84,8 +86,8 @@ def test_the_same_configuration_again_changes_nothing(addresses: dict[str, str])
     ids=["at once", "as it may brake", "none of it"],
 )
 def test_other_limits_change_how_a_robot_is_driven_not_who_drives(limits: Limits, speeds: list[float]) -> None:
-    gate = VelocityGate("rover", Limits())
-    gate.command("ann", Velocity(linear_x_m_s=0.5), priority=50, now_s=0.0)
+    gate = GateOfRobot(Limits())
+    gate.drive("ann", Velocity(linear_x_m_s=0.5), priority=50, now_s=0.0)
     assert gate.step(0.0) == Velocity(linear_x_m_s=0.5)
     gate.change_limits(limits)
     steps = [gate.step(0.1), gate.step(0.2)]
@@ -94,6 +96,6 @@ def test_other_limits_change_how_a_robot_is_driven_not_who_drives(limits: Limits
 
 
 def test_a_robot_that_stands_is_not_moved_by_other_limits() -> None:
-    gate = VelocityGate("rover", Limits(max_linear_m_s=0.1))
+    gate = GateOfRobot(Limits(max_linear_m_s=0.1))
     gate.change_limits(Limits())
     assert (gate.step(0.0), gate.current) == (None, ZERO)

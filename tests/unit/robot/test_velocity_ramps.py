@@ -12,7 +12,7 @@ from tests.support.gates import FORWARD, FREE, GENTLE, HEAVY, STOPPED, TURN, gat
 
 def test_a_ramp_begins_at_zero_and_follows_the_clock() -> None:
     ours = gate(GENTLE)
-    ours.command("ann", FORWARD, priority=50, now_s=7.0)
+    ours.drive("ann", FORWARD, priority=50, now_s=7.0)
     assert [ours.step(7.0), ours.step(7.05), ours.step(7.15)] == [
         ZERO,
         pytest.approx(Velocity(0.05)),
@@ -22,20 +22,20 @@ def test_a_ramp_begins_at_zero_and_follows_the_clock() -> None:
 
 def test_a_ramp_is_straight_so_that_the_slower_axis_leads() -> None:
     ours = gate(GENTLE)
-    ours.command("ann", Velocity(0.1, angular_z_rad_s=2.0), priority=50, now_s=0.0)
+    ours.drive("ann", Velocity(0.1, angular_z_rad_s=2.0), priority=50, now_s=0.0)
     assert ours.step(0.1) == pytest.approx(Velocity(0.05, angular_z_rad_s=1.0))
     assert ours.step(0.2) == Velocity(0.1, angular_z_rad_s=2.0)
 
 
 def test_a_late_step_does_not_jump() -> None:
     ours = gate(GENTLE)
-    ours.command("ann", FORWARD, priority=50, now_s=0.0)
+    ours.drive("ann", FORWARD, priority=50, now_s=0.0)
     assert ours.step(0.45) == pytest.approx(Velocity(0.1))
 
 
 def test_a_clock_that_goes_back_changes_nothing() -> None:
     ours = gate(GENTLE)
-    ours.command("ann", FORWARD, priority=50, now_s=1.0)
+    ours.drive("ann", FORWARD, priority=50, now_s=1.0)
     ours.step(1.1)
     assert ours.step(1.0) == pytest.approx(Velocity(0.1))
 
@@ -45,7 +45,7 @@ def test_a_clock_that_goes_back_changes_nothing() -> None:
 
 def test_a_new_owner_ramps_from_the_present_velocity() -> None:
     ours = moving(HEAVY)
-    ours.command("bob", Velocity(-0.3), priority=50, now_s=1.0)
+    ours.drive("bob", Velocity(-0.3), priority=50, now_s=1.0)
     given = [ours.step(1.0 + number * 0.1) for number in range(4)]
     assert given == [
         FORWARD,
@@ -57,11 +57,11 @@ def test_a_new_owner_ramps_from_the_present_velocity() -> None:
 
 def test_without_a_deceleration_limit_speed_is_lost_at_once_and_gained_slowly() -> None:
     ours = moving(GENTLE)
-    ours.command("ann", Velocity(0.1), priority=50, now_s=1.0)
+    ours.drive("ann", Velocity(0.1), priority=50, now_s=1.0)
     assert ours.step(1.0) == Velocity(0.1)
-    ours.command("ann", Velocity(-0.3), priority=50, now_s=1.1)
+    ours.drive("ann", Velocity(-0.3), priority=50, now_s=1.1)
     assert ours.step(1.1) == pytest.approx(Velocity(-0.1))  # all of 0.1 is lost, 0.1 is gained
-    ours.command("ann", ZERO, priority=50, now_s=1.2)
+    ours.drive("ann", ZERO, priority=50, now_s=1.2)
     assert ours.step(1.2) == ZERO
 
 
@@ -80,7 +80,7 @@ def test_every_end_of_a_lease_slows_down_and_then_sends_zero_three_times(way: st
     if way == "stop":
         ours.stop(now_s=end_s)
     elif way == "release":
-        ours.release("ann", now_s=end_s)
+        ours.withdraw("ann", now_s=end_s)
     assert ours.step(end_s) == FORWARD
     assert (ours.owner_name, ours.is_active) == (None, True)
     assert outputs(ours, end_s + 0.05, 7) == [
@@ -107,7 +107,7 @@ def test_stops_one_after_another_do_not_delay_the_ramp() -> None:
 def test_an_idle_zero_does_not_cut_the_ramp() -> None:
     ours = moving(HEAVY)
     ours.stop(now_s=1.0)
-    ours.command("bob", ZERO, priority=100, now_s=1.05)
+    ours.drive("bob", ZERO, priority=100, now_s=1.05)
     assert ours.step(1.05) == pytest.approx(Velocity(0.2))
 
 
@@ -115,7 +115,7 @@ def test_who_drives_while_it_slows_down_continues_from_there() -> None:
     ours = moving(HEAVY)
     ours.stop(now_s=1.0)
     ours.step(1.1)
-    ours.command("bob", FORWARD, priority=50, now_s=1.1)
+    ours.drive("bob", FORWARD, priority=50, now_s=1.1)
     assert ours.step(1.15) == pytest.approx(Velocity(0.15))
 
 

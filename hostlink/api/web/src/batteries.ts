@@ -21,6 +21,11 @@ export class Batteries {
     return this.known.get(name) ?? null;
   }
 
+  /** What they were is not known to be so any more. */
+  forget(): void {
+    this.known.clear();
+  }
+
   /** Follow those of all robots, or of none. */
   show(isShown: boolean): void {
     const robots = isShown ? this.fleet.robots.slice(0, MOST) : [];

@@ -24,15 +24,15 @@ export interface DriveRequest {
   linear: number;
   angular: number;
   priority: number;
-  link: number | null;
+  epoch: number | null; // of the robot when this motion began; null: its first command is not answered yet
   sent_s: number;
 }
 
 export interface DriveAnswer {
   result: boolean;
-  kind?: string;
+  kind?: string; // of a refusal: docs/robot.md
   reason?: string;
-  is_locked?: boolean;
+  epoch?: number;
   is_limited?: boolean;
 }
 
@@ -62,7 +62,6 @@ type Incoming =
 
 export class Connection {
   state: State = "connecting";
-  roundTripMs: number | null = null;
 
   private socket: WebSocket | null = null;
   private readonly subscriptions = new Map<string, Subscription>(); // by id
@@ -70,6 +69,7 @@ export class Connection {
   private readonly calls = new Map<string, Call>(); // by id
   private called = 0;
   private probedAt: number | null = null; // null: it was answered
+  private answeredMs: number | null = null; // how long that took
   private probeAt = 0;
   private attemptAt = 0;
   private failures = 0;
@@ -81,6 +81,12 @@ export class Connection {
     private readonly onDriven: (answer: DriveAnswer) => void,
     private readonly onRefusal: (reason: string, topic: string) => void,
   ) {}
+
+  /** To hostlink and back; of an answer that is not there yet, at least so long. null: not known. */
+  get roundTripMs(): number | null {
+    if (this.answeredMs === null || this.probedAt === null) return this.answeredMs;
+    return Math.max(this.answeredMs, performance.now() - this.probedAt);
+  }
 
   start(): void {
     this.open();
@@ -169,7 +175,7 @@ export class Connection {
   private closed(socket: WebSocket | null): void {
     if (socket !== this.socket || this.state === "closed") return;
     this.socket = null;
-    this.roundTripMs = null;
+    this.answeredMs = null;
     this.attemptAt = performance.now() + (BACKOFF_MS[Math.min(this.failures, BACKOFF_MS.length - 1)] ?? 0);
     this.failures += 1;
     this.change("closed");
@@ -224,7 +230,7 @@ export class Connection {
 
   private probed(): void {
     if (this.probedAt === null) return;
-    this.roundTripMs = performance.now() - this.probedAt;
+    this.answeredMs = performance.now() - this.probedAt;
     this.probedAt = null;
     this.change("open");
   }

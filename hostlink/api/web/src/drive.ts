@@ -15,6 +15,7 @@ const REFUSED_MS = 1500; // a refusal that is older is over
 const AFTERGLOW_MS = 900; // the daemon may still name this page as the driver
 
 const LEASE_MS = 500;
+const HELD = "held"; // the kind of a refusal: another source drives with a higher priority
 
 const STANDING: Velocity = { linear_m_s: 0, angular_rad_s: 0 };
 
@@ -22,11 +23,13 @@ export class Drive {
   readonly driving = new Driving((velocity) => this.send(velocity));
 
   private target: RobotView | undefined; // of the commands; only changed when nothing is held
-  private device: number | null = null; // the link of what is driven: a device that connects again is not driven on
-  private unanswered: number[] = []; // when each of the commands was sent
+  private motion = 0; // its number; a new one begins when something is held, and when nothing is any more
+  private epoch: number | null = null; // of the robot, as the first answer of this motion gave it
+  private unanswered: { at: number; motion: number }[] = []; // the commands that were sent
   private refusal = "";
   private refusedAt = Number.NEGATIVE_INFINITY;
   private droveAt = Number.NEGATIVE_INFINITY;
+  private wasHeld = false; // when the command before was sent
   private readonly pause = new Pause();
   private readonly holders = new Map<string, number>(); // who held the robot while the stick was held here, and when
 
@@ -56,11 +59,14 @@ export class Drive {
     return isMine && !this.isRefused ? "you" : named(robot.holder, robot.holder_address);
   }
 
-  /** Of somebody more important the stick waits for; after any other refusal it must be released first. */
+  /** The stick waits for a source with a higher priority; after any other refusal it must be released first. */
   answered(answer: DriveAnswer): void {
-    this.unanswered.shift();
-    if (answer.result) return;
-    if (answer.kind !== "RobotHeld" || answer.is_locked) this.driving.releaseAll();
+    const command = this.unanswered.shift();
+    if (answer.result) {
+      if (command?.motion === this.motion) this.epoch ??= answer.epoch ?? null;
+      return;
+    }
+    if (answer.kind !== HELD) this.driving.releaseAll();
     this.refusal = answer.reason ?? "";
     this.refusedAt = performance.now();
     this.show();
@@ -107,6 +113,7 @@ export class Drive {
     if (robot === undefined) return ["idle", "No robot yet"];
     if (!robot.connected) return ["gone", `${robot.name} is not connected`];
     if (!this.canDrive()) return ["read", "This token may only read"];
+    if (!this.fleet.isHeard) return ["silent", `No news of ${robot.name} for ${ageText(this.fleet.age_s(robot))}`];
     if (this.fleet.isSilent(robot)) {
       return ["silent", `${robot.name}: silent for ${ageText(this.fleet.age_s(robot))}`];
     }
@@ -135,19 +142,23 @@ export class Drive {
     if (!this.target?.connected || !this.canDrive()) return;
     const now = performance.now();
     const { isHeld } = this.driving;
-    if (isHeld && now - (this.unanswered[0] ?? now) > UNANSWERED_MS) return;
-    this.device = isHeld ? (this.device ?? this.target.link) : null; // a zero is meant for whichever there is
+    if (isHeld && now - (this.unanswered[0]?.at ?? now) > UNANSWERED_MS) return;
+    if (isHeld !== this.wasHeld) {
+      this.wasHeld = isHeld;
+      this.motion += 1;
+      this.epoch = null;
+    }
     const isSent = this.connection.drive({
       robot: this.target.name,
       linear: velocity.linear_m_s,
       angular: velocity.angular_rad_s,
       priority: TELEOP_PRIORITY,
-      link: this.device,
+      epoch: this.epoch,
       sent_s: now / 1000,
     });
     if (!isSent) return;
     this.droveAt = now;
-    this.unanswered.push(now);
+    this.unanswered.push({ at: now, motion: this.motion });
   }
 
   /** A new speed is for what is held then; it moves nothing by itself. */

@@ -8,6 +8,7 @@ import { type DriveView, named } from "./views";
 
 const MAX_SHOWN = 50;
 const PATH = `api/drives?limit=${MAX_SHOWN}`;
+const [DRIVES, DROVE] = ["drives now", "drove when hostlink was heard last"];
 const INTERVAL_MS = 1000; // between two requests, however often drivers change
 
 export function startDrives(page: Page): HTMLElement {
@@ -30,6 +31,10 @@ class Drives {
 
   /** Load it when somebody began or ended, while it can be seen. */
   show(): void {
+    const { isHeard } = this.page.fleet;
+    for (const still of this.list.querySelectorAll(".still")) setText(still as HTMLElement, isHeard ? DRIVES : DROVE);
+    if (!isHeard) this.known = null; // another list, when it is heard again
+    if (!isHeard) return;
     const now = performance.now();
     const key = JSON.stringify(this.page.fleet.robots.map(({ name, holder, locked }) => [name, holder, locked]));
     const isShown = this.list.parentElement?.checkVisibility() === true; // a list without items is not
@@ -57,6 +62,6 @@ function makeItem(drive: DriveView): HTMLElement {
   const title = make("span", { class: "what" }, make("b", {}, named(owner, address)), make("i", {}, robot));
   const time = make("time", { datetime: began }, end === "" ? `since ${when}` : `${when}, for ${ageText(seconds)}`);
   const fastest = `up to ${digits(fastest_m_s, 2)} m/s, ${digits(fastest_rad_s, 2)} rad/s`;
-  const why = end === "" ? "drives now" : `ended: ${end}`;
-  return make("li", {}, title, time, make("span", { class: "detail" }, `${fastest}; ${why}`));
+  const why = end === "" ? make("span", { class: "still" }, DRIVES) : `ended: ${end}`;
+  return make("li", {}, title, time, make("span", { class: "detail" }, `${fastest}; `, why));
 }

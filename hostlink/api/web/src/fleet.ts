@@ -4,8 +4,8 @@ import { remember, remembered } from "./dom";
 import { Pulse } from "./pulse";
 import type { LinkView, RobotView } from "./views";
 
-/** gone: not connected. silent: connected, but nothing comes. */
-export type RobotState = "gone" | "silent" | "locked" | "connected";
+/** gone: not connected. silent: connected, but nothing comes. unknown: the daemon is not heard. */
+export type RobotState = "unknown" | "gone" | "silent" | "locked" | "connected";
 
 const CHECK_MS = 50;
 const byName = new Intl.Collator("en", { numeric: true }); // robot_2 before robot_10
@@ -66,6 +66,7 @@ export class Fleet {
 
   /** The worst of what is wrong with it. */
   state(robot: RobotView): RobotState {
+    if (!this.isHeard) return "unknown";
     if (!robot.connected) return "gone";
     if (this.isSilent(robot)) return "silent";
     return robot.locked ? "locked" : "connected";

@@ -1,6 +1,6 @@
 /** The link panel: how well the chosen robot and this page are reached. */
 
-import { digits, find, make, setText } from "./dom";
+import { ageText, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import type { LinkView } from "./views";
 import { bytes } from "./widgets";
@@ -57,16 +57,20 @@ export class Health {
     }
   }
 
-  /** Without a robot all links are looked at for why there is none. Of one that is silent all figures are old. */
+  /**
+   * Without a robot all links are looked at for why there is none. Of one that is silent, and while the daemon is not
+   * heard, counts are old, its age grows, and what changes from moment to moment is not known.
+   */
   show(fleet: Fleet, roundTripMs: number | null): void {
     const { robot, link, links } = fleet;
-    const isSilent = robot !== undefined && fleet.isSilent(robot);
-    find("#link dl").classList.toggle("stale", isSilent);
-    const known_s = isSilent ? fleet.age_s(robot) : (robot?.odometry?.age_s ?? link?.silent_s);
+    const isOld = robot !== undefined && (!fleet.isHeard || fleet.isSilent(robot));
+    const isKnown = fleet.isHeard && !isOld;
+    find("#link dl").classList.toggle("stale", isOld);
+    const known_s = isOld ? fleet.age_s(robot) : (robot?.odometry?.age_s ?? link?.silent_s);
     const age_s = robot?.connected ? known_s : undefined;
-    const device_s = link?.clock?.round_trip_s;
-    this.set("rate", robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
-    this.set("age", age_s === undefined ? "–" : `${digits(age_s, 1)} s`, isSilent || (age_s ?? 0) > OLD_S);
+    const device_s = isKnown ? link?.clock?.round_trip_s : undefined;
+    this.set("rate", isKnown && robot?.connected ? `${digits(robot.odometry?.rate_hz, 1)} Hz` : "–");
+    this.set("age", age_s === undefined ? "–" : ageText(age_s), isOld || (age_s ?? 0) > OLD_S);
     this.set("lost", link ? bytes(link.skipped_bytes) : "–", (link?.skipped_bytes ?? 0) > 0);
     this.set("resyncs", link ? String(Math.max(0, link.negotiations - 1)) : "–", (link?.negotiations ?? 0) > 1);
     this.set(
@@ -74,7 +78,7 @@ export class Health {
       roundTripMs === null ? "–" : `${digits(roundTripMs, roundTripMs < 10 ? 1 : 0)} ms`,
       (roundTripMs ?? 0) > SLOW_MS,
     );
-    const dbm = link?.signal_dbm ?? null;
+    const dbm = (isKnown && link?.signal_dbm) || null;
     this.set("signal", dbm === null ? "–" : `${digits(dbm, 0)} dBm`, dbm !== null && dbm < WEAK_DBM);
     this.set("device", device_s === undefined ? "–" : `${digits(device_s * 1000, 0)} ms`);
     this.diagnose(robot === undefined ? links : link ? [link] : []);

@@ -25,6 +25,7 @@ const CAUSES: Record<string, string> = {
   diagnosed: "Found by doctor",
   device_error: "Error of the device",
   watchdog: "Stopped by its watchdog",
+  daemon_died: "hostlink ended while it was driven",
   requested: "Saved by somebody",
 };
 

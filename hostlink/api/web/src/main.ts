@@ -32,6 +32,7 @@ import { Timeline } from "./timeline";
 import { moveTokenFromAddress, token } from "./token";
 import { Tuning } from "./tuning";
 import type { LogLine, RecordingNews } from "./views";
+import { Waiting } from "./waiting";
 
 const STATES: Record<State, string> = {
   connecting: "connecting …",
@@ -74,6 +75,7 @@ const events = new Events(
   () => {
     fleet.isHeard = events.isHeard !== false && events.late_s === null;
     show();
+    plots.showState();
   },
   refuse,
   (role) => rights.setRole(role),
@@ -99,6 +101,7 @@ const plots = new Plots(fleet, timeline);
 const odometry = new Odometry(fleet, (name) => map.forget(name));
 const tuning = new Tuning(fleet, connection, () => rights.canDrive);
 const health = new Health();
+const waiting = new Waiting(fleet);
 const plotData = new Followed<PlotData>(
   connection,
   "plot_data",
@@ -178,6 +181,12 @@ function address(): string {
 function changed(state: State): void {
   if (state === "late") drive.driving.releaseAll();
   else if (state !== "open") drive.forget();
+  if (state === "closed") {
+    // what came by it is not known any more
+    health.setBattery(null);
+    health.setErrors(null);
+    batteries.forget();
+  }
   isCut = state === "open" ? false : state !== "connecting" || isCut;
   showConnection();
   drive.show();
@@ -215,6 +224,7 @@ function show(): void {
   map.show(robot?.name ?? null);
   drive.show();
   robots.show(events.isHeard);
+  waiting.show();
   stop.show(rights.canDrive);
   odometry.show(rights.canDrive);
   tuning.show();

@@ -23,6 +23,7 @@ const LABEL_PX = 13;
 const AGE_MS = 200; // how often what is old is drawn again
 
 const LABEL_COLOURS: Record<RobotState, string> = {
+  unknown: "muted",
   connected: "text",
   locked: "danger-text",
   silent: "warn-text",
@@ -228,7 +229,7 @@ export class RobotMap {
   }
 
   private describeState(robot: RobotView, state: RobotState): string {
-    if (state === "silent") return ` · ${ageText(this.fleet.age_s(robot))} old`;
+    if (state === "silent" || state === "unknown") return ` · ${ageText(this.fleet.age_s(robot))} old`;
     return state === "gone" ? " · gone" : "";
   }
 
@@ -258,7 +259,7 @@ export class RobotMap {
   }
 
   private age(): void {
-    if (this.fleet.robots.some((robot) => this.fleet.isSilent(robot))) this.redraw();
+    if (!this.fleet.isHeard || this.fleet.robots.some((robot) => this.fleet.isSilent(robot))) this.redraw();
   }
 
   /** For screen readers. */

@@ -29,7 +29,7 @@ export function drawRobot(c: CanvasRenderingContext2D, robot: Drawn): void {
   c.fillStyle = isGone ? colour("surface") : paint;
   c.strokeStyle = isGone ? paint : colour("surface");
   c.lineWidth = 2;
-  c.globalAlpha = state === "silent" ? 0.6 : 1;
+  c.globalAlpha = state === "silent" || state === "unknown" ? 0.6 : 1;
   c.beginPath();
   c.arc(0, 0, radius, 0, 2 * Math.PI);
   c.fill();
@@ -47,10 +47,11 @@ export function drawRobot(c: CanvasRenderingContext2D, robot: Drawn): void {
 
 /** Amber: silent. Red: gone (dashed) or locked. */
 function ring(c: CanvasRenderingContext2D, { radius, state, isSelected }: Drawn): void {
-  const variable = { connected: isSelected ? "text" : null, silent: "warn", gone: "danger", locked: "danger" }[state];
+  const variables = { unknown: null, connected: null, silent: "warn", gone: "danger", locked: "danger" } as const;
+  const variable = variables[state] ?? (isSelected ? "text" : null);
   if (variable === null) return;
   c.strokeStyle = colour(variable);
-  c.lineWidth = state === "connected" ? 1.5 : 3;
+  c.lineWidth = variables[state] === null ? 1.5 : 3;
   c.setLineDash(state === "gone" ? [4, 3] : []);
   c.beginPath();
   c.arc(0, 0, radius + 4, 0, 2 * Math.PI);

@@ -35,7 +35,7 @@ export class Odometry {
     const { robot } = this.fleet;
     const state = robot ? this.fleet.state(robot) : "connected";
     this.button.disabled = !robot?.connected || !canDrive;
-    const isStale = state === "silent" || !this.fleet.isHeard;
+    const isStale = state === "silent" || state === "unknown";
     find("#pose").classList.toggle("stale", isStale);
     find("#pose").classList.toggle("gone", state === "gone");
     const isOld = robot && (isStale || state === "gone");
@@ -44,7 +44,7 @@ export class Odometry {
     setText(this.values.x, pose ? `${digits(pose.x_m, 2)} m` : "–");
     setText(this.values.y, pose ? `${digits(pose.y_m, 2)} m` : "–");
     setText(this.values.heading, pose ? `${digits((pose.theta_rad * 180) / Math.PI, 0)}°` : "–");
-    setText(this.values.speed, twist ? `${digits(twist.linear_m_s, 2)} m/s` : "–");
+    setText(this.values.speed, twist && !isStale ? `${digits(twist.linear_m_s, 2)} m/s` : "–");
   }
 
   private async reset(name: string | undefined): Promise<void> {

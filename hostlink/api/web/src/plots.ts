@@ -1,7 +1,7 @@
 /** Live plots of the robot that is shown: what was asked and done, and from plot_data both wheels and their PWM. */
 
 import { find, make, setText } from "./dom";
-import type { Fleet } from "./fleet";
+import type { Fleet, RobotState } from "./fleet";
 import { type HistoryView, valuesOf } from "./past";
 import { RobotCharts } from "./robotcharts";
 import { makeTimebar } from "./timebar";
@@ -9,6 +9,13 @@ import { now_s, type Timeline } from "./timeline";
 
 const KEEP_S = 300;
 const DRAW_MS = 100;
+const NOTES: Record<RobotState, string> = {
+  unknown: "no news of it",
+  gone: "not connected",
+  silent: "silent",
+  locked: "",
+  connected: "",
+};
 
 /** The robot's layout of a Twist: measured speeds, set-points, PWM. */
 export interface PlotData {
@@ -33,6 +40,16 @@ export class Plots {
     setInterval(() => timeline.isLive && !document.hidden && this.charts.redraw(), DRAW_MS);
   }
 
+  /** Whether what is plotted goes on. */
+  showState(): boolean {
+    const { robot } = this.fleet;
+    const state = robot ? this.fleet.state(robot) : "gone";
+    setText(this.note, robot ? NOTES[state] : "");
+    const isFresh = NOTES[state] === "";
+    this.speeds.classList.toggle("stale", !isFresh);
+    return isFresh;
+  }
+
   /** Something new of the robot that is shown, which may be another one. */
   show(): void {
     const { robot } = this.fleet;
@@ -40,10 +57,7 @@ export class Plots {
       this.robot = robot.name;
       this.charts.clear();
     }
-    const state = robot ? this.fleet.state(robot) : "gone";
-    const isFresh = this.fleet.isHeard && (state === "connected" || state === "locked");
-    setText(this.note, robot && !isFresh ? (state === "gone" ? "not connected" : "silent") : "");
-    this.speeds.classList.toggle("stale", !isFresh);
+    const isFresh = this.showState();
     if (!robot?.connected) return;
     const { velocity } = robot;
     const done = isFresh ? robot.odometry?.twist : undefined;

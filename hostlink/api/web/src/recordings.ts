@@ -54,6 +54,7 @@ class Recordings {
     page.onShow(() => {
       this.showRights();
       this.showRobots();
+      if (!page.fleet.isHeard) this.forget();
     });
   }
 
@@ -69,6 +70,11 @@ class Recordings {
     if (known === this.known && this.files.dataset.loaded) return;
     this.known = known;
     void this.load();
+  }
+
+  /** The daemon is not heard: whether it still records is not known, until it sends what is under way. */
+  private forget(): void {
+    for (const { figures } of this.rows.values()) setText(figures, "no news of it");
   }
 
   /** Everything here changes something, but the downloads. */

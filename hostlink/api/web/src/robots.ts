@@ -70,11 +70,12 @@ export class RobotList {
     card.label.dataset.state = state === "connected" && this.driver(robot) !== null ? "driving" : state;
     card.label.title = robot.host ? `${robot.name}: ${what}` : what;
     setText(card.state, what);
-    setText(card.speed, robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
-    const volts = this.batteries.volts(robot.name);
+    const isKnown = state !== "unknown"; // what was true when the daemon was heard last is nothing to drive by
+    setText(card.speed, isKnown && robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
+    const volts = isKnown ? this.batteries.volts(robot.name) : null;
     setText(card.battery, volts === null ? "" : `${digits(volts, 1)} V`);
-    const dbm = link?.signal_dbm ?? null;
-    const rate = robot.connected && robot.odometry ? `${digits(robot.odometry.rate_hz, 0)} Hz` : "";
+    const dbm = (isKnown && link?.signal_dbm) || null;
+    const rate = isKnown && robot.connected && robot.odometry ? `${digits(robot.odometry.rate_hz, 0)} Hz` : "";
     setText(card.signal, [rate, dbm === null ? "" : `${digits(dbm, 0)} dBm`].filter(Boolean).join(" "));
   }
 
@@ -100,6 +101,7 @@ export class RobotList {
 
   private describeDriver(robot: RobotView): string {
     const state = this.fleet.state(robot);
+    if (state === "unknown") return `heard ${ageText(this.fleet.age_s(robot))} ago`;
     if (state === "gone") return "not connected";
     if (state === "silent") return `silent ${ageText(this.fleet.age_s(robot))}`;
     if (state === "locked") return "locked";

@@ -112,7 +112,7 @@ export class Step {
     this.ranAt = now;
     if (this.pressedAt === null) return;
     if (pause > LONGEST_PAUSE_MS) this.discard(`This page did not run for ${digits(pause / 1000, 1)} s: press again.`);
-    else if (now - this.measuredAt > SILENCE_MS) this.discard("plot_data has fallen silent: the robot is stopped.");
+    else if (now - this.measuredAt > SILENCE_MS) this.discard("plot_data has fallen silent: let go.");
   }
 
   private discard(reason: string): void {

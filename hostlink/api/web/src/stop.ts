@@ -1,17 +1,22 @@
 /** The stop: over REST, tried until it has arrived; a daemon that can locks the robot too, until it is unlocked. */
 
-import { confirmed, find, setText } from "./dom";
+import { confirmed, digits, find, setText } from "./dom";
 import type { Driving } from "./driving";
 import type { Fleet } from "./fleet";
 import { notice } from "./notice";
 import { ofRobot, reasonOf, Refused, rest } from "./rest";
-import type { RobotView } from "./views";
+import type { RobotView, StoppedRobotView } from "./views";
 
 const AGAIN_MS = 200;
 const GIVE_UP_MS = 15_000;
 const LATE = "The stop has not arrived yet: trying again …";
 const BUSY = 429;
 const FAILED = 500; // and above: the daemon cannot now, for example because another one has not answered
+const MEASURED_MS = 4000; // the daemon measures for 1.5 s at most
+const DONE_MS = 2500;
+const NOT_DONE_MS = 8000;
+const SHORTEST_M_S = 0.005; // a robot that is slower turns on the spot
+const NAMED = 3; // robots that move, in one line
 
 export class Stop {
   private readonly button = find<HTMLButtonElement>("#stop");
@@ -19,6 +24,7 @@ export class Stop {
   private presses = 0;
   private readonly newest = new Map<string, number>(); // the last press that sent a request, by its path
   private readonly waiting = new Set<number>(); // presses of which something has not arrived yet
+  private stopped: ReadonlySet<string> = new Set(); // the robots that the page says are stopped
 
   constructor(
     private readonly fleet: Fleet,
@@ -37,21 +43,21 @@ export class Stop {
   press(): void {
     const { robot, isKnown, missed } = this.fleet;
     this.flash();
-    if (robot !== undefined) void this.deliver(`${robot.name} is stopped.`, robot.name, [lockOf(robot)]);
+    if (robot !== undefined) void this.deliver(robot.name, [lockOf(robot)], new Set([robot.name]));
     else if (!isKnown || missed !== null) this.stopAll();
     else notice("done", "There is no robot to stop.", 3000);
   }
 
-  /** A zero for every robot, also of other daemons; who drives may go on. */
+  /** A stop for every robot, also of other daemons. */
   stopAll(): void {
     this.flash();
-    void this.deliver("Every robot is stopped.", "every robot", [{ path: "api/stop" }]);
+    void this.deliver("every robot", [{ path: "api/stop" }], null);
   }
 
   lockAll(): void {
     this.flash();
-    const locks = this.fleet.robots.map(lockOf);
-    void this.deliver(`${locks.length} robots are stopped and locked.`, "every robot", locks);
+    const names = this.fleet.robots.map(({ name }) => name);
+    void this.deliver("every robot", this.fleet.robots.map(lockOf), new Set(names));
   }
 
   /** `canDrive`: only then it may be unlocked. */
@@ -70,6 +76,7 @@ export class Stop {
     find("#robots-locked").hidden = locked === 0 || robots.length < 2;
     setText(find("#robots-locked span"), locked === 1 ? "1 robot is locked" : `${locked} robots are locked`);
     this.unlockAllButton.disabled = !canDrive;
+    if (robots.some(({ name, holder }) => holder !== null && this.stopped.has(name))) this.confirm(new Set());
   }
 
   private flash(): void {
@@ -79,8 +86,11 @@ export class Stop {
     this.button.classList.add("pressed");
   }
 
-  /** Try each request until it has arrived, or a later press has sent the same one. */
-  private async deliver(done: string, whom: string, requests: StopRequest[]): Promise<void> {
+  /**
+   * Try each request until it has arrived, or a later press has sent the same one. Then show what was measured of
+   * `names`; null: of every robot.
+   */
+  private async deliver(whom: string, requests: StopRequest[], names: ReadonlySet<string> | null): Promise<void> {
     const press = ++this.presses;
     const until = performance.now() + GIVE_UP_MS;
     const outcome: Outcome = { missing: requests, refusals: [], reason: "hostlink does not answer" };
@@ -93,7 +103,7 @@ export class Stop {
         this.waiting.delete(press);
         if (refusals.length > 0) notice("stop", `Not stopped: ${refusals.join("; ")}`, 6000);
         else if (this.waiting.size === 0) notice("stop", null);
-        if (refusals.length === 0) notice("done", done, 2500);
+        if (refusals.length === 0) await this.measure(press, whom, names);
         return;
       }
       const isOver = outcome.missing.length === 0 || performance.now() > until;
@@ -104,6 +114,31 @@ export class Stop {
       if (isOver) return;
       await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
     }
+  }
+
+  /** Show what the robots do since the stop has arrived, unless there is a later press. */
+  private async measure(press: number, whom: string, names: ReadonlySet<string> | null): Promise<void> {
+    this.confirm(new Set(), `The stop has reached ${whom}.`);
+    const only = names?.size === 1 ? [...names][0] : undefined;
+    try {
+      const path = only === undefined ? "api/standstill" : ofRobot(only, "standstill");
+      const answer = await rest<StoppedRobotView | { robots: StoppedRobotView[] }>("GET", path, undefined, MEASURED_MS);
+      if (press !== this.presses) return;
+      const all = "robots" in answer ? answer.robots : [answer];
+      const robots = all.filter((robot) => names?.has(robot.name) ?? !robot.played);
+      const stopped = robots.filter(({ standstill }) => standstill.state === "stands").map(({ name }) => name);
+      if (stopped.length === robots.length) this.confirm(new Set(stopped), allStopped(stopped));
+      else notice("stop", notAllStopped(robots, stopped.length), NOT_DONE_MS);
+    } catch (error) {
+      if (press === this.presses)
+        notice("stop", `Whether ${whom} stands is not known: ${reasonOf(error)}`, NOT_DONE_MS);
+    }
+  }
+
+  /** These robots are stopped, until one of them is driven. */
+  private confirm(stopped: ReadonlySet<string>, text: string | null = null): void {
+    this.stopped = stopped;
+    notice("done", text, text === null ? undefined : DONE_MS);
   }
 
   private async unlock(): Promise<void> {
@@ -157,7 +192,7 @@ async function attempt(outcome: Outcome): Promise<void> {
   outcome.missing = [];
   const send = async (each: StopRequest) => {
     try {
-      await rest("POST", each.path, each.body);
+      await rest("POST", `${each.path}?wait_s=0`, each.body);
     } catch (error) {
       if (error instanceof Refused && error.status !== BUSY && error.status < FAILED) refusals.push(error.message);
       else {
@@ -169,8 +204,28 @@ async function attempt(outcome: Outcome): Promise<void> {
   await Promise.all(missing.map(send));
 }
 
-/** A daemon that cannot lock stops. */
 function lockOf(robot: RobotView): StopRequest {
-  if (robot.locked === undefined) return { path: ofRobot(robot.name, "stop") };
   return { path: ofRobot(robot.name, "lock"), body: { reason: "the stop on the page" } };
+}
+
+function allStopped(names: string[]): string {
+  if (names.length === 0) return "There is no robot to stop.";
+  return names.length === 1 ? `${names[0]} is stopped.` : `All ${names.length} robots are stopped.`;
+}
+
+/** `2 of 3 robots are stopped. robot_1 moves at 0.10 m/s, driven by client 3.` */
+function notAllStopped(robots: StoppedRobotView[], stopped: number): string {
+  const others = robots.filter(({ standstill }) => standstill.state !== "stands");
+  const sentences = others.slice(0, NAMED).map(describe);
+  if (others.length > NAMED) sentences.push(`${others.length - NAMED} more are not known to be stopped.`);
+  if (robots.length > 1) sentences.unshift(`${stopped} of ${robots.length} robots are stopped.`);
+  return sentences.join(" ");
+}
+
+function describe({ name, standstill }: StoppedRobotView): string {
+  const { state, reason } = standstill;
+  if (state === "unknown") return `Whether ${name} stands is not known: ${reason}.`;
+  const [speed, turn] = [Math.abs(standstill.speed_m_s ?? 0), Math.abs(standstill.turn_rad_s ?? 0)];
+  const motion = speed > SHORTEST_M_S ? `moves at ${digits(speed, 2)} m/s` : `turns at ${digits(turn, 2)} rad/s`;
+  return `${name} ${motion}${reason.startsWith("driven by") ? "," : ":"} ${reason}.`;
 }

@@ -1,7 +1,7 @@
 /** One topic, opened: its values as a tree, chosen numbers as a plot, and a form that publishes. */
 
 import { Chart } from "./chart";
-import { make, setText } from "./dom";
+import { ageText, make, setText } from "./dom";
 import { saveCsv } from "./download";
 import { MessageForm, type TypeDef } from "./form";
 import type { Page } from "./page";
@@ -35,6 +35,7 @@ export class OpenedTopic {
   private chart: Chart | null = null;
   private newest: unknown = null;
   private count = 0;
+  private receivedAt = 0; // the newest, by the page's clock
   private form: MessageForm | null = null;
   private readonly publishButton = make("button", { type: "submit", class: "main" }, "Publish");
   private readonly publishState = make("p", { class: "hint", role: "status" });
@@ -80,6 +81,7 @@ export class OpenedTopic {
 
   private receive(message: unknown): void {
     this.newest = message;
+    this.receivedAt = performance.now();
     this.count += 1;
     if (this.fields.length > 0) this.series.add(now_s(), ...this.fields.map(({ keys }) => numberAt(message, keys)));
   }
@@ -91,7 +93,11 @@ export class OpenedTopic {
     if (timeline.isLive) {
       this.tree.show(this.newest);
       this.chart?.redraw();
-      setText(this.state, `${this.count.toLocaleString("en")} messages since it was opened`);
+      const age_s = (performance.now() - this.receivedAt) / 1000;
+      const isCut = this.page.connection.state !== "open";
+      this.tree.element.classList.toggle("stale", isCut);
+      const old = isCut ? `; no connection, the newest is ${ageText(age_s)} old` : "";
+      setText(this.state, `${this.count.toLocaleString("en")} messages since it was opened${old}`);
     }
   }
 

@@ -67,6 +67,8 @@ class Topics {
       this.count();
       this.show();
     } catch (error) {
+      this.counts.clear(); // how often they come now is not known
+      this.show();
       setText(this.state, reasonOf(error));
     }
   }

@@ -31,6 +31,16 @@ export interface RobotView {
   unreachable?: string | null; // why its device could not receive the last velocity
 }
 
+/** A robot after a stop, and what its odometry has said since. */
+export interface StoppedRobotView extends RobotView {
+  standstill: {
+    state: "stands" | "moves" | "unknown";
+    speed_m_s: number | null;
+    turn_rad_s: number | null;
+    reason: string;
+  };
+}
+
 export interface TopicView {
   kind: string;
   name: string;

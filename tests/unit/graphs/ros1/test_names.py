@@ -77,10 +77,25 @@ def test_a_relative_name_of_a_device_is_in_the_namespace_of_the_node() -> None:
     assert found.to_hub("/other") == "/other"
 
 
-def test_a_name_that_was_made_a_robots_is_a_full_one() -> None:
+def test_name_that_was_made_a_robots_is_in_the_namespace() -> None:
     found = NameMap(LAB, [("odom", "/red/odom"), ("/odom", "/blue/odom")])
-    assert found.to_ros("/red/odom") == "/red/odom"
-    assert found.to_ros("/blue/odom") == "/blue/odom"
+    assert found.to_ros("/red/odom") == "/lab/red/odom"
+    assert found.to_ros("/blue/odom") == "/lab/blue/odom"
+    assert found.to_hub("/lab/blue/odom") == "/blue/odom"
+
+
+def test_name_of_hostlink_itself_is_in_the_namespace_unless_it_is_configured_with_a_slash() -> None:
+    found = NameMap(LAB, [("/red/cmd_vel", "/red/cmd_vel")], ["red/odom", "/map/odom", "red/lock", "red/cmd_vel"])
+    assert found.to_ros("/red/odom") == "/lab/red/odom"
+    assert found.to_ros("/red/lock") == "/lab/red/lock"
+    assert found.to_ros("/map/odom") == "/map/odom"
+    assert found.to_ros("/red/cmd_vel") == "/red/cmd_vel"  # the device's own
+    assert found.to_ros("/tf") == "/tf"
+
+
+def test_names_of_hostlink_itself_are_remapped_by_their_names_in_the_namespace() -> None:
+    names = parse_arguments(["red/odom:=odom"]).names("serial_node", "/lab")
+    assert NameMap(names, (), ["red/odom"]).to_ros("/red/odom") == "/lab/odom"
 
 
 def test_names_of_the_hub_are_remapped_too() -> None:

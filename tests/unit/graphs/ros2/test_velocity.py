@@ -9,8 +9,10 @@ import pytest
 
 from hostlink.client import Refusal
 from hostlink.errors import HostlinkError
+from hostlink.graphs.refusal_log import INTERVAL_S
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput
 from hostlink.graphs.ros2.velocity import MATCH_S, MAX_COMMANDS_S, MAX_OWNERS, STALL_S, VelocityDriver
+from hostlink.robot.admission import EARLIER_EPOCH
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 ROUTE = VelocityInput("/robot_0/cmd_vel", "robot_0", TWIST)
@@ -34,10 +36,10 @@ class FakeRobot:
     def refusal(self) -> Refusal | None:
         return self.daemon.refusal
 
-    async def command(self, linear_m_s: float, angular_rad_s: float, *, link: int | None = None) -> None:
+    async def command(self, linear_m_s: float, angular_rad_s: float, *, epoch: int | None = None) -> None:
         if self.daemon.is_lost:
             raise HostlinkError("the connection is lost")
-        self.daemon.commands.append((self.name, (linear_m_s, angular_rad_s), link))
+        self.daemon.commands.append((self.name, (linear_m_s, angular_rad_s), epoch))
 
 
 class FakeHost:
@@ -67,11 +69,12 @@ class FakeDaemon:
         self.hosts: list[FakeHost] = []
         self.ended = 0
         self.is_lost = False
+        self.connecting_s = 0.01
         self.refusal: Refusal | None = None
 
     @contextlib.asynccontextmanager
     async def connect(self) -> AsyncIterator[Any]:
-        await asyncio.sleep(0.01)
+        await asyncio.sleep(self.connecting_s)
         host = FakeHost(self)
         self.hosts.append(host)
         try:
@@ -83,10 +86,15 @@ class FakeDaemon:
 class World:
     """A driver whose robot is there."""
 
-    def __init__(self) -> None:
-        self.daemon, self.reports = FakeDaemon(), list[str]()
-        self.driver = VelocityDriver(self.daemon.connect, 50, self.reports.append)
-        self.driver.update({"robot_0": 1}, frozenset())
+    def __init__(self, *, is_updated: bool = True) -> None:
+        self.daemon, self.reports, self.warnings = FakeDaemon(), list[str](), list[str]()
+        self.driver = VelocityDriver(self.daemon.connect, 50, self.reports.append, self.warnings.append)
+        if is_updated:
+            self.driver.update({"robot_0": 1}, frozenset())
+
+    def epochs(self, begin: int = 0) -> list[int | None]:
+        """Those of the commands from this one on."""
+        return [epoch for _, _, epoch in self.daemon.commands[begin:]]
 
     async def stream(self, velocity: tuple[float, float], *, key: bytes = b"a", for_s: float = 1.0) -> None:
         for _ in range(round(for_s / 0.1)):
@@ -94,12 +102,12 @@ class World:
             await asyncio.sleep(0.1)
 
 
-def test_a_stream_is_commanded_for_the_link_that_the_robot_has() -> None:
+def test_stream_of_a_new_publisher_is_commanded_without_an_epoch() -> None:
     async def check() -> None:
         world = World()
         async with world.driver.running():
             await world.stream(FORWARD)
-        assert world.daemon.commands == [("robot_0", FORWARD, 1)] * 10
+        assert world.daemon.commands == [("robot_0", FORWARD, None)] * 10
 
     run_virtual(check())
 
@@ -149,61 +157,95 @@ def test_the_end_of_a_topic_is_a_zero() -> None:
     run_virtual(check())
 
 
-def test_a_loss_of_the_connection_interrupts_the_stream_until_a_zero() -> None:
+def test_stream_through_a_loss_of_the_connection_goes_on_with_an_earlier_epoch() -> None:
     async def check() -> None:
         world = World()
         async with world.driver.running():
             await world.stream(FORWARD, for_s=0.3)
             world.daemon.hosts[0].changes.append("lost")
             before = len(world.daemon.commands)
-            await world.stream(FORWARD)
-            assert len(world.daemon.commands) == before
-            await world.stream(ZERO, for_s=0.1)
-            await world.stream(FORWARD, for_s=0.1)
-            assert [velocity for _, velocity, _ in world.daemon.commands[before:]] == [ZERO, FORWARD]
+            await world.stream(FORWARD, for_s=0.4)
+            assert world.epochs(before) == [EARLIER_EPOCH, None, None]  # what waited at the loss is void
 
     run_virtual(check())
 
 
-def test_a_device_that_comes_is_not_driven_by_who_streamed_before_however_late_ros_2_connects_them() -> None:
+def test_first_velocity_on_a_new_connection_has_an_earlier_epoch_before_its_news_come() -> None:
     async def check() -> None:
-        for late_s in (0.0, 0.7, MATCH_S - 0.1):
-            world = World()
-            async with world.driver.running():
+        world = World()
+        async with world.driver.running():
+            await world.stream(FORWARD, for_s=0.3)
+            world.daemon.is_lost = True
+            await world.stream(FORWARD, for_s=0.3)
+            world.daemon.is_lost = False
+            before = len(world.daemon.commands)
+            await world.stream(FORWARD, for_s=0.3)
+            assert world.epochs(before) == [EARLIER_EPOCH, None, None]
+
+    run_virtual(check())
+
+
+def test_velocity_without_a_connection_keeps_its_earlier_epoch_until_it_is_sent() -> None:
+    async def check() -> None:
+        world = World()
+        world.driver.update({}, frozenset({b"a"}))
+        world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+        world.daemon.connecting_s = 1.0
+        async with world.driver.running():
+            await world.stream(FORWARD, for_s=1.3)
+            assert world.epochs() == [EARLIER_EPOCH, None, None]
+
+    run_virtual(check())
+
+
+def test_zero_in_the_place_of_an_earlier_velocity_ends_the_earlier_motion() -> None:
+    async def check() -> None:
+        world = World()
+        world.driver.update({}, frozenset({b"a"}))
+        world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+        async with world.driver.running():
+            for velocity in (FORWARD, ZERO, FORWARD):
+                world.driver.receive(ROUTE, velocity, b"a")
+            await asyncio.sleep(0.1)
+            assert world.daemon.commands == [("robot_0", FORWARD, None)]
+
+    run_virtual(check())
+
+
+@pytest.mark.parametrize("is_restart", [False, True], ids=["device", "bridge"])
+@pytest.mark.parametrize("late_s", [0.0, 0.7, MATCH_S - 0.1])
+def test_stream_of_before_begins_with_an_earlier_epoch_however_late_ros_2_connects_it(
+    late_s: float, *, is_restart: bool
+) -> None:
+    async def check() -> None:
+        world = World(is_updated=not is_restart)
+        async with world.driver.running():
+            if not is_restart:
                 world.driver.update({}, frozenset({b"a"}))
-                world.driver.update({"robot_0": 2}, frozenset({b"a"}))
-                await asyncio.sleep(late_s)
-                await world.stream(FORWARD)
-                assert world.daemon.commands == []
-                await world.stream(FORWARD, key=b"new", for_s=0.1)
-                assert world.daemon.commands == [("robot_0", FORWARD, 2)]
-                assert len(world.reports) == 1
+            world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+            await asyncio.sleep(late_s)
+            await world.stream(FORWARD, for_s=0.3)
+            assert world.epochs() == [EARLIER_EPOCH, None, None]
+            await world.stream(FORWARD, key=b"new", for_s=0.1)
+            assert world.epochs(3) == [None]
 
     run_virtual(check())
 
 
-def test_who_was_there_before_and_publishes_the_first_velocity_now_drives() -> None:
+@pytest.mark.parametrize("is_first", [False, True])
+def test_publisher_of_before_whose_motion_begins_now_has_no_earlier_epoch(*, is_first: bool) -> None:
+    """It says that this is its first message, or it was silent until every stream of before would have come."""
+
     async def check() -> None:
         world = World()
         async with world.driver.running():
             world.driver.update({}, frozenset({b"a"}))
             world.driver.update({"robot_0": 2}, frozenset({b"a"}))
-            world.driver.receive(ROUTE, FORWARD, b"a", is_first=True)
-            await world.stream(FORWARD, for_s=0.1)
-        assert world.daemon.commands == [("robot_0", FORWARD, 2)]
-
-    run_virtual(check())
-
-
-def test_who_was_silent_when_the_device_came_drives_with_the_first_velocity() -> None:
-    async def check() -> None:
-        world = World()
-        async with world.driver.running():
-            world.driver.update({}, frozenset({b"a"}))
-            world.driver.update({"robot_0": 2}, frozenset({b"a"}))
-            await asyncio.sleep(MATCH_S + 1.0)
-            await world.stream(FORWARD, for_s=0.1)
-        assert world.daemon.commands == [("robot_0", FORWARD, 2)]
+            if not is_first:
+                await asyncio.sleep(MATCH_S + 1.0)
+            world.driver.receive(ROUTE, FORWARD, b"a", is_first=is_first)
+            await asyncio.sleep(0.1)
+        assert world.epochs() == [None]
 
     run_virtual(check())
 
@@ -238,24 +280,22 @@ def test_so_many_publishers_may_drive_and_more_are_reported() -> None:
     run_virtual(check())
 
 
-def test_a_refusal_is_reported_once_for_each_cause() -> None:
+def test_refusals_of_a_kind_are_one_warning_at_once_and_one_in_an_interval() -> None:
     async def check() -> None:
         world = World()
         async with world.driver.running():
-            world.daemon.refusal = Refusal("RobotHeld", "robot_0: it is locked")
+            world.daemon.refusal = Refusal("late", "robot_0: velocity is 0.8 s old")
             await world.stream(FORWARD)
-            assert world.reports == ["robot_0: it is locked"]
-            world.daemon.refusal = None
-            await world.stream(FORWARD, for_s=0.2)
-            world.daemon.refusal = Refusal("RobotHeld", "robot_0: it is locked")
-            await world.stream(FORWARD, for_s=0.2)
-            assert world.reports == ["robot_0: it is locked"] * 2
+            assert world.warnings == ["robot_0: velocity is 0.8 s old (velocity refused: late)"]
+            world.daemon.refusal = Refusal("locked", "locked: smoke")
+            await world.stream(FORWARD, for_s=INTERVAL_S + 1.0)
+            assert world.warnings[1:] == ["robot_0: locked: smoke (velocity refused: locked)"] * 2
 
     run_virtual(check())
 
 
-@pytest.mark.parametrize(("gap_s", "is_void"), [(STALL_S - 0.1, False), (STALL_S + 0.1, True)])
-def test_velocities_of_when_the_bridge_stood_still_are_void(gap_s: float, *, is_void: bool) -> None:
+@pytest.mark.parametrize(("gap_s", "epoch"), [(STALL_S - 0.1, None), (STALL_S + 0.1, EARLIER_EPOCH)])
+def test_velocity_after_the_bridge_stood_still_has_an_earlier_epoch(gap_s: float, epoch: int | None) -> None:
     async def check() -> None:
         world = World()
         async with world.driver.running():
@@ -264,6 +304,6 @@ def test_velocities_of_when_the_bridge_stood_still_are_void(gap_s: float, *, is_
             before = len(world.daemon.commands)
             world.driver.receive(ROUTE, FORWARD, b"a")
             await asyncio.sleep(0.05)
-            assert (len(world.daemon.commands) == before) is is_void
+            assert world.epochs(before) == [epoch]
 
     run_virtual(check())

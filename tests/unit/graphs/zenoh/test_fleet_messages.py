@@ -110,10 +110,27 @@ def test_a_command_passes_unchanged() -> None:
         owner_name="client 3",
         velocity=(0.1, 0.0, 0.0, 0.0, 0.0, -0.5),
         priority=60,
-        link=7,
+        epoch=7,
     )
     assert decode_request(encode(drive)) == drive
     assert (drive.wanted.linear_x_m_s, drive.wanted.angular_z_rad_s) == (0.1, -0.5)
+
+
+def test_messages_of_a_daemon_without_epochs_are_read() -> None:
+    """An older one sends `link` and `stops`, and refuses by the name of a class; a newer one may send more."""
+    old = {
+        "type": "drive", "number": 1, "sent_s": 1.5, "robot": "r", "owner": 2, "owner_name": "x",
+        "velocity": [0.1, 0, 0, 0, 0, 0], "priority": 50, "link": 7, "stops": 3, "later": [],
+    }  # fmt: skip
+    drive = decode_request(msgspec.json.encode(old))
+    assert isinstance(drive, Drive)
+    assert drive.epoch is None
+    state = decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": [ROBOT | {"later": 1}]}), State)
+    assert state.robots[0].epoch is None
+    answer = decode(
+        msgspec.json.encode({"number": 1, "error": "RobotHeld", "reason": "r: x drives", "stops": 4}), Answer
+    )
+    assert (answer.error, answer.epoch) == ("RobotHeld", None)
 
 
 @given(st.binary(max_size=200) | st.text(max_size=200).map(str.encode))

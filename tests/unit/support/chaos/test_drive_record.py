@@ -12,6 +12,8 @@ LIMITS = Limits()
 ZERO = (0.0, 0.0)
 UNOWNED = (0.3, -0.75)
 INTERVAL_S = 0.03
+OLD = "no velocity is obeyed after its lease"
+HANGS = "a daemon that hangs leaves no robot moving"
 
 
 def honest(number: int) -> tuple[float, float]:
@@ -93,7 +95,7 @@ def test_a_velocity_after_the_zero_moves_the_robot_again() -> None:
     story.event("ended", "drop")
     story.after(0.01).velocity(ZERO)
     story.after(0.7).velocity(honest(7))
-    assert story.found() == ["zero after the driver's end"]
+    assert story.found() == [OLD, "zero after the driver's end"]
 
 
 def test_a_velocity_after_the_end_was_judged_is_found() -> None:
@@ -103,7 +105,7 @@ def test_a_velocity_after_the_end_was_judged_is_found() -> None:
     story.after(0.01).velocity(ZERO)
     assert story.after(0.7).found() == []
     story.after(0.1).velocity(honest(7))
-    assert story.found() == ["no velocity after the driver's end"]
+    assert story.found() == [OLD, "no velocity after the driver's end"]
 
 
 def test_a_robot_that_stood_at_the_end_needs_no_other_zero() -> None:
@@ -276,3 +278,50 @@ def test_a_connection_that_received_no_velocity_does_not_hide_the_one_before() -
     story.event("opened")
     story.event("closed", False)
     assert story.record.velocity_before_close == ZERO
+
+
+def test_drive_record_with_a_velocity_older_than_its_lease_finds_it_once_a_second() -> None:
+    story = Story()
+    story.drive(count=1)
+    story.after(0.55).velocity(honest(1))
+    assert story.found() == []
+    story.after(0.1).velocity(honest(1))
+    story.after(0.1).velocity(honest(1))
+    assert story.found() == [OLD]
+    assert story.record.oldest_s == pytest.approx(0.78, abs=0.01)
+
+
+def test_drive_record_with_a_daemon_that_hangs_expects_the_guardians_zero() -> None:
+    for seconds, has_zero, found in ((1.0, False, []), (2.0, True, []), (2.0, False, [HANGS])):
+        noise = Noise(stretch_most=3.0)
+        story = Story(noise)
+        story.drive()
+        noise.pause(story.now_s)
+        story.record.daemon_paused(story.now_s)
+        if has_zero:
+            story.velocity(ZERO)
+        story.record.daemon_resumed(story.after(seconds).now_s)
+        assert [each for each in story.found() if each != "command p99"] == found
+
+
+def test_drive_record_with_a_restart_excuses_its_links_and_expects_a_zero() -> None:
+    story = Story()
+    story.drive()
+    story.record.daemon_left(story.now_s, "SIGKILL")
+    story.after(0.1).velocity(ZERO)
+    story.event("closed", False)
+    story.event("refused", "nobody listens")
+    story.record.daemon_came(story.after(1.0).now_s)
+    assert story.found() == []
+    story.after(3.0).event("opened")
+    story.velocity(ZERO)
+    story.event("closed", False)
+    assert story.found() == ["the honest robot keeps its link"]
+
+
+def test_drive_record_with_a_restart_that_leaves_the_robot_moving_finds_it() -> None:
+    story = Story()
+    story.drive()
+    story.record.daemon_left(story.now_s, "SIGTERM")
+    story.after(0.1).event("closed", False)
+    assert story.found() == ["the last velocity of a daemon is zero"]

@@ -44,3 +44,14 @@ def test_the_longest_lateness_of_a_time_counts(noise: Noise) -> None:
     for at_s, lag_s in ((1.0, 0.5), (3.0, 0.1), (4.0, 0.2), (9.0, 0.9)):
         noise.add_lag(at_s, lag_s)
     assert noise.lag_s(2.0, 5.0) == 0.2
+
+
+def test_noise_with_a_pause_that_lasts_counts_the_part_inside_the_time(noise: Noise) -> None:
+    noise.pause(3.0)
+    assert noise.paused_s(2.0, 5.0) == 2.0
+    noise.pause(3.0, 4.0)
+    assert noise.paused_s(2.0, 5.0) == 1.0
+    assert noise.paused_s(4.5, 5.0) == 0.0
+    assert noise.absent_s(0.0, 10.0) == 0.0
+    noise.absence(6.0, 7.5)
+    assert noise.absent_s(0.0, 7.0) == 1.0

@@ -1,0 +1,130 @@
+"""Inbox: what a client has sent and the daemon has not done yet; of velocities for one robot the newest alone."""
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, field
+from typing import Generic, Protocol, TypeVar
+
+MANY = 64  # messages that one who drives may send while the daemon is busy: more than a second's worth at 50 Hz
+MAX_MESSAGES = 256  # that wait here; more wait in the socket
+MAX_BYTES = 64 * 1024  # or one message that is larger
+
+Content = TypeVar("Content")
+
+
+@dataclass(slots=True)
+class Operation(Generic[Content]):
+    """One message of a client, decoded."""
+
+    content: Content
+    came_s: float  # when it came, at the earliest, by the loop's clock
+    velocity_of: Hashable = None  # what it drives, with what priority; None: it is no velocity
+    is_zero: bool = False
+    replaced: list[Content] = field(default_factory=list)  # the velocities in the place of which it is done
+
+
+class Program(Protocol[Content]):
+    """What speaks the client's language. Neither raises what the client has done wrong."""
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[Content]: ...
+    def do(self, operation: Operation[Content]) -> None: ...
+
+
+class Inbox(Generic[Content]):
+    """Operations are done in the order in which they came.
+
+    A velocity takes the place of one before it that drives the same robot and that was not done: it stands where the
+    newer one came, so that nothing overtakes a stop. A zero takes the place of others, and nothing takes its.
+    """
+
+    def __init__(self, program: Program[Content], on_replaced: Callable[[], None]) -> None:
+        """`on_replaced` is called for each velocity in the place of which a newer one is done."""
+        self._program, self._on_replaced = program, on_replaced
+        self._messages: deque[tuple[str | bytes, float]] = deque()  # as they came, not decoded yet
+        self._bytes = 0
+        self._operations: dict[int, Operation[Content]] = {}  # by number, in their order
+        self._velocities: dict[Hashable, int] = {}  # the numbers of those that may be replaced
+        self._last_number = 0
+        self._is_flooding = False
+        self._is_behind = False  # messages were there before they were waited for
+        self._came_s: float | None = None  # of the newest message; None: there was none
+        self._news, self._room, self._idle = asyncio.Event(), asyncio.Event(), asyncio.Event()
+        self._room.set()
+        self._idle.set()
+
+    def __len__(self) -> int:
+        return len(self._messages) + len(self._operations)
+
+    @property
+    def is_flooding(self) -> bool:
+        """Whether too many have waited: they are done when the others have had their turn, until none is left."""
+        return self._is_flooding
+
+    @contextlib.contextmanager
+    def receiving(self) -> Iterator[None]:
+        """The next message is received in the block, which waits for it unless it is there already."""
+        self._is_behind = True
+        waiting = asyncio.get_running_loop().call_soon(self._note_wait)
+        try:
+            yield
+        finally:
+            waiting.cancel()
+
+    def put(self, data: str | bytes, came_s: float) -> None:
+        """A message came; one that was there before it was waited for may be as old as the one before it."""
+        if self._came_s is None or not self._is_behind:
+            self._came_s = came_s
+        self._messages.append((data, self._came_s))
+        self._bytes += len(data)
+        self._is_flooding = self._is_flooding or len(self) > MANY
+        self._idle.clear()
+        self._news.set()
+        if len(self) > MAX_MESSAGES or self._bytes > MAX_BYTES:
+            self._room.clear()
+
+    def work(self) -> None:
+        """Decode all that has come, and do what is next."""
+        while self._messages:
+            data, came_s = self._messages.popleft()
+            self._add(self._program.read(data, came_s))
+        number = next(iter(self._operations))
+        operation = self._operations.pop(number)
+        if self._velocities.get(operation.velocity_of) == number:
+            del self._velocities[operation.velocity_of]
+        self._program.do(operation)
+        if not self._operations:
+            self._bytes, self._is_flooding = 0, False
+            self._news.clear()
+            self._idle.set()
+        if len(self._operations) <= MAX_MESSAGES // 2 and (not self._operations or self._bytes <= MAX_BYTES):
+            self._room.set()
+
+    async def wait(self) -> None:
+        """Wait until there is something to do."""
+        await self._news.wait()
+
+    async def room(self) -> None:
+        """Wait while too much is here: then the rest waits in the socket."""
+        await self._room.wait()
+
+    async def idle(self) -> None:
+        """Wait until all is done."""
+        await self._idle.wait()
+
+    def _note_wait(self) -> None:
+        """The loop goes on: the next message is not there."""
+        self._is_behind = False
+
+    def _add(self, new: Operation[Content]) -> None:
+        self._last_number += 1
+        if new.velocity_of is not None:
+            older = self._velocities.pop(new.velocity_of, None)
+            if older is not None:
+                gone = self._operations.pop(older)
+                new.replaced = [*gone.replaced, gone.content]
+                self._on_replaced()
+            if not new.is_zero:
+                self._velocities[new.velocity_of] = self._last_number
+        self._operations[self._last_number] = new

@@ -1,0 +1,70 @@
+"""Parameters of the master that concern the port of `hostlink ros1`, before the daemon is imported."""
+
+import socket
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from hostlink.cli.output import write_error
+from hostlink.cli.serve_command import open_device_port
+from hostlink.config import Ros1Config, TcpConfig
+from hostlink.errors import ConfigError
+from hostlink.graphs.ros1.early_master import EarlyMaster
+from hostlink.graphs.ros1.names import Names, joined
+from hostlink.graphs.ros1.xml_rpc import BadXml, Refused, Unreachable
+from hostlink.listening import close_all
+
+GLOBAL_TCP_PORT = "/rosserial_embeddedlinux/tcp_port"  # read where the node has none of its own
+RETRY_S = 1.0
+
+
+def read(
+    config: Ros1Config, given: Mapping[str, str], tcp: TcpConfig, listening: list[socket.socket]
+) -> tuple[dict[str, Any], list[socket.socket]]:
+    """Those of the node that concern its port; what was given is set at the master, as every node of ROS does.
+
+    A master that is not there yet is waited for, as every node of ROS does: the port may be known to it alone. Nobody
+    serves devices meanwhile: they are refused, and try again. Returns the sockets for them, too, opened anew.
+    """
+    names = Names(joined(config.namespace, config.name))
+    master = EarlyMaster(config.master, names.node)
+    was_open = bool(listening)
+    is_told = False
+    try:
+        while True:
+            try:
+                return _read(master, names, given), open_device_port(tcp) if was_open and not listening else listening
+            except Unreachable as error:
+                close_all(listening)
+                listening = []
+                if not is_told:
+                    write_error(f"hostlink: waiting for the master at {config.master}: {error}")
+                is_told = True
+            time.sleep(RETRY_S)
+    finally:
+        master.close()
+
+
+def _read(master: EarlyMaster, names: Names, given: Mapping[str, str]) -> dict[str, Any]:
+    for name, text in given.items():
+        try:
+            master.call("setParam", names.resolve(f"~{name}"), scalar(text))
+        except (BadXml, Refused) as error:
+            raise ConfigError(f"_{name}:={text}", f"the master cannot have it: {error}") from error
+    found: dict[str, Any] = {}
+    for key, name in (("tcp_port", GLOBAL_TCP_PORT), ("port", "~port"), ("baud", "~baud"), ("tcp_port", "~tcp_port")):
+        try:
+            found[key] = master.call("getParam", names.resolve(name))
+        except Refused:  # it is not set
+            continue
+    return found
+
+
+def scalar(text: str) -> bool | int | float | str:
+    """A parameter of the command line, as ROS reads it: a number, true or false, else a text."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return {"true": True, "false": False}.get(text.lower(), text)

@@ -1,0 +1,178 @@
+"""`hostlink serve`: its arguments. The port for devices is open before the daemon is imported, which takes a while.
+
+A device that connects meanwhile waits in the kernel until it is served, or is reset where the start fails.
+"""
+
+import dataclasses
+import importlib
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hostlink.cli.addresses import is_origin, parse_address, parse_serial
+from hostlink.cli.output import write
+from hostlink.config import Config, Ros1Config, TcpConfig, UdpConfig, ZenohConfig, load
+from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.listening import listen as listen_at
+
+if TYPE_CHECKING:
+    import asyncio
+
+Origins = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--origin",
+        help="A web page of elsewhere that may use the API: https://app.foxglove.dev. May be repeated.",
+        show_default=False,
+    ),
+]
+
+
+def command(
+    *,
+    config: Annotated[Path | None, typer.Option(help="hostlink.toml", show_default=False)] = None,
+    listen: Annotated[
+        str | None, typer.Option(help="Where devices connect: HOST:PORT.", show_default="0.0.0.0:11411")
+    ] = None,
+    udp: Annotated[
+        str | None, typer.Option(help="Where devices send datagrams: PORT or HOST:PORT; without it nowhere.")
+    ] = None,
+    serial: Annotated[
+        list[str] | None, typer.Option(help="A serial port with a device: /dev/ttyACM0@57600. May be repeated.")
+    ] = None,
+    api: Annotated[
+        str | None, typer.Option(help="Where programs connect: HOST:PORT.", show_default="127.0.0.1:9090")
+    ] = None,
+    origin: Origins = None,
+    messages: Annotated[
+        list[Path] | None, typer.Option(help="A folder of .msg and .srv files. May be repeated.")
+    ] = None,
+    zenoh: Annotated[
+        bool, typer.Option("--zenoh", help="Show and drive the robots of other daemons in this network: docs/fleet.md.")
+    ] = False,
+    ros1: Annotated[
+        str | None, typer.Option(metavar="URL", help="Be a node of this ROS 1 master: http://localhost:11311.")
+    ] = None,
+    log_level: Annotated[str, typer.Option(help="debug, info, warning or error.")] = "info",
+    loop: Annotated[str, typer.Option(help="The event loop: asyncio, or uvloop for crowds of robots.")] = "asyncio",
+    check_config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Say what FILE would serve, or what is wrong with it.")
+    ] = None,
+    example: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Print an example file: config, systemd or udev.")
+    ] = None,
+) -> None:
+    """Run the daemon: devices on TCP port 11411, serial ports and UDP, programs on port 9090.
+
+    Exit status: 0 stopped as asked, 1 failed, 2 wrong arguments or settings, or an address that is in use.
+    """
+    if example is not None:
+        write(*importlib.import_module("hostlink.cli.examples").read_example(example).splitlines())
+        return
+    if log_level.upper() not in ("DEBUG", "INFO", "WARNING", "ERROR"):
+        raise ConfigError("--log-level", f"{log_level} is none of debug, info, warning, error")
+    file = check_config or config
+
+    def read() -> Config:
+        settings = merge(
+            load(file) if file else Config(), listen=listen, udp=udp, serial=serial, api=api, messages=messages
+        )
+        settings = allow_origins(settings, origin)
+        if zenoh and settings.zenoh is None:
+            settings = dataclasses.replace(settings, zenoh=ZenohConfig())
+        if ros1 is not None:
+            settings = dataclasses.replace(settings, ros1=with_master(settings.ros1, "--ros1", ros1))
+        return settings
+
+    settings = read()
+    listening = [] if check_config else open_device_port(settings.tcp)
+    new_loop = loop_factory(loop)
+    importlib.import_module("hostlink.logs").configure(level=log_level)
+    daemon = importlib.import_module("hostlink.cli.serve")
+    if check_config:
+        daemon.show_check(settings)
+    else:
+        daemon.run(settings, listening, new_loop, read=read if config else None)
+
+
+def open_device_port(config: TcpConfig) -> list[socket.socket]:
+    """Listen for devices; of an address on which nobody can listen nothing, and the daemon reports why."""
+    try:
+        return listen_at(config.host, config.port)
+    except (OSError, OverflowError, UnicodeError):
+        return []
+
+
+def with_master(config: Ros1Config, where: str, url: str) -> Ros1Config:
+    """The settings with this master.
+
+    Raises:
+        ConfigError: it is no address of one; `where` names it.
+    """
+    if not url:
+        raise ConfigError(where, "no address of a master is given; they look like http://localhost:11311")
+    try:
+        return dataclasses.replace(config, master=url)
+    except ValueError as error:
+        raise ConfigError(where, str(error)) from error
+
+
+def loop_factory(name: str) -> "Callable[[], asyncio.AbstractEventLoop] | None":
+    """Of what `--loop` names; None is asyncio's own.
+
+    Raises:
+        ConfigError: there is no such loop, or it is not installed.
+    """
+    if name == "asyncio":
+        return None
+    if name != "uvloop":
+        raise ConfigError("--loop", f"{name} is none of asyncio, uvloop")
+    try:
+        factory: Callable[[], asyncio.AbstractEventLoop] = importlib.import_module("uvloop").new_event_loop
+    except ImportError as error:
+        raise LibraryMissing("--loop", "uvloop", "uvloop") from error
+    return factory
+
+
+def allow_origins(config: Config, origins: list[str] | None) -> Config:
+    """The configuration with the origins of `--origin` beside its own.
+
+    Raises:
+        ConfigError: one is none.
+    """
+    for origin in origins or ():
+        if not is_origin(origin):
+            raise ConfigError("--origin", f"{origin} is none: it begins with a scheme, as https://app.foxglove.dev")
+    api = dataclasses.replace(config.api, origins=config.api.origins + tuple(origins or ()))
+    return dataclasses.replace(config, api=api)
+
+
+def merge(
+    config: Config,
+    *,
+    listen: str | None = None,
+    udp: str | None = None,
+    serial: list[str] | None = None,
+    api: str | None = None,
+    messages: list[Path] | None = None,
+) -> Config:
+    """The configuration with the flags over it.
+
+    Raises:
+        ConfigError: a flag is wrong.
+    """
+    if listen is not None:
+        host, port = parse_address("--listen", listen, config.tcp.host)
+        config = dataclasses.replace(config, tcp=dataclasses.replace(config.tcp, host=host, port=port))
+    if udp is not None:
+        wanted = UdpConfig() if config.udp is None else config.udp
+        host, port = parse_address("--udp", f":{udp}" if udp.isdecimal() else udp, wanted.host)
+        config = dataclasses.replace(config, udp=dataclasses.replace(wanted, host=host, port=port))
+    if api is not None:
+        host, port = parse_address("--api", api, config.api.host)
+        config = dataclasses.replace(config, api=dataclasses.replace(config.api, host=host, port=port))
+    ports = config.serial + tuple(parse_serial(text) for text in serial or ())
+    return dataclasses.replace(config, serial=ports, message_folders=config.message_folders + tuple(messages or ()))

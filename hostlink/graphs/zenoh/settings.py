@@ -1,0 +1,211 @@
+"""What Zenoh is given: the settings of [zenoh] over those of its file, and who can reach a session that has them.
+
+Zenoh's own defaults trust the network: a peer listens on every address in plain TCP, answers and follows multicast,
+connects to whatever its neighbours name, and asks nobody for a certificate. Without certificates a fleet lives on
+that, and everybody who reaches it can drive. With an authority (`ca`) TLS is the only protocol, in both directions.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hostlink.config import ZenohConfig
+from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.graphs.zenoh.access_rules import PREFIX, access_rules
+from hostlink.logs import printable
+
+DEFAULTS: dict[str, object] = {
+    "transport/link/tx/lease": 1000,  # ms; a neighbour that is silent for so long is gone, and its tokens with it
+    "transport/link/tx/keep_alive": 4,  # in each lease
+    "transport/shared_memory/enabled": False,  # 65 MiB for what never is large
+}
+BLOCKED_US = 100_000  # a neighbour for whom a declaration or a query has to wait longer is cut off; a fifth of a lease
+TLS = "transport/link/tls"
+TLS_ONLY: dict[str, object] = {  # with an authority; a file that says otherwise is refused
+    "transport/link/protocols": ["tls"],  # Zenoh itself refuses every other one, whoever opens the link
+    "scouting/multicast/enabled": False,
+    f"{TLS}/enable_mtls": True,  # who connects here shows a certificate, too
+}
+GOSSIP, EXPIRATION = "scouting/gossip/enabled", f"{TLS}/close_link_on_expiration"
+
+
+class Reach(NamedTuple):
+    """Who can reach a session. `lines`: where it listens and who gets in; `warnings`: what nobody may have meant."""
+
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def library() -> Any:
+    """The module of eclipse-zenoh.
+
+    Raises:
+        LibraryMissing: it is not installed.
+    """
+    try:
+        import zenoh  # noqa: PLC0415 - an optional dependency
+    except ImportError as error:
+        raise LibraryMissing("zenoh", "eclipse-zenoh", "zenoh") from error
+    return zenoh
+
+
+def settings_of(config: ZenohConfig) -> Any:
+    """Zenoh's settings: those of the file, and [zenoh] over them; this project's defaults where the file has Zenoh's.
+
+    Raises:
+        ConfigError: the file cannot be read, Zenoh refuses a value, or one of them opens what certificates close.
+    """
+    zenoh = library()
+    try:
+        usual = zenoh.Config()
+        settings = zenoh.Config() if config.file is None else zenoh.Config.from_file(str(config.file))
+        for key, value in DEFAULTS.items():
+            if settings.get_json(key) == usual.get_json(key):
+                settings.insert_json5(key, json.dumps(value))
+        for key, value in _values(config).items():
+            settings.insert_json5(key, json.dumps(value))
+    except (zenoh.ZError, ValueError) as error:
+        raise ConfigError("zenoh", f"Zenoh refuses the settings: {reason_of(error)}") from error
+    if is_secured(settings):
+        _secure(settings, usual, config)
+    return settings
+
+
+def reason_of(error: Exception) -> str:
+    """What of Zenoh's text concerns the user: not the places in its sources."""
+    text = str(error)
+    found = re.search(r'msg: "(.*)"', text)
+    return printable((found[1] if found else text).split(" at /")[0], 300)
+
+
+def is_secured(settings: Any) -> bool:
+    """Whether there is an authority: TLS alone, in both directions."""
+    return any(_value(settings, f"{TLS}/root_ca_certificate{kind}") is not None for kind in ("", "_base64"))
+
+
+def reach_of(settings: Any, config: ZenohConfig) -> Reach:
+    """Who can reach a session with these settings, and drive by it."""
+    return Reach(tuple(_lines(settings, config)), tuple(_warnings(settings, config)))
+
+
+def _lines(settings: Any, config: ZenohConfig) -> Iterator[str]:
+    places, others = _endpoints(settings, "listen"), _endpoints(settings, "connect")
+    yield f"listens on {', '.join(places) or 'nothing'}"
+    if others:
+        yield f"connects to {', '.join(others)}"
+    if not is_secured(settings):
+        yield f"no TLS{_scouting(settings)}: everybody who reaches it can drive"
+        return
+    yield f"TLS alone{_scouting(settings)}: reached by certificates of {_authority(settings)}"
+    if _has_rules_of_file(settings, config):
+        yield f"who may drive: the access rules of {config.file}"
+    elif "*" in config.drivers:
+        yield "all of them may drive"
+    else:
+        yield f"of them {', '.join(config.drivers) or 'none'} may drive, by the name in the certificate"
+
+
+def _warnings(settings: Any, config: ZenohConfig) -> Iterator[str]:
+    if not is_secured(settings):
+        where = ", ".join((*_endpoints(settings, "listen"), *_endpoints(settings, "connect")))
+        yield (
+            f"zenoh without certificates ({where}{_scouting(settings)}): everybody who reaches its port can drive the "
+            "robots; set zenoh.ca, certificate and key (docs/fleet.md)"
+        )
+        if "*" not in config.drivers:
+            yield "zenoh.drivers without certificates keeps out nobody: a daemon has the name that it gives itself"
+    if _value(settings, "adminspace/enabled") and _value(settings, "adminspace/permissions/write"):
+        yield f"zenoh.file {config.file}: adminspace lets whoever is connected change the settings of this session"
+
+
+def _secure(settings: Any, usual: Any, config: ZenohConfig) -> None:
+    """Close whatever is no TLS.
+
+    Raises:
+        ConfigError: a setting wants it open.
+    """
+    if config.multicast:
+        raise ConfigError("zenoh.multicast", "must not be true with certificates: who is found by it proves nothing")
+    has_certificate = any(_value(settings, f"{TLS}/listen_certificate{kind}") for kind in ("", "_base64"))
+    for key, value in TLS_ONLY.items():
+        chosen = _value(settings, key)
+        if chosen not in (value, _value(usual, key)):
+            raise ConfigError(
+                "zenoh.file", f"{key} is {json.dumps(chosen)}; with certificates {json.dumps(value)} alone"
+            )
+        if has_certificate or not key.startswith(TLS):
+            settings.insert_json5(key, json.dumps(value))
+    for key, value in {GOSSIP: False, EXPIRATION: True, "listen/endpoints": []}.items():
+        if settings.get_json(key) == usual.get_json(key):
+            settings.insert_json5(key, json.dumps(value))
+    _check_endpoints(settings, has_certificate=has_certificate)
+    if "*" not in config.drivers and not _has_rules_of_file(settings, config):
+        settings.insert_json5("access_control", json.dumps(access_rules(config)))
+
+
+def _check_endpoints(settings: Any, *, has_certificate: bool) -> None:
+    listens = _endpoints(settings, "listen")
+    for part, endpoints in (("listen", listens), ("connect", _endpoints(settings, "connect"))):
+        for endpoint in endpoints:
+            if not endpoint.startswith("tls/") or "enable_mtls=false" in endpoint:
+                advice = "with certificates each address begins with tls/, and asks for a certificate"
+                raise ConfigError(f"zenoh.{part}", f"{endpoint} is open to everybody: {advice}")
+    if listens and not has_certificate:
+        raise ConfigError("zenoh.listen", "needs zenoh.certificate and zenoh.key: who connects wants to see one")
+
+
+def _values(config: ZenohConfig) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        "mode": config.mode,
+        "connect/exit_on_failure": False,
+        "timestamping/enabled": True,  # what is kept for later subscribers needs it
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,  # the loop waits for no neighbour
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCKED_US,
+    }
+    if config.connect:
+        values["connect/endpoints"] = list(config.connect)
+    if config.listen:
+        values["listen/endpoints"] = list(config.listen)
+    chosen = {"scouting/multicast/enabled": config.multicast, GOSSIP: config.gossip}
+    values |= {key: value for key, value in chosen.items() if value is not None}
+    files: dict[str, Path | None] = {
+        "root_ca_certificate": config.ca,
+        "listen_certificate": config.certificate,
+        "listen_private_key": config.key,
+        "connect_certificate": config.certificate,
+        "connect_private_key": config.key,
+    }
+    return values | {f"{TLS}/{name}": str(path) for name, path in files.items() if path is not None}
+
+
+def _endpoints(settings: Any, part: str) -> list[str]:
+    """Where it listens, or what it connects to, in its mode."""
+    if part == "listen" and _value(settings, "mode") == "client":
+        return []
+    found = _value(settings, f"{part}/endpoints")
+    if isinstance(found, Mapping):
+        found = found.get(_value(settings, "mode"))
+    return [each if isinstance(each, str) else str(each.get("endpoint", each)) for each in found or ()]
+
+
+def _scouting(settings: Any) -> str:
+    ways = ("multicast", "gossip")
+    found = [way for way in ways if _value(settings, f"scouting/{way}/enabled") is not False]
+    return f", found by {' and '.join(found)}" if found else ""
+
+
+def _authority(settings: Any) -> str:
+    return str(_value(settings, f"{TLS}/root_ca_certificate") or "the authority in the file")
+
+
+def _has_rules_of_file(settings: Any, config: ZenohConfig) -> bool:
+    rules = _value(settings, "access_control/rules") or ()
+    is_own = any(rule["id"].startswith(PREFIX) for rule in rules)
+    return config.file is not None and bool(_value(settings, "access_control/enabled")) and not is_own
+
+
+def _value(settings: Any, key: str) -> Any:
+    return json.loads(settings.get_json(key))

@@ -1,0 +1,185 @@
+"""Salvage: incidents out of the memory that a process has left (ring_memory.py): one that was killed, or had no time.
+
+| who does it                         | when                                                             |
+|-------------------------------------|------------------------------------------------------------------|
+| a process that the guardian starts  | the daemon was killed; under systemd its next start is soon enough |
+| a process that the daemon starts    | it ends, and more incidents are pending than it has time to write  |
+| the next daemon, in a thread        | it starts, and nobody else does it                                 |
+
+Whoever has the memory's lock does it; the others leave it alone. What was written is not written again.
+"""
+
+import contextlib
+import fcntl
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from hostlink import remains
+from hostlink.errors import BadPayload
+from hostlink.recording.channel import EVENTS, Channel
+from hostlink.recording.drive_file import LastCommand, finish_drives
+from hostlink.recording.folder import Folder
+from hostlink.recording.history import decode_event
+from hostlink.recording.incident import Incident
+from hostlink.recording.incident_writer import OutOfTime, write_incident
+from hostlink.recording.ring import Entry, read_blocks, read_entries
+from hostlink.recording.ring_memory import RING, read_schemas, write_fact
+
+ABOUT, CLOSED, _FACT = "about", "closed", ".json"
+MAX_CHANNELS = 64  # of a pending incident, that are in its file without a message
+BEGUN_S = 60.0  # a memory without a lock that is younger may just be made
+KEPT_S = 7 * 24 * 3600.0  # what nobody could write for so long is removed: memory is short
+_STOPS = ("stopped", "locked", "gone")
+
+
+class About(msgspec.Struct):
+    """Where the incidents of a memory belong, and how much of them."""
+
+    folder: str
+    max_disk_mb: float
+    min_free_disk_mb: float
+    before_s: float
+
+
+class Pending(msgspec.Struct):
+    """An incident that has begun, and channels that are in its file without a message."""
+
+    incident: Incident
+    channels: list[Channel]
+
+
+@dataclass(slots=True)
+class Salvaged:
+    """What was written, what never will be and why, and who drove last."""
+
+    saved: list[tuple[Incident, Path]] = field(default_factory=list)
+    lost: list[tuple[Incident, str]] = field(default_factory=list)
+    commands: list[LastCommand] = field(default_factory=list)
+
+
+def pending_name(number: int) -> str:
+    """Of the fact about a pending incident."""
+    return f"{remains.PENDING}{number}"
+
+
+def main(pid: int) -> None:
+    """Write what this process has left. What a disk refuses is left to the daemon's next start."""
+    for path in remains.of_process(pid):
+        with contextlib.suppress(OSError):
+            salvage(Path(path))
+
+
+def salvage(folder: Path, *, rest: Callable[[], None] = lambda: None) -> Salvaged | None:
+    """Write the incidents of a process that is gone, and remove its memory. It waits for the disk.
+
+    None: the process lives, or somebody else is at it. `rest` as of `write_incident`.
+
+    Raises:
+        OSError: of the disk; what was not written is tried again at the next start.
+        OutOfTime: `rest` has raised it; likewise.
+    """
+    with contextlib.ExitStack() as stack:
+        try:
+            file = stack.enter_context((folder / RING).open("rb"))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except FileNotFoundError:
+            if _age_s(folder) > BEGUN_S:
+                shutil.rmtree(folder, ignore_errors=True)
+            return None
+        except BlockingIOError:
+            return None
+        if not (folder / RING).exists():  # somebody has just done it
+            return None
+        found = Salvaged()
+        about = _read(folder / f"{ABOUT}{_FACT}", About)
+        if about is not None:
+            _save_all(folder, about, read_blocks(file.read()), found, rest)
+        shutil.rmtree(folder, ignore_errors=True)
+        return found
+
+
+def clear_old() -> None:
+    """Remove what nobody could write for a long time."""
+    for path in remains.of_user():
+        with contextlib.suppress(OSError), (Path(path) / RING).open("rb") as file:
+            if _age_s(Path(path)) > KEPT_S:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path, ignore_errors=True)
+
+
+def _save_all(
+    folder: Path, about: About, by_robot: dict[str, list[bytes]], found: Salvaged, rest: Callable[[], None]
+) -> None:
+    schemas = read_schemas(folder)
+
+    def entries_of(robot: str) -> Iterator[Entry]:
+        return read_entries(by_robot.get(robot, ()), schemas)
+
+    if not (folder / f"{CLOSED}{_FACT}").exists():
+        _note_death(folder, {robot: entries_of(robot) for robot in by_robot if robot}, found)
+    finish_drives(Path(about.folder).parent, found.commands)
+    into = Folder(Path(about.folder), max_disk_mb=about.max_disk_mb, min_free_disk_mb=about.min_free_disk_mb)
+    for path in sorted(folder.glob(f"{remains.PENDING}*{_FACT}")):
+        pending = _read(path, Pending)
+        if pending is not None:
+            incident = pending.incident
+            entries = [entries_of(robot) for robot in {incident.robot, ""}]
+            try:
+                written = write_incident(into, incident, pending.channels, entries, before_s=about.before_s, rest=rest)
+                found.saved.append((incident, written))
+            except (OSError, OutOfTime):
+                raise
+            except Exception as error:  # noqa: BLE001 - damaged; the next start would fail in the same way
+                found.lost.append((incident, repr(error)))
+        path.unlink(missing_ok=True)
+
+
+def _note_death(folder: Path, by_robot: dict[str, Iterator[Entry]], found: Salvaged) -> None:
+    """An incident for each robot that was driven when the process ended without stopping it."""
+    for number, (robot, entries) in enumerate(by_robot.items()):
+        last, newest_ns, newest_s = _last_command(robot, entries)
+        if last is not None:
+            found.commands.append(last)
+            detail = f"hostlink ended without stopping it, while {last.owner} drove it"
+            incident = Incident(robot, "daemon_died", detail, newest_ns, newest_s)
+            write_fact(folder, f"{remains.PENDING}died-{number}", Pending(incident, []))
+    write_fact(folder, CLOSED, "after its death")
+
+
+def _last_command(robot: str, entries: Iterable[Entry]) -> tuple[LastCommand | None, int, float]:
+    """(who drives it, wall time and monotonic time of the newest message); None: it was stopped."""
+    last, newest_ns, newest_s = None, 0, 0.0
+    for entry in entries:
+        newest_ns, newest_s = entry.stamp_ns, entry.at_s
+        if entry.channel.topic != EVENTS.topic or entry.channel.type_name != EVENTS.type_name:
+            continue
+        with contextlib.suppress(BadPayload, KeyError, AttributeError, TypeError):  # a program's own message
+            event = decode_event(entry)
+            facts = event["facts"]
+            if event["kind"] == "commanded":
+                is_zero = not any(facts["limited"].values())
+                last = None if is_zero else LastCommand(robot, str(facts["owner"]), entry.stamp_ns)
+            elif event["kind"] in _STOPS:
+                last = None
+    return last, newest_ns, newest_s
+
+
+def _age_s(folder: Path) -> float:
+    try:
+        return time.time() - folder.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _read(path: Path, kind: type[Any]) -> Any:
+    """The fact in a file; None: it is not there, or damaged."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return None

@@ -1,0 +1,30 @@
+"""Thinned: some of any number of samples, at equal steps. Pure."""
+
+from typing import Generic, TypeVar
+
+Sample = TypeVar("Sample")
+
+
+class Thinned(Generic[Sample]):
+    """At most twice `most` of the samples that were added, at equal steps, and the last."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._step, self._count = most, 1, 0
+        self._kept: list[Sample] = []
+        self._last: Sample | None = None
+
+    def add(self, sample: Sample) -> None:
+        """Add the next; when there is no room, every second that is kept goes."""
+        if self._count % self._step == 0:
+            self._kept.append(sample)
+            self._last = None
+            if len(self._kept) > 2 * self._most:
+                self._kept = self._kept[::2]
+                self._step *= 2
+        else:
+            self._last = sample
+        self._count += 1
+
+    def samples(self) -> list[Sample]:
+        """Those that are kept, in their order."""
+        return self._kept if self._last is None else [*self._kept, self._last]

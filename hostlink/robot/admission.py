@@ -1,0 +1,347 @@
+"""Admission: the one rule that decides whether a velocity may move a robot. Pure.
+
+Every way in (rosbridge, REST, the page, Foxglove, the client, ROS, the fleet, recordings) fills in a `Command`. The
+robot's `Admission` answers with a `Decision`. No other module compares ages, epochs, locks or leases.
+
+A *source* is whatever commands: a program, a REST owner, a publisher of another graph. It is in one of three states:
+
+| state    | event                                                     | next     | decision              |
+|----------|-----------------------------------------------------------|----------|-----------------------|
+| quiet    | non-zero command                                          | driving  | admitted for a lease  |
+| driving  | non-zero command                                          | driving  | admitted for a lease  |
+| driving  | zero                                                      | quiet    | admitted              |
+| driving  | a lease without a command                                 | quiet    | the robot stops       |
+| driving  | interruption: stop, lock, unlock, reconnect, pause        | disarmed | the robot stops       |
+| disarmed | non-zero command without the current epoch                | disarmed | refused: disarmed     |
+| disarmed | non-zero command with the current epoch                   | driving  | admitted for a lease  |
+| disarmed | zero that is not late, or a lease without a command       | quiet    | a zero is admitted    |
+| any      | non-zero command with an epoch that is not the current one | disarmed | refused: disarmed     |
+| any      | the source leaves                                         | quiet    | its robot stops       |
+
+Before that, in this order, each of which leaves a source that was quiet or driving as it is, unless the epoch of the
+command is not the current one: that disarms it all the same.
+
+| event                                                               | decision             |
+|---------------------------------------------------------------------|----------------------|
+| a component is NaN or infinite                                      | refused: not_finite  |
+| non-zero command while the robot is locked                          | refused: locked      |
+| command while the device is not connected                           | refused: not_connected |
+| non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
+| non-zero command whose stamp is older than `max_stamp_age_s`        | refused: late        |
+| command while another source holds the robot at a higher priority   | refused: held        |
+| zero while another source drives                                    | refused: held        |
+| non-zero command of one more source than MAX_SOURCES                | refused: crowded     |
+
+Each refused non-zero command counts as one that the source still gives: an interruption disarms this source, too. A
+zero that is refused arms its source all the same. An admitted command holds the robot at its priority for a lease. A
+source of the same priority takes the robot over. The lease of a command that waited is shorter by that time. A stop
+and a lock do not shorten the time for which the robot is held.
+
+An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
+the interruption. A reconnection disarms whoever was driving when the device left, too: a publisher goes on without an
+answer, and is not seen here meanwhile. A reconnection within `resume_after_reconnect_s` is not an interruption.
+"""
+
+import math
+import shlex
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, Self
+
+from hostlink.errors import RefusalKind
+from hostlink.robot.freshness import Freshness
+
+LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
+MAX_SOURCES = 64  # that one robot keeps apart
+EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
+EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
+
+
+class AnyVelocity(Protocol):
+    """What admission needs to know of a velocity."""
+
+    @property
+    def is_zero(self) -> bool: ...
+
+    @property
+    def is_finite(self) -> bool: ...
+
+
+class Command(NamedTuple):
+    """One velocity on its way to a robot.
+
+    `received_s` is the earliest time at which this daemon may have received it. `sent_s` is a time of the sender's own
+    clock. `epoch` is the robot's epoch as the sender last saw it. `stamp_age_s` is the age of its stamp by this host's
+    clock. The last three are None where the sender gave none.
+    """
+
+    velocity: AnyVelocity
+    source: Hashable
+    priority: int
+    received_s: float
+    sent_s: float | None = None
+    epoch: int | None = None
+    stamp_age_s: float | None = None
+
+
+@dataclass(slots=True)
+class EarlierMotion:
+    """Whether a source that is heard from now on may be in the middle of a motion, for who bridges another graph.
+
+    A subscription to a publisher that was there before joins what it does: its first velocity until `until_s` may be
+    from before an interruption. A source that is silent until then begins anew.
+    """
+
+    until_s: float = float("-inf")
+
+    @classmethod
+    def within_a_lease(cls, now_s: float) -> Self:
+        """What is streamed comes within a lease."""
+        return cls(now_s + LEASE_S)
+
+    def pop_epoch(self, received_s: float) -> int | None:
+        """Return the epoch of a command: EARLIER_EPOCH for the first one if it came in time, then None."""
+        epoch = EARLIER_EPOCH if received_s < self.until_s else None
+        self.until_s = float("-inf")  # the admission knows from now on that the motion is an earlier one
+        return epoch
+
+
+class Decision(NamedTuple):
+    """`kind` is None for an admitted command. `reason` says why a command was refused, and what to do next."""
+
+    kind: RefusalKind | None = None
+    reason: str = ""
+    holder: Hashable = None  # the source that holds the robot, for `held`
+
+    @property
+    def is_admitted(self) -> bool:
+        """Whether the velocity may move the robot."""
+        return self.kind is None
+
+
+class Driver(NamedTuple):
+    """The source that drives one velocity topic of a robot, its priority, and the end of its lease."""
+
+    source: Hashable
+    priority: int
+    deadline_s: float
+
+
+ADMITTED = Decision()
+
+
+@dataclass(slots=True)
+class _Source:
+    """What is known of one source of commands."""
+
+    is_armed: bool = True
+    commanded_s: float = float("-inf")  # the newest non-zero command, admitted or not; a zero resets it
+    priority: int = 0
+    held_until_s: float = float("-inf")
+    has_lost_device: bool = False  # it was commanding when the device left, and has not let go since
+    freshness: Freshness = field(default_factory=Freshness)
+
+    def waited_s(self, command: Command, now_s: float) -> float:
+        """Return the age of a command: how long it waited here; or, if that is longer, than the quickest one did."""
+        waited_s = now_s - command.received_s
+        if command.sent_s is not None:  # by the time now: `received_s` may be far too early, after a pause
+            waited_s = max(waited_s, self.freshness.late_s(command.sent_s, now_s))
+        return waited_s
+
+
+@dataclass(slots=True, eq=False)
+class Admission:
+    """Who may move one robot. A robot with several velocity topics has one `Admission` and one driver for each topic.
+
+    Methods take the loop time `now_s`, which never decreases.
+    """
+
+    robot: str
+    lease_s: float = LEASE_S
+    resume_after_reconnect_s: float = 0.0
+    max_stamp_age_s: float = math.inf  # of senders whose clocks agree with this host's
+    epoch: int = 0
+    lock_reason: str | None = None
+    is_connected: bool = False
+    refused: dict[RefusalKind, int] = field(default_factory=dict)
+    _sources: dict[Hashable, _Source] = field(default_factory=dict)  # the one that commanded last is the last one
+    _drivers: dict[Hashable, Driver] = field(default_factory=dict)  # by velocity topic
+    _disconnected_s: float = float("-inf")
+
+    # -- commands -----------------------------------------------------------------------------------------------------
+
+    def decide(self, command: Command, now_s: float, *, topic: Hashable = "") -> Decision:
+        """Decide about a command for one velocity topic of the robot, and remember what follows from it."""
+        decision = self._decide(command, now_s, topic)
+        if decision.kind is not None:
+            self.refused[decision.kind] = self.refused.get(decision.kind, 0) + 1
+        return decision
+
+    def _decide(self, command: Command, now_s: float, topic: Hashable) -> Decision:
+        velocity, owner = command.velocity, command.source
+        if velocity.is_zero:
+            return self._decide_zero(command, now_s, topic)
+        source = self._source(command, now_s)
+        if source is None:
+            reason = f"more than {MAX_SOURCES} sources command this robot at once; stop some of them"
+            return self._refuse(RefusalKind.CROWDED, reason)
+        if now_s >= source.commanded_s + self.lease_s:
+            source.is_armed = True  # it let go
+        source.commanded_s = now_s
+        if command.epoch not in (None, self.epoch):
+            source.is_armed = False  # whatever refuses this command: the next one continues its motion
+        if not velocity.is_finite:
+            return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
+        if self.lock_reason is not None:
+            return self._refuse(RefusalKind.LOCKED, self._locked_text())
+        if not self.is_connected:
+            return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
+        waited_s = source.waited_s(command, now_s)
+        if late := self._late_text(command, waited_s):
+            return self._refuse(RefusalKind.LATE, late)
+        if command.epoch == self.epoch:
+            source.is_armed = True
+        if not source.is_armed:
+            reason = (
+                f"it was stopped, locked or reconnected while this source was driving; to drive again, send a zero, "
+                f"pause for {self.lease_s:g} s, or send epoch {self.epoch}"
+            )
+            return self._refuse(RefusalKind.DISARMED, reason)
+        holder = self._holder_beside(owner, now_s)
+        if holder is not None and command.priority < self._sources[holder].priority:
+            reason = f"{holder} drives it with a higher priority; wait until it lets go, or use stop"
+            return self._refuse(RefusalKind.HELD, reason, holder)
+        source.priority, source.held_until_s = command.priority, now_s - max(waited_s, 0.0) + self.lease_s
+        self._drivers[topic] = Driver(owner, command.priority, source.held_until_s)
+        return ADMITTED
+
+    def _decide_zero(self, command: Command, now_s: float, topic: Hashable) -> Decision:
+        """A zero is admitted at any age, but one that may be from before an interruption arms nothing."""
+        owner = command.source
+        source = self._sources.get(owner)
+        if source is not None and not self._late_text(command, source.waited_s(command, now_s)):
+            source.is_armed, source.commanded_s, source.has_lost_device = True, float("-inf"), False
+        if not self.is_connected:
+            return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
+        driver = self.driver(topic, now_s)
+        if driver is not None and driver.source != owner:
+            name = shlex.quote(self.robot)
+            reason = (
+                f"{driver.source} drives it, and a zero of another source does not stop it; "
+                f"to stop it: hostlink stop {name}, or POST /api/robots/{self.robot}/stop"
+            )
+            return self._refuse(RefusalKind.HELD, reason, driver.source)
+        return ADMITTED
+
+    def _source(self, command: Command, now_s: float) -> _Source | None:
+        """Return the record of a source, the last of all; None where there is room for no other.
+
+        A record of a source that is quiet is no loss: a new source is armed. A disarmed one is never forgotten.
+        """
+        source = self._sources.pop(command.source, None)
+        if source is None:
+            if len(self._sources) >= MAX_SOURCES and not self._forget_one(command.priority, now_s):
+                return None
+            source = _Source(priority=command.priority)
+        self._sources[command.source] = source
+        return source
+
+    def _forget_one(self, priority: int, now_s: float) -> bool:
+        for owner, source in self._sources.items():
+            if not source.has_lost_device and now_s >= max(source.commanded_s + self.lease_s, source.held_until_s):
+                del self._sources[owner]
+                return True
+        driving = {driver.source for driver in self._drivers.values()}
+        armed = [owner for owner, source in self._sources.items() if source.is_armed and owner not in driving]
+        least = min(armed, key=lambda owner: self._sources[owner].priority, default=None)
+        if least is None or self._sources[least].priority >= priority:
+            return False
+        del self._sources[least]
+        return True
+
+    def _holder_beside(self, owner: Hashable, now_s: float) -> Hashable:
+        """Return the most important source that holds the robot beside this one."""
+        others = (
+            (source.priority, source.held_until_s, other)
+            for other, source in self._sources.items()
+            if other != owner and now_s < source.held_until_s
+        )
+        return max(others, key=lambda each: each[:2], default=(0, 0.0, None))[2]
+
+    def _refuse(self, kind: RefusalKind, reason: str, holder: Hashable = None) -> Decision:
+        return Decision(kind, f"{self.robot}: {reason}", holder)
+
+    def _late_text(self, command: Command, waited_s: float) -> str:
+        """Return why a command is too old; empty: it is not."""
+        if waited_s >= self.lease_s:
+            return f"velocity is {waited_s:.1f} s old, the lease is {self.lease_s:g} s; send a new one"
+        if command.stamp_age_s is not None and command.stamp_age_s > self.max_stamp_age_s:
+            return f"its stamp is {command.stamp_age_s:.3f} s old, cmd_vel_max_age_s allows {self.max_stamp_age_s:g}"
+        return ""
+
+    def _locked_text(self) -> str:
+        return f"locked: {self.lock_reason}; to drive it again: hostlink unlock {shlex.quote(self.robot)}"
+
+    # -- who drives ---------------------------------------------------------------------------------------------------
+
+    def driver(self, topic: Hashable, now_s: float) -> Driver | None:
+        """Return the source that drives a velocity topic; None: no lease is valid."""
+        found = self._drivers.get(topic)
+        return found if found is not None and now_s < found.deadline_s else None
+
+    def is_held(self, now_s: float) -> bool:
+        """Whether a source holds the robot, so that one of a lower priority is refused."""
+        return any(now_s < source.held_until_s for source in self._sources.values())
+
+    def end(self, topic: Hashable) -> None:
+        """End the lease of a velocity topic; its driver stays armed and holds the robot for the rest of the lease."""
+        self._drivers.pop(topic, None)
+
+    def withdraw(self, owner: Hashable) -> None:
+        """Forget a source that has left, or whose command does not fit the device; what it drove stops."""
+        self._sources.pop(owner, None)
+        self._drivers = {topic: driver for topic, driver in self._drivers.items() if driver.source != owner}
+
+    # -- interruptions ------------------------------------------------------------------------------------------------
+
+    def interrupt(self, now_s: float, *, since_s: float | None = None) -> None:
+        """Stop the robot: disarm every source that was commanding within a lease before `since_s`, or now."""
+        since_s = now_s if since_s is None else since_s
+        self.epoch += 1
+        self._drivers.clear()
+        for source in self._sources.values():
+            if source.has_lost_device or since_s < source.commanded_s + self.lease_s:
+                # What waited through a pause comes now: the lease without commands begins now, too.
+                source.is_armed, source.commanded_s = False, now_s
+
+    def lock(self, reason: str, now_s: float) -> None:
+        """Refuse every non-zero command until `unlock`."""
+        self.lock_reason = reason
+        self.interrupt(now_s)
+
+    def unlock(self, now_s: float) -> None:
+        """Admit commands again. A source that went on through the lock stays disarmed: unlocking moves nothing."""
+        if self.lock_reason is not None:
+            self.lock_reason = None
+            self.interrupt(now_s)
+
+    def connect(self, now_s: float) -> None:
+        """The device is connected, or has other topics. No earlier command is valid."""
+        if now_s >= self._disconnected_s + self.resume_after_reconnect_s:
+            self.interrupt(now_s)
+        self.is_connected = True
+        self._drop_holds()
+        for source in self._sources.values():
+            source.has_lost_device = False
+
+    def disconnect(self, now_s: float) -> None:
+        """The device is gone. What is published to a device that is away is not seen here."""
+        self.is_connected, self._disconnected_s = False, now_s
+        for source in self._sources.values():
+            source.has_lost_device |= now_s < source.commanded_s + self.lease_s
+        self._drivers.clear()
+        self._drop_holds()
+
+    def _drop_holds(self) -> None:
+        for source in self._sources.values():
+            source.held_until_s = float("-inf")

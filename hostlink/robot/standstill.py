@@ -1,0 +1,129 @@
+"""Standstill: whether a robot stands or moves, by its odometry. Pure: odometry and times come in.
+
+A stop is confirmed by what was measured after it, and a driven robot that does not move is a warning.
+
+| after a stop                                                        | state   |
+|---------------------------------------------------------------------|---------|
+| odometry since then stands still for STEADY_S, in two poses or more | stands  |
+| odometry since then moves                                           | moves   |
+| no odometry since then, or of one standing pose alone               | unknown |
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+STILL_M_S = 0.005  # what noise makes of a robot that stands
+STILL_RAD_S = 0.02
+STEADY_S = 0.08  # two poses at 10 Hz, with their jitter: a robot that reverses stands in one pose
+PATIENCE_S = 1.0  # a heavy robot has begun to move by then
+OLD_S = 1.0  # odometry comes ten times a second and more
+
+
+class StandstillState(StrEnum):
+    """What odometry says after a stop."""
+
+    STANDS = "stands"
+    MOVES = "moves"
+    UNKNOWN = "unknown"
+
+
+class Standstill(NamedTuple):
+    """What was measured. `after_s` is when it stood first, None unless it stands; `reason` is empty if it stands.
+
+    The speeds are the newest; None: no odometry came since the stop.
+    """
+
+    state: StandstillState
+    speed_m_s: float | None = None
+    turn_rad_s: float | None = None
+    after_s: float | None = None
+    reason: str = ""
+
+
+class Speeds(NamedTuple):
+    """Of a robot, along its way and around itself."""
+
+    speed_m_s: float
+    turn_rad_s: float
+
+    @property
+    def are_still(self) -> bool:
+        """Whether this motion is no more than noise."""
+        return abs(self.speed_m_s) <= STILL_M_S and abs(self.turn_rad_s) <= STILL_RAD_S
+
+
+def sentence(robot: str, measured: Standstill) -> str:
+    """What was measured, for people."""
+    if measured.state is StandstillState.STANDS:
+        return f"{robot} stands ({abs(measured.speed_m_s or 0.0):.2f} m/s after {measured.after_s or 0.0:.1f} s)"
+    if measured.state is StandstillState.UNKNOWN:
+        return f"{robot}: it is not known whether it stands: {measured.reason}"
+    speed_m_s, turn_rad_s = abs(measured.speed_m_s or 0.0), abs(measured.turn_rad_s or 0.0)
+    motion = f"moves at {speed_m_s:.2f} m/s" if speed_m_s > STILL_M_S else f"turns at {turn_rad_s:.2f} rad/s"
+    return f"{robot} still {motion}: {measured.reason}"
+
+
+class StopWatch:
+    """Observes the odometry of one robot from a stop at `began_s` on."""
+
+    def __init__(self, began_s: float) -> None:
+        self._began_s = began_s
+        self._newest: Speeds | None = None
+        self._newest_s = began_s
+        self._still_since_s: float | None = None
+
+    def observe(self, speeds: Speeds, received_s: float) -> None:
+        """The newest odometry, and when it was received; the same one again is nothing new."""
+        if received_s <= self._newest_s:
+            return
+        self._newest, self._newest_s = speeds, received_s
+        if not speeds.are_still:
+            self._still_since_s = None
+        elif self._still_since_s is None:
+            self._still_since_s = received_s
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether it has stood for long enough."""
+        return self._still_since_s is not None and self._newest_s >= self._still_since_s + STEADY_S
+
+    def result(self, why_moving: str, why_unknown: str) -> Standstill:
+        """What was measured; the reasons are those of what is otherwise known of the robot."""
+        if self._newest is None:
+            return Standstill(StandstillState.UNKNOWN, reason=why_unknown)
+        if self._still_since_s is None:
+            return Standstill(StandstillState.MOVES, *self._newest, reason=why_moving)
+        if not self.is_standing:
+            reason = "too little odometry has come since the stop"
+            return Standstill(StandstillState.UNKNOWN, *self._newest, reason=reason)
+        return Standstill(StandstillState.STANDS, *self._newest, after_s=self._still_since_s - self._began_s)
+
+
+class DriveWatch:
+    """Observes a robot that is driven; `warning` says why it does not move, and is empty while all is well."""
+
+    def __init__(self) -> None:
+        self.warning = ""
+        self._still_since_s: float | None = None
+
+    def observe(self, commanded: Speeds, measured: Speeds | None, now_s: float, *, age_s: float = 0.0) -> None:
+        """`measured` is None before the first odometry; `age_s` is its age."""
+        if commanded.are_still:
+            self._still_since_s = None
+            self.warning = ""
+            return
+        cause = _why_still(measured, age_s)
+        if not cause:
+            self._still_since_s = None
+        elif self._still_since_s is None:
+            self._still_since_s = now_s
+        is_long = self._still_since_s is not None and now_s >= self._still_since_s + PATIENCE_S
+        self.warning = cause if is_long else ""
+
+
+def _why_still(measured: Speeds | None, age_s: float) -> str:
+    if measured is None or age_s > OLD_S:
+        return "it is driven and sends no odometry: is its link alive? `hostlink doctor` knows more"
+    if not measured.are_still:
+        return ""
+    return "it is driven and its odometry stands still: motors without power, or a wheel blocked?"

@@ -1,0 +1,135 @@
+"""Bodies of requests: bounded for each route and together, and refused before they are read where the head suffices."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+
+import pytest
+
+from hostlink.api.routes import MAX_BODY_BYTES
+from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.hub.byte_budget import SHARES
+from tests.support.api_loads import head
+from tests.support.daemon import Daemon, daemon
+from tests.support.fake_device import fake_device, robot_topics
+
+READ, DRIVE = "reader-of-the-tests-0000", "driver-of-the-tests-0000"
+CONFIG = Config(
+    api=ApiConfig(
+        tokens=(
+            TokenConfig(name="reader", role="read", token=READ),
+            TokenConfig(name="driver", role="drive", token=DRIVE),
+        )
+    )
+)
+HUGE = "Content-Length: 100000000"
+KERNEL_BYTES = 40_000_000  # two sockets of this computer hold less
+
+
+@contextlib.asynccontextmanager
+async def connection(host: Daemon) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    reader, writer = await asyncio.open_connection("127.0.0.1", int(host.url.rpartition(":")[2]))
+    try:
+        yield reader, writer
+    finally:
+        writer.transport.abort()
+
+
+async def sent_bytes(writer: asyncio.StreamWriter) -> int:
+    """How much of an endless body the daemon takes until it closes the connection."""
+    count = 0
+    with contextlib.suppress(ConnectionError):
+        while count < KERNEL_BYTES:
+            writer.write(bytes(65536))
+            await writer.drain()
+            count += 65536
+    return count
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "token", "status"),
+    [
+        ("POST", "/api/robots/nobody/lock", READ, 404),
+        ("PUT", "/api/robots/nobody/velocity", DRIVE, 404),
+        ("PUT", "/api/robots/robot_0/velocity", READ, 403),
+        ("PUT", "/api/robots/robot_0/velocity", "", 401),
+        ("POST", "/api/nothing", DRIVE, 404),
+        ("DELETE", "/api/robots", DRIVE, 405),
+        ("PUT", "/api/robots/robot_0/velocity", DRIVE, 413),
+        ("POST", "/api/robots/robot_0/lock", READ, 413),
+        ("POST", "/api/recordings", DRIVE, 413),
+        ("POST", "/api/stop", READ, 200),
+    ],
+)
+async def test_a_body_that_the_head_refuses_is_not_read(method: str, path: str, token: str, status: int) -> None:
+    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
+        writer.write(head(method, path, token, HUGE))
+        async with asyncio.timeout(5):
+            assert (await reader.readline()).split()[1] == str(status).encode()
+        assert await sent_bytes(writer) < KERNEL_BYTES
+
+
+async def test_a_lock_whose_body_is_too_large_locks_the_robot_all_the_same() -> None:
+    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
+        writer.write(head("POST", "/api/robots/robot_0/lock", READ, HUGE))
+        assert b"413" in await reader.readline()
+        assert host.hub.robots.find("robot_0").gate.lock_reason is not None
+
+
+async def test_a_body_in_chunks_is_bounded_too() -> None:
+    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
+        writer.write(head("PUT", "/api/robots/robot_0/velocity", DRIVE, "Transfer-Encoding: chunked"))
+        writer.write(b"800\r\n" + b" " * 2048 + b"\r\n")
+        assert b"413" in await reader.readline()
+
+
+async def test_a_large_body_does_not_stop_the_next_request_of_its_connection() -> None:
+    """It is over the bound and small: it is read to its end, as a program expects that keeps its connection."""
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connection(host) as (reader, writer):
+        for status in (b"413", b"200"):
+            body = b" " * (2048 if status == b"413" else 0) + b'{"linear": 0, "angular": 0}'
+            writer.write(head("PUT", "/api/robots/robot_0/velocity", "", f"Content-Length: {len(body)}") + body)
+            answer = await reader.readuntil(b"\r\n\r\n")
+            assert status in answer.partition(b"\r\n")[0]
+            length = next(line for line in answer.lower().split(b"\r\n") if line.startswith(b"content-length"))
+            await reader.readexactly(int(length.partition(b":")[2]))
+
+
+async def test_bodies_over_their_budget_are_refused_with_a_time_to_come_again() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        bodies = host.hub.budget["bodies"]
+        assert bodies.take(SHARES["bodies"])
+        async with host.session.post(host.url + "/api/recordings", json={}) as answer:
+            assert (answer.status, answer.headers["Retry-After"]) == (503, "1")
+        bodies.give(SHARES["bodies"])
+        status, _ = await host.rest("POST", "/api/recordings", b"no JSON")
+        assert (status, bodies.held_bytes) == (400, 0)
+
+
+async def test_a_lock_and_a_velocity_need_no_room_that_the_bodies_of_others_have() -> None:
+    async with daemon(CONFIG) as host, fake_device(host.tcp, robot_topics()), contextlib.AsyncExitStack() as open_:
+        for _ in range(SHARES["bodies"] // MAX_BODY_BYTES):
+            _, writer = await open_.enter_async_context(connection(host))
+            writer.write(head("POST", "/api/recordings", DRIVE, "Content-Length: 100"))
+        while host.hub.budget["bodies"].held_bytes < SHARES["bodies"]:  # noqa: ASYNC110 - it has no event
+            await asyncio.sleep(0.01)
+        for method, path, token, body in (
+            ("PUT", "/api/robots/robot_0/velocity", DRIVE, b'{"linear": 0, "angular": 0}'),
+            ("POST", "/api/robots/robot_0/lock", READ, b'{"reason": "fire"}'),
+        ):
+            reader, writer = await open_.enter_async_context(connection(host))
+            writer.write(head(method, path, token, f"Content-Length: {len(body)}") + body)
+            assert b"200" in await reader.readline()
+        assert host.hub.robots.find("robot_0").gate.lock_reason == "fire"
+
+
+async def test_a_velocity_whose_body_came_a_lease_after_its_head_drives_nobody_and_a_zero_stops() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()):
+        for linear, status in (("0.2", b"409"), ("0", b"200")):
+            body = f'{{"linear": {linear}, "angular": 0}}'.encode()
+            async with connection(host) as (reader, writer):
+                writer.write(head("PUT", "/api/robots/robot_0/velocity", "", f"Content-Length: {len(body)}"))
+                await asyncio.sleep(0.6)
+                writer.write(body)
+                assert status in await reader.readline()
+        assert host.hub.robots.find("robot_0").gate.counts.commands == 1

@@ -1,0 +1,191 @@
+"""Admission: what holds after any history of commands, stops, locks, reconnections, pauses, priorities and clocks.
+
+The oracle keeps the whole history and decides from it alone, by the definitions of the tables: it has no states.
+"""
+
+from dataclasses import dataclass, field
+
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from hostlink.errors import RefusalKind
+from hostlink.robot.admission import LEASE_S, Admission, Command
+from hostlink.robot.velocity import ZERO, Velocity
+
+OWNERS = st.sampled_from(["ann", "bob", "eve"])
+TOPICS = st.sampled_from(["cmd_vel", "arm_vel"])
+PRIORITIES = st.sampled_from([0, 50, 100])
+FORWARD = Velocity(0.2)
+MAX_STAMP_AGE_S = 1.0
+TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
+
+
+@dataclass
+class Heard:
+    """What one source has given since it came."""
+
+    commanded_s: list[float] = field(default_factory=list)  # of every non-zero command since the last zero
+    interrupted_s: float | None = None  # the last interruption that met it while it was commanding
+    has_seen: bool = False  # its last command had the current epoch
+    has_missed: bool = False  # its last command had another epoch
+    held_until_s: float = float("-inf")
+    priority: int = 0
+    has_lost_device: bool = False  # it was commanding when the device left
+
+    def is_armed(self, now_s: float) -> bool:
+        """Whether it has let go, or has seen the interruption, since the last one."""
+        if self.interrupted_s is None and not self.has_missed:
+            return True
+        times = [self.interrupted_s, *self.commanded_s] if self.interrupted_s is not None else list(self.commanded_s)
+        since = [at_s for at_s in times if at_s is not None and at_s <= now_s]
+        gaps = [after - before for before, after in zip(since, [*since[1:], now_s], strict=True)]
+        return self.has_seen or any(gap >= LEASE_S for gap in gaps)
+
+
+class History(RuleBasedStateMachine):
+    """One robot with two velocity topics, three sources, and the oracle."""
+
+    @initialize(resume_s=st.sampled_from([0.0, 1.0]), is_connected=st.sampled_from([True, True, False]))
+    def build(self, resume_s: float, is_connected: bool) -> None:
+        self.now_s = 128.0
+        self.resume_s = resume_s
+        self.admission = Admission("robot_0", resume_after_reconnect_s=resume_s, max_stamp_age_s=MAX_STAMP_AGE_S)
+        self.sources: dict[str, Heard] = {}
+        self.drives: dict[str, tuple[str, float]] = {}  # by topic: the source of the last admitted command, and when
+        self.is_locked, self.is_connected = False, is_connected
+        self.away_s = float("-inf")
+        if is_connected:
+            self.admission.connect(self.now_s)
+
+    @rule(ticks=st.integers(0, 6))
+    def time_passes(self, ticks: int) -> None:
+        self.now_s += ticks * TICK_S
+
+    @rule(
+        owner=OWNERS,
+        priority=PRIORITIES,
+        topic=TOPICS,
+        waited=st.integers(0, 8),
+        seen=st.sampled_from([None, 0, 1]),
+        stamp_age_s=st.sampled_from([None, 1.0, 2.0]),
+    )
+    def source_drives(
+        self, owner: str, priority: int, topic: str, waited: int, seen: int | None, stamp_age_s: float | None
+    ) -> None:
+        epoch = None if seen is None else self.admission.epoch - 1 + seen
+        heard = self.sources.setdefault(owner, Heard())
+        waited_s = waited * TICK_S
+        holders = {other for other, each in self.sources.items() if other != owner and self.now_s < each.held_until_s}
+        strongest = max((self.sources[other].priority for other in holders), default=0)
+        if heard.is_armed(self.now_s):
+            heard.interrupted_s, heard.has_missed, heard.commanded_s = None, False, []
+        if seen == 0:
+            heard.has_missed = True
+        expected = None
+        if self.is_locked:
+            expected = RefusalKind.LOCKED
+        elif not self.is_connected:
+            expected = RefusalKind.NOT_CONNECTED
+        elif waited_s >= LEASE_S or (stamp_age_s is not None and stamp_age_s > MAX_STAMP_AGE_S):
+            expected = RefusalKind.LATE
+        else:
+            if seen is not None:
+                heard.has_seen, heard.has_missed = bool(seen), not seen
+                heard.interrupted_s = None if seen else heard.interrupted_s
+            if not seen and (heard.has_missed or not heard.is_armed(self.now_s)):
+                expected = RefusalKind.DISARMED
+            elif priority < strongest:
+                expected = RefusalKind.HELD
+        heard.has_seen = False
+        heard.commanded_s.append(self.now_s)
+        command = Command(FORWARD, owner, priority, self.now_s - waited_s, None, epoch, stamp_age_s)
+        decision = self.admission.decide(command, self.now_s, topic=topic)
+        assert decision.kind is expected
+        assert decision.holder in holders | {None}
+        if decision.is_admitted:
+            heard.held_until_s, heard.priority = self.now_s - waited_s + LEASE_S, priority
+            self.drives[topic] = owner, self.now_s - waited_s
+
+    @rule(owner=OWNERS, topic=TOPICS)
+    def source_lets_go(self, owner: str, topic: str) -> None:
+        driver = self.admission.driver(topic, self.now_s)
+        decision = self.admission.decide(Command(ZERO, owner, 50, self.now_s), self.now_s, topic=topic)
+        held = self.sources.pop(owner, Heard())
+        self.sources[owner] = Heard(held_until_s=held.held_until_s, priority=held.priority)
+        if not self.is_connected:
+            assert decision.kind is RefusalKind.NOT_CONNECTED
+        else:
+            assert decision.is_admitted == (driver is None or driver.source == owner)
+
+    @rule(owner=OWNERS)
+    def source_leaves(self, owner: str) -> None:
+        self.admission.withdraw(owner)
+        self.sources.pop(owner, None)
+        self.drives = {topic: drive for topic, drive in self.drives.items() if drive[0] != owner}
+
+    def interruption(self, since_s: float) -> None:
+        self.drives.clear()
+        for heard in self.sources.values():
+            last_s = max(heard.commanded_s, default=float("-inf"))
+            if heard.has_lost_device or since_s < last_s + LEASE_S:
+                heard.interrupted_s, heard.commanded_s, heard.has_missed = self.now_s, [self.now_s], False
+
+    @rule(event=st.sampled_from(["stop", "pause", "lock", "unlock", "connect", "disconnect"]), ticks=st.integers(5, 40))
+    def robot_is_interrupted(self, event: str, ticks: int) -> None:
+        epoch = self.admission.epoch
+        match event:
+            case "stop":
+                self.admission.interrupt(self.now_s)
+                is_one = True
+            case "pause":
+                began_s = self.now_s
+                self.now_s += ticks * TICK_S
+                self.admission.interrupt(self.now_s, since_s=began_s)
+                self.interruption(began_s)
+                is_one = False
+                epoch += 1
+            case "lock":
+                self.admission.lock("smoke", self.now_s)
+                self.is_locked = is_one = True
+            case "unlock":
+                self.admission.unlock(self.now_s)
+                self.is_locked, is_one = False, self.is_locked
+            case "connect":
+                self.admission.connect(self.now_s)
+                self.is_connected, is_one = True, self.now_s >= self.away_s + self.resume_s
+                self.drop_holds()
+            case "disconnect":
+                self.admission.disconnect(self.now_s)
+                self.is_connected, self.away_s, is_one = False, self.now_s, False
+                self.drives.clear()
+                self.drop_holds()
+                for heard in self.sources.values():
+                    heard.has_lost_device |= self.now_s < max(heard.commanded_s, default=float("-inf")) + LEASE_S
+        if is_one:
+            self.interruption(self.now_s)
+        if event == "connect":
+            for heard in self.sources.values():
+                heard.has_lost_device = False
+        assert self.admission.epoch == epoch + is_one
+
+    def drop_holds(self) -> None:
+        for heard in self.sources.values():
+            heard.held_until_s = float("-inf")
+
+    @invariant()
+    def nothing_moves_without_an_admitted_command_within_the_lease(self) -> None:
+        if not hasattr(self, "admission"):
+            return
+        for topic in ("cmd_vel", "arm_vel"):
+            driver = self.admission.driver(topic, self.now_s)
+            owner, at_s = self.drives.get(topic, ("", float("-inf")))
+            if self.now_s < at_s + LEASE_S:
+                assert driver is not None
+                assert driver.source == owner
+            else:
+                assert driver is None
+        held = any(self.now_s < heard.held_until_s for heard in self.sources.values())
+        assert self.admission.is_held(self.now_s) == held
+
+
+TestHistory = History.TestCase

@@ -1,0 +1,560 @@
+"""Every way by which a velocity comes to a robot, as one that drives and lets go, in virtual time.
+
+What of the admission's tables a way cannot express is in its `cannot`, by the name of the row, with the reason.
+"""
+
+import asyncio
+import base64
+import contextlib
+import json
+import math
+import struct
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+from aiohttp.test_utils import make_mocked_request
+
+from hostlink.api.access import GRANT, Grant
+from hostlink.api.clients import Clients
+from hostlink.api.foxglove import FoxgloveClient
+from hostlink.api.foxglove_directory import FoxgloveDirectory
+from hostlink.api.outgoing import client_queue
+from hostlink.api.owners import Owners
+from hostlink.api.rest import Rest
+from hostlink.api.rosbridge import RosbridgeClient
+from hostlink.api.routes import BODY, CAME
+from hostlink.cli import demo, play
+from hostlink.cli.driving import GRACE_S, Driving
+from hostlink.cli.key_driver import KeyDriver, WatchedRobot
+from hostlink.cli.keys import Key
+from hostlink.client import RobotState
+from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
+from hostlink.graphs.ros2.plan import TWIST, VelocityInput
+from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.hub.node import Role
+from hostlink.protocol.frame import Id
+from hostlink.recording.channel import VELOCITY, ros_channel
+from hostlink.recording.mcap_writer import McapWriter
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from tests.support.fake_device import CATALOG, topic
+from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
+from tests.support.memory_client import MemoryHost, memory_host
+from tests.support.participants import ROBOT, Scene
+from tests.support.scripted_device import ScriptedDevice
+
+SPEED_M_S = 0.2
+CMD_VEL, CMD_VEL_STAMPED = f"/{ROBOT}/cmd_vel", f"/{ROBOT}/cmd_vel_stamped"
+_NO_NAN = "its JSON has no number for it, and the request is refused as wrong"
+_NOT_HEARD = {
+    "a command without device is refused": "nobody subscribes to the topic of a device that is away, as in ROS",
+}
+_EPOCHS = ("the current epoch arms", "an earlier epoch is refused")
+_PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch") | _NOT_HEARD
+
+
+class EntryPoint:
+    """One source that drives ROBOT; `goes_on`: whatever it is refused, it commands on until it is told otherwise."""
+
+    cannot: ClassVar[dict[str, str]] = {}
+    goes_on: ClassVar[bool] = True
+    period_s: ClassVar[float] = 0.1
+
+    def __init__(self, made: Scene) -> None:
+        self.made = made
+        self.late_s = 0.0  # by which its commands are older than they seem, from now on
+        self._stream: asyncio.Task[None] | None = None
+
+    async def begin(self) -> None:
+        """Come to the robot."""
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        """One command."""
+        raise NotImplementedError
+
+    async def vanish(self) -> None:
+        """Leave, as its graph or its connection reports it, in the middle of all."""
+        raise NotImplementedError
+
+    async def start(self) -> None:
+        """Command at SPEED_M_S from now on."""
+        self.silence()
+        self._stream = self.made.tasks.create_task(self._repeat())
+        await asyncio.sleep(0)
+
+    def silence(self) -> None:
+        """Command no more."""
+        if self._stream is not None:
+            self._stream.cancel()
+
+    async def zero(self) -> None:
+        """Command a zero, and no more."""
+        self.silence()
+        with contextlib.suppress(HostlinkError):
+            await self.give(0.0)
+
+    async def end(self) -> None:
+        """After the test."""
+        self.silence()
+
+    async def _repeat(self) -> None:
+        while True:
+            with contextlib.suppress(HostlinkError):
+                await self.give(SPEED_M_S)
+            await asyncio.sleep(self.period_s)
+
+
+# -- rosbridge --------------------------------------------------------------------------------------------------------
+
+
+class _Rosbridge(EntryPoint):
+    def __init__(self, made: Scene) -> None:
+        super().__init__(made)
+        self.queue = client_queue()
+        self.client = RosbridgeClient("client 1", made.hub, self.queue, spawn=made.tasks.create_task)
+
+    def send(self, **request: Any) -> None:
+        self.client.receive(json.dumps(request), _now_s() - self.late_s)
+        for _ in iter(self.queue.pop, None):
+            continue
+
+    async def vanish(self) -> None:
+        self.client.close()
+
+
+class RosbridgePublish(_Rosbridge):
+    cannot: ClassVar = _PUBLISHED
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        self.send(op="publish", topic=CMD_VEL, msg={"linear": {"x": _number(speed_m_s)}})
+
+
+class RosbridgeRaw(RosbridgePublish):
+    """The robot's own velocity topic, as bytes."""
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        name = self.made.hub.robots.find(ROBOT).shown.velocity
+        raw = base64.b64encode(Velocity(speed_m_s).encode()).decode()
+        self.send(op="publish", topic=name, type=TWIST_TYPE, raw=raw)
+
+
+class TwistStamped(RosbridgePublish):
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        self.send(op="publish", topic=CMD_VEL_STAMPED, msg={"twist": {"linear": {"x": _number(speed_m_s)}}})
+
+
+class RosbridgeDrive(_Rosbridge):
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        sent_s = 1000.0 + _now_s() - self.late_s
+        self.client.receive(
+            json.dumps(
+                {"op": "drive", "id": 1, "robot": ROBOT, "linear": speed_m_s, "angular": 0.0, "sent_s": sent_s}
+                | ({} if epoch is None else {"epoch": epoch})
+            )
+        )
+        for _ in iter(self.queue.pop, None):
+            continue
+
+
+class Page(_Rosbridge):
+    """The messages of the page, as its connection.ts and drive.ts make them, for a stick that is held."""
+
+    period_s: ClassVar = 0.08
+    cannot: ClassVar = dict.fromkeys(_EPOCHS, "it sends the number of the device's connection instead") | {
+        "a velocity that is not finite": _NO_NAN,
+    }
+    link: int | None = None
+
+    async def start(self) -> None:
+        link = self.made.hub.robots.find(ROBOT).link
+        self.link = None if link is None else link.number
+        await super().start()
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        came_s, link = _now_s(), self.link if speed_m_s else None
+        command = {"robot": ROBOT, "linear": speed_m_s, "angular": 0, "priority": 60, "link": link}
+        message = {"op": "drive", "id": "drive", **command, "sent_s": 5.5 + came_s - self.late_s}
+        self.client.receive(json.dumps(message), came_s)
+        for _ in iter(self.queue.pop, None):
+            continue
+
+
+# -- the other protocols of the port ----------------------------------------------------------------------------------
+
+
+class RestPut(EntryPoint):
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
+
+    def __init__(self, made: Scene) -> None:
+        super().__init__(made)
+        self._owners = Owners(made.hub)
+        rest = Rest(made.hub, cast(Clients, None), self._owners)  # no request of a velocity asks for clients
+        (self._route,) = (each for each in rest.routes() if each.path.endswith("/velocity"))
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        request = make_mocked_request("PUT", f"/api/robots/{ROBOT}/velocity", match_info={"name": ROBOT})
+        body = {"linear": speed_m_s, "angular": 0.0} | ({} if epoch is None else {"epoch": epoch})
+        request[BODY], request[CAME] = json.dumps(body).encode(), _now_s() - self.late_s
+        request[GRANT] = Grant("phone", Role.DRIVE)
+        await self._route.handler(request)
+
+    async def vanish(self) -> None:
+        """Its token is withdrawn."""
+        self._owners.end(["phone"])
+
+
+class FoxglovePublish(EntryPoint):
+    cannot: ClassVar = _PUBLISHED
+
+    def __init__(self, made: Scene) -> None:
+        super().__init__(made)
+        self._queue = client_queue()
+        directory = FoxgloveDirectory(made.hub)
+        self._client = FoxgloveClient("client 1", made.hub, directory, self._queue, spawn=made.tasks.create_task)
+        channel = {"id": 1, "topic": CMD_VEL, "encoding": "ros1", "schemaName": TWIST_TYPE}
+        self._client.receive(json.dumps({"op": "advertise", "channels": [channel]}))
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        frame = struct.pack("<BI", 1, 1) + Velocity(speed_m_s).encode()
+        self._client.do(self._client.read(frame, _now_s() - self.late_s))
+        for _ in iter(self._queue.pop, None):
+            continue
+
+    async def vanish(self) -> None:
+        self._client.close()
+
+
+# -- programs of the Python client ------------------------------------------------------------------------------------
+
+
+class _Program(EntryPoint):
+    def __init__(self, made: Scene) -> None:
+        super().__init__(made)
+        self._begin()
+
+    def _begin(self) -> None:
+        self.host = MemoryHost(self.made.hub, self.made.tasks)
+        self.robot = self.host.robot(ROBOT, priority=50)
+
+    @property
+    def late_s(self) -> float:
+        return self.host.connection_.delay_s
+
+    @late_s.setter
+    def late_s(self, late_s: float) -> None:
+        """As a network that holds back what it is given."""
+        if late_s:
+            self.host.connection_.delay_s = late_s
+
+    async def vanish(self) -> None:
+        self.host.close()
+
+    async def end(self) -> None:
+        self.silence()
+        self.host.close()
+
+
+class ClientCommand(_Program):
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        await self.robot.command(speed_m_s, 0.0, epoch=epoch)
+
+
+class ClientDrive(_Program):
+    """A velocity that is held: the client repeats it until it is refused."""
+
+    goes_on: ClassVar = False
+    cannot: ClassVar = dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/integration/test_client.py") | {
+        "a lower priority goes on afterwards": "what is refused is dropped, and the program is told",
+    }
+
+    async def start(self) -> None:
+        with contextlib.suppress(HostlinkError):
+            await self.give(SPEED_M_S)
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        await self.robot.drive(speed_m_s, 0.0)
+
+    def silence(self) -> None:
+        """As a program that hangs."""
+        self.host._driver.stop_repeating(ROBOT)
+
+
+class Teleop(_Program):
+    """A person at the keys of `hostlink teleop`."""
+
+    period_s: ClassVar = 0.02
+    goes_on: ClassVar = False  # what is refused must be released, but for one who is more important
+    cannot: ClassVar = dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it") | {
+        "a velocity that is not finite": "its speeds are steps from a finite one",
+    }
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._driving = Driving(layout="original", linear_m_s=SPEED_M_S, angular_rad_s=1.0)
+        self._keys = KeyDriver(self.robot, self._driving, WatchedRobot(cast(RobotState, {})))
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        if speed_m_s:
+            self._driving.receive(Key("w"), _now_s())
+            await self._keys.send_what_is_due()
+        else:
+            self._driving.stop()
+            for _ in range(round((GRACE_S + 0.1) / self.period_s)):
+                await self._keys.send_what_is_due()
+                await asyncio.sleep(self.period_s)
+
+
+class Play(_Program):
+    """`hostlink play --drive`, of a robot that was driven for a long time."""
+
+    goes_on: ClassVar = False
+    cannot: ClassVar = dict.fromkeys(
+        (
+            *_EPOCHS,
+            "a zero arms",
+            "a zero of another changes nothing",
+            "a velocity that is not finite",
+            "a lower priority goes on afterwards",
+        ),
+        "it gives what was recorded, and ends when that is refused",
+    )
+
+    async def begin(self) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self._file = Path(self._folder.name) / "run.mcap"
+        writer = McapWriter(self._file, metadata={})
+        type_ = CATALOG.message(TWIST_TYPE)
+        channel = ros_channel(CMD_VEL, TWIST_TYPE, type_, is_latched=False, robot=ROBOT, origin=VELOCITY)
+        for number in range(100):
+            writer.write(channel, 10**18 + number * 10**8, Velocity(SPEED_M_S).encode())
+        writer.close()
+
+    async def start(self) -> None:
+        self.silence()
+        self._begin()
+        self._stream = self.made.tasks.create_task(self._play())
+        await asyncio.sleep(0)
+
+    async def _play(self) -> None:
+        pace = play.Pace(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
+        with contextlib.suppress(HostlinkError):
+            await play.drive_as_recorded(self.robot, self._file, pace, ROBOT, CMD_VEL)
+        self.host.close()
+
+    def silence(self) -> None:
+        super().silence()
+        self.host.close()
+
+    async def end(self) -> None:
+        await super().end()
+        self._folder.cleanup()
+
+
+class RclpyBridge(EntryPoint):
+    """`hostlink ros2`: what a publisher of ROS 2 sends, after rclpy has received it."""
+
+    cannot: ClassVar = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
+
+    async def begin(self) -> None:
+        self.hosts: list[MemoryHost] = []
+        self._reported = ""
+        self._driver = VelocityDriver(self._connect, 50, self._report, self._report)
+        self._route = VelocityInput(CMD_VEL, ROBOT, TWIST)
+        self._running = self.made.tasks.create_task(self._run())
+        await asyncio.sleep(0)
+
+    def _report(self, line: str) -> None:
+        self._reported = line
+
+    @contextlib.asynccontextmanager
+    async def _connect(self) -> AsyncIterator[Any]:
+        async with memory_host(self.made.hub, self.made.tasks) as host:
+            self.hosts.append(host)
+            yield host
+
+    async def _run(self) -> None:
+        async with self._driver.running():
+            await asyncio.Event().wait()
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        for host in self.hosts:
+            host.connection_.delay_s = self.late_s
+        self._driver.receive(self._route, (speed_m_s, 0.0), b"publisher")
+        await asyncio.sleep(0.01)
+        self._update(b"publisher")
+        if "finite" in self._reported:
+            raise CommandRefused(ROBOT, RefusalKind.NOT_FINITE, self._reported)
+
+    async def vanish(self) -> None:
+        self.silence()
+        self._update()
+        await asyncio.sleep(0.01)
+
+    async def end(self) -> None:
+        self.silence()
+        self._running.cancel()
+
+    def _update(self, *publishers: bytes) -> None:
+        link = self.made.hub.robots.find(ROBOT).link
+        self._driver.update({} if link is None else {ROBOT: link.number}, frozenset(publishers))
+
+
+# -- graphs -----------------------------------------------------------------------------------------------------------
+
+
+class Ros1Publisher(EntryPoint):
+    cannot: ClassVar = _PUBLISHED | {
+        "a command that is late is refused": "TCPROS has no time; what waits in its socket is read after a pause",
+    }
+
+    async def begin(self) -> None:
+        self._driver = Ros1Driver(self.made)
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        self._driver.drive(ROBOT, speed_m_s, self.made.hub)
+
+    async def vanish(self) -> None:
+        self._driver.vanish()
+
+
+class RmwPublisher(EntryPoint):
+    cannot: ClassVar = _PUBLISHED
+
+    async def begin(self) -> None:
+        self._driver = RmwDriver(self.made)
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        if self.late_s:
+            late_s = self.late_s
+            asyncio.get_running_loop().call_later(late_s, lambda: self._driver.drive(speed_m_s, late_s=late_s))
+        else:
+            self._driver.drive(speed_m_s)
+
+    async def vanish(self) -> None:
+        self._driver.vanish()
+
+
+class Fleet(EntryPoint):
+    """A program at another daemon."""
+
+    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
+
+    async def begin(self) -> None:
+        self._driver = FleetDriver(self.made)
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        self._driver.drive(ROBOT, speed_m_s, self.made.hub, late_s=self.late_s, epoch=epoch)
+
+    async def vanish(self) -> None:
+        self._driver.vanish()
+
+
+class FleetPublisher(Fleet):
+    """What is published at another daemon, to a topic of a device here."""
+
+    cannot: ClassVar = _PUBLISHED | {
+        "a command that is late is refused": "a message of the fleet that is published has no time",
+    }
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        self._driver.publish(self.made.hub.robots.find(ROBOT).shown.velocity, Velocity(speed_m_s).encode())
+
+
+class DevicePublisher(EntryPoint):
+    """A remote control with a microcontroller of its own."""
+
+    cannot: ClassVar = _PUBLISHED | {
+        "a command that is late is refused": "rosserial has no time; what waits is read after a pause",
+    }
+
+    async def begin(self) -> None:
+        infos = [topic(Id.PUBLISHER, 126, CMD_VEL, TWIST_TYPE)]
+        self._device = ScriptedDevice(self.made.hub, infos, address="10.0.0.3")
+        await asyncio.sleep(0.5)
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        await self._device.send(126, Velocity(speed_m_s).encode())
+
+    async def vanish(self) -> None:
+        self.silence()
+        await self._device.aclose()
+
+    async def end(self) -> None:
+        await self.vanish()
+        await asyncio.sleep(0.01)
+
+
+# -- parts of the daemon ----------------------------------------------------------------------------------------------
+
+
+class Demo(EntryPoint):
+    """The driver of `hostlink demo`."""
+
+    cannot: ClassVar = dict.fromkeys(
+        (
+            *_EPOCHS,
+            "a command that is late is refused",
+            "a zero arms",
+            "a zero of another changes nothing",
+            "a velocity that is not finite",
+        ),
+        "it gives its curve, from inside of the daemon",
+    ) | dict.fromkeys(
+        (
+            *(
+                f"{interruption} disarms"
+                for interruption in (
+                    "stop",
+                    "stop_all",
+                    "lock_and_unlock",
+                    "reconnect",
+                    "come_back_after_a_while",
+                    "announce_other_topics",
+                    "pause",
+                )
+            ),
+            "a command without device is refused",
+        ),
+        "it gives no command after an interruption, until it is told",
+    )
+
+    async def begin(self) -> None:
+        self._participant = self.made.hub.join("demo", priority=0)
+        self.made.neighbour.drive(self.made.hub.robots.find("robot_1"), Velocity(0.2))
+
+    async def _repeat(self) -> None:
+        await demo.DemoDriver(self.made.hub, self._participant).run()
+
+    async def vanish(self) -> None:
+        self.silence()
+        self._participant.leave()
+
+    async def end(self) -> None:
+        await self.vanish()
+
+
+def _number(value: float) -> float | None:
+    """As rosbridge has it."""
+    return value if math.isfinite(value) else None
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+AFTERWARDS_S: dict[type[EntryPoint], float] = {Demo: demo.PAUSE_S + 0.5}  # it leaves the robot to whoever drove it

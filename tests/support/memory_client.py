@@ -1,0 +1,122 @@
+"""The Python client without a socket, in virtual time: its own driver, at the other end of a rosbridge client."""
+
+import asyncio
+import contextlib
+import itertools
+import json
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any, cast
+
+from hostlink.api.outgoing import client_queue
+from hostlink.api.rosbridge import RosbridgeClient
+from hostlink.client import Robot
+from hostlink.client.connection import Connection
+from hostlink.client.driver import Driver
+from hostlink.client.http_client import HttpClient
+from hostlink.errors import HostlinkError
+from hostlink.hub.hub import Hub
+from hostlink.hub.participant import Participant
+
+_numbers = itertools.count(1)
+
+
+class MemoryConnection:
+    """What the client's driver uses of its connection. `delay_s`: of what is sent from now on."""
+
+    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+        self.delay_s = 0.0
+        self.handlers: defaultdict[str, list[Callable[[dict[str, Any]], None]]] = defaultdict(list)
+        self._queue = client_queue()
+        self._client = RosbridgeClient(f"program {next(_numbers)}", hub, self._queue, spawn=tasks.create_task)
+        self._answers: dict[str, asyncio.Future[dict[str, Any]]] = {}
+        self._numbers = itertools.count(1)
+        self._pass('{"op": "set_level", "level": "error"}')
+
+    @property
+    def participant(self) -> Participant:
+        return self._client.participant
+
+    async def send(self, request: Mapping[str, Any]) -> None:
+        text = json.dumps(request)
+        if self.delay_s:
+            asyncio.get_running_loop().call_later(self.delay_s, self._pass, text)
+        else:
+            self._pass(text)
+
+    async def request(self, request: Mapping[str, Any], *, timeout_s: float = 5.0) -> dict[str, Any]:
+        key = f"request:{next(self._numbers)}"
+        answer = self._answers[key] = asyncio.get_running_loop().create_future()
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self.send({**request, "id": key})
+                return await answer
+        except TimeoutError:
+            raise HostlinkError(f"no answer within {timeout_s:g} s") from None
+
+    def close(self) -> None:
+        if not self.participant.has_left:
+            self._client.close()
+
+    def _pass(self, text: str) -> None:
+        if self.participant.has_left:
+            return
+        self._client.receive(text)
+        for waiting in iter(self._queue.pop, None):
+            answer = json.loads(waiting.item.data)
+            future = self._answers.pop(str(answer.get("id")), None)
+            if future is None:
+                for receive in self.handlers[answer["op"]]:
+                    receive(answer)
+            elif not future.done():
+                future.set_result(answer)
+
+
+class _Rest:
+    """The requests of a robot that is stopped."""
+
+    url = "memory"
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+
+    async def request(self, method: str, path: str, *, timeout_s: float = 5.0) -> dict[str, Any]:  # noqa: ARG002 - as HttpClient has it
+        name, what = path.removeprefix("/api/robots/").split("/")
+        assert (method, what) == ("POST", "stop")
+        self._hub.gates.stop(self._hub.robots.find(name))
+        return {}
+
+
+class MemoryHost:
+    """A connection of the client, as far as it drives."""
+
+    def __init__(self, hub: Hub, tasks: asyncio.TaskGroup) -> None:
+        self.connection_ = MemoryConnection(hub, tasks)
+        self._rest = cast(HttpClient, _Rest(hub))
+        self._driver = Driver(cast(Connection, self.connection_), asyncio.get_running_loop().time)
+        self._repeating = tasks.create_task(self._driver.repeat())
+
+    def robot(self, name: str, *, priority: int = 50) -> Robot:
+        connection = cast(Connection, self.connection_)
+        return Robot(name, priority, http=self._rest, driver=self._driver, connection=connection)
+
+    def connection(self) -> "MemoryHost":
+        """Changes of the connection: there are none."""
+        return self
+
+    def pop_all(self) -> list[object]:
+        return []
+
+    def close(self) -> None:
+        """The program ends."""
+        self._repeating.cancel()
+        self.connection_.close()
+
+
+@contextlib.asynccontextmanager
+async def memory_host(hub: Hub, tasks: asyncio.TaskGroup) -> AsyncIterator[MemoryHost]:
+    host = MemoryHost(hub, tasks)
+    try:
+        yield host
+    finally:
+        host.close()

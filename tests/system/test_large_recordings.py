@@ -1,0 +1,134 @@
+"""Recordings that are larger than what a small computer's memory has room for."""
+
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from hostlink.messages.catalog import Catalog
+from hostlink.recording.channel import DEVICE, NS_PER_S, VELOCITY, ros_channel
+from hostlink.recording.mcap_writer import McapWriter
+from hostlink.robot.velocity import TWIST_TYPE, Velocity
+
+MEGABYTE = 1_000_000
+FILE_BYTES = 300 * MEGABYTE
+IMAGE_BYTES = 1_000_000
+IMAGES = FILE_BYTES // IMAGE_BYTES
+POSES_PER_IMAGE = 20
+MOST_MB = 150  # of a Raspberry Pi's memory, that a recording of any size may take
+BEGIN_NS = 1_700_000_000 * NS_PER_S
+CATALOG = Catalog()
+POSE, TEXT, TWIST = (CATALOG.message(name) for name in ("geometry_msgs/Pose2D", "std_msgs/String", TWIST_TYPE))
+assert POSE is not None
+ODOMETRY = ros_channel("/robot_0/odometry", POSE.name, POSE, is_latched=False, robot="robot_0", origin=DEVICE)
+VELOCITIES = ros_channel("/robot_0/cmd_vel", TWIST_TYPE, TWIST, is_latched=False, robot="robot_0", origin=VELOCITY)
+IMAGE = ros_channel("/robot_0/camera", "std_msgs/String", TEXT, is_latched=False, robot="robot_0", origin=DEVICE)
+
+
+def write(path: Path) -> None:
+    """Pictures that nothing packs, and between them poses: what is looked for is a thousandth."""
+    assert POSE is not None
+    noise = random.Random(1).randbytes(IMAGE_BYTES)
+    writer = McapWriter(path, metadata={"owner": "test"})
+    for number in range(IMAGES):
+        for part in range(POSES_PER_IMAGE):
+            stamp_ns = BEGIN_NS + (number * POSES_PER_IMAGE + part) * NS_PER_S // 100
+            writer.write(ODOMETRY, stamp_ns, POSE.encode({"x": number / 10}))
+        writer.write(VELOCITIES, stamp_ns, Velocity(0.1).encode())
+        writer.write(IMAGE, stamp_ns, IMAGE_BYTES.to_bytes(4, "little") + number.to_bytes(8, "little") + noise[8:])
+        writer.end_chunk()
+    writer.close()
+
+
+@pytest.fixture(scope="module", params=["finished", "unfinished", "damaged"])
+def large(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    path = tmp_path_factory.mktemp("large") / "run.mcap"
+    write(path)
+    assert path.stat().st_size >= FILE_BYTES
+    if request.param == "unfinished":
+        os.truncate(path, FILE_BYTES - 17)
+    elif request.param == "damaged":
+        with path.open("r+b") as file:
+            for at in range(FILE_BYTES // 10, FILE_BYTES, FILE_BYTES // 10):
+                file.seek(at)
+                file.write(b"damage")
+    yield path
+    path.unlink()
+
+
+PARENT = """
+import os, sys
+pid = os.posix_spawn(sys.executable, [sys.executable, "-m", "hostlink", *sys.argv[1:]], os.environ)
+_, status, usage = os.wait4(pid, 0)
+print(os.waitstatus_to_exitcode(status), usage.ru_maxrss)
+"""
+
+
+def peak_mb(words: list[str]) -> tuple[int, float]:
+    """(status, megabytes) of a command, as the one child of a process that measures it."""
+    done = subprocess.run([sys.executable, "-c", PARENT, *words], stdout=subprocess.PIPE, text=True, check=True)
+    status, kilobytes = done.stdout.splitlines()[-1].split()
+    return int(status), int(kilobytes) * 1024 / MEGABYTE
+
+
+COMMANDS: dict[str, Callable[[Path, Path], list[str]]] = {
+    "info": lambda file, _: ["info", str(file)],
+    "plot": lambda file, out: ["plot", str(file), "/robot_0/odometry.x", "-o", str(out / "x.png")],
+    "map": lambda file, out: ["plot", str(file), "--map", "-o", str(out / "map.png")],
+    "csv": lambda file, out: ["export", str(file), "/robot_0/odometry", "--to", "csv", "-o", str(out / "csv")],
+    "ros1": lambda file, out: ["export", str(file), "--to", "ros1", "-o", str(out / "run.bag")],
+    "ros2": lambda file, out: ["export", str(file), "--to", "ros2", "-o", str(out / "ros2")],
+    "rosbag2": lambda file, out: ["export", str(file), "--to", "rosbag2", "-o", str(out / "rosbag2")],
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_takes_little_memory_of_a_large_recording(large: Path, tmp_path: Path, command: str) -> None:
+    status, peak = peak_mb(COMMANDS[command](large, tmp_path))
+    assert status == 0
+    assert peak < MOST_MB
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("words", [["--rate", "100"], ["--as-program", "/robot_0/odometry"], ["--drive", "robot_0"]])
+def test_play_takes_little_memory_of_a_large_recording(large: Path, words: list[str]) -> None:
+    """Nobody is there to be played to: by then the whole file was looked through."""
+    status, peak = peak_mb(["play", str(large), "--connect", "127.0.0.1:9", "--url", "ws://127.0.0.1:9", *words])
+    assert status == 1
+    assert peak < MOST_MB
+
+
+def test_a_plot_reads_the_chunks_of_its_topic_alone(tmp_path: Path) -> None:
+    """Of a file in which a topic is rare, a small part is read."""
+    path = tmp_path / "run.mcap"
+    assert POSE is not None
+    writer = McapWriter(path, metadata={})
+    noise = random.Random(1).randbytes(100_000)
+    for number in range(400):
+        channel, payload = (ODOMETRY, POSE.encode({})) if number % 100 == 50 else (IMAGE, noise)
+        writer.write(channel, BEGIN_NS + number, payload)
+        writer.end_chunk()
+    writer.close()
+    program = (
+        "import sys; from pathlib import Path; from hostlink.recording.reader import Reader; "
+        "found = list(Reader(Path(sys.argv[1])).messages(lambda channel: channel.topic == sys.argv[2])); "
+        "print(len(found), next(line for line in open('/proc/self/io') if line.startswith('rchar')).split()[1])"
+    )
+
+    def bytes_read(topic: str) -> tuple[int, int]:
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(path), topic], capture_output=True, text=True, check=True
+        )
+        count, read = done.stdout.split()
+        return int(count), int(read)
+
+    (none, imports_bytes), (few, few_bytes), (many, many_bytes) = map(
+        bytes_read, ("/x", "/robot_0/odometry", "/robot_0/camera")
+    )
+    assert (none, few, many) == (0, 4, 396)
+    assert few_bytes - imports_bytes < (many_bytes - imports_bytes) / 20

@@ -1,0 +1,179 @@
+"""The page while the daemon is not heard: nothing that was true looks as if it were. And before there is a robot."""
+
+import asyncio
+import re
+import shlex
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from playwright.async_api import Browser
+from playwright.async_api import expect as expect_page
+
+from hostlink.config import Config, RecordingConfig, TcpConfig, UdpConfig
+from tests.support.browser import Visit, visit
+from tests.support.daemon import Daemon, daemon, driven
+from tests.support.page_server import State, page_server
+from tests.support.proxy import Line, Proxy, proxy
+from tests.support.simulated import simulated_robot
+from tests.support.waiting import expect
+
+pytestmark = [pytest.mark.asyncio(loop_scope="session"), pytest.mark.quiet]
+
+PICTURES = Path("build/screenshots")
+UNKNOWN_MS = 5000  # the page knows after 0.7 s; a busy machine takes longer
+HOW_IT_GOES = ["swallowed", "refused"]  # as in a network that fails, and as by a daemon that has ended
+
+
+@asynccontextmanager
+async def shown(browser: Browser, config: Config) -> AsyncIterator[tuple[Daemon, Proxy, Visit]]:
+    """A page that shows a robot which is driven, through a line that can be cut."""
+    async with daemon(config, has_black_box=True) as host:
+        name, _, port = host.url.removeprefix("http://").partition(":")
+        async with proxy((name, int(port))) as line, simulated_robot(host.tcp), visit(browser, line.url) as tab:
+            await tab.shows("#robots", "robot_0")
+            async with driven(host, "robot_0", 0.2):
+                yield host, line, tab
+
+
+def cut(line: Proxy, how: str) -> None:
+    if how == "swallowed":
+        line.set_line(Line.SWALLOWS)
+    else:
+        line.is_refusing = True
+        line.break_off()
+
+
+def mend(line: Proxy) -> None:
+    line.is_refusing = False
+    line.set_line(Line.WORKS)
+    line.break_off()
+
+
+def tile(tab: Visit, name: str) -> str:
+    return f"#link [data-tile={name}] dd"
+
+
+async def age_s(tab: Visit) -> float:
+    text = await tab.page.locator(tile(tab, "age")).inner_text()
+    return float(text.removesuffix(" s"))
+
+
+@pytest.mark.parametrize("how", HOW_IT_GOES)
+async def test_values_of_a_robot_are_blank_or_grow_old_while_the_daemon_is_gone(browser: Browser, how: str) -> None:
+    async with shown(browser, Config()) as (_, line, tab):
+        await tab.shows(tile(tab, "rate"), "Hz")
+        await tab.shows(tile(tab, "battery"), "V")
+        await tab.shows(tile(tab, "errors"), "none")
+        await tab.shows("#robots .speed", "m/s")
+        await tab.shows("#robots .what", "drives")
+        cut(line, how)
+        for blank in ("rate", "page", "device", "signal", "battery", "errors"):
+            await expect_page(tab.page.locator(tile(tab, blank))).to_have_text("–", timeout=UNKNOWN_MS)
+        first_s = await age_s(tab)
+        await tab.page.wait_for_function(
+            "([selector, least]) => parseFloat(document.querySelector(selector).textContent) > least",
+            arg=[tile(tab, "age"), first_s + 0.9],
+        )
+        await tab.shows("#robots .what", "heard")
+        for empty in (".speed", ".battery", ".signal"):
+            await expect_page(tab.page.locator(f"#robots {empty}")).to_have_text("")
+        await tab.shows("#pose .age", "old")
+        await expect_page(tab.page.locator("#pose div:last-of-type dd")).to_have_text("–")
+        await tab.shows("#speeds .bar", "no news of it")
+        await tab.shows("#drive-state", "No connection")
+        await tab.page.screenshot(path=PICTURES / f"page-lost-{how}.png")
+        mend(line)
+        await tab.shows(tile(tab, "rate"), "Hz", timeout_s=15.0)
+        await tab.shows(tile(tab, "battery"), "V", timeout_s=15.0)
+        await tab.shows("#robots .what", "drives")
+
+
+@pytest.mark.parametrize("how", HOW_IT_GOES)
+async def test_lists_of_what_goes_on_claim_nothing_while_the_daemon_is_gone(
+    browser: Browser, how: str, tmp_path: Path
+) -> None:
+    config = Config(recording=RecordingConfig(folder=tmp_path, min_free_disk_mb=0.0))
+    async with shown(browser, config) as (host, line, tab):
+        await tab.layout("Watch")
+        assert (await host.rest("POST", "/api/recordings", b'{"name": "run"}'))[0] == 200
+        await tab.shows("#recordings .figures", "message")
+        await tab.shows("#drives", "drives now")
+        await tab.shows("#topics .topics", "Hz", timeout_s=15.0)
+        cut(line, how)
+        await tab.shows("#recordings .figures", "no news of it")
+        await tab.shows("#drives .still", "drove when hostlink was heard last")
+        await expect_page(tab.page.locator("#topics .topics")).not_to_contain_text("Hz", timeout=2 * UNKNOWN_MS)
+        mend(line)
+        await tab.shows("#topics .topics", "Hz", timeout_s=15.0)
+        await tab.shows("#recordings .figures", "message")
+        await tab.shows("#drives", "drives now")
+
+
+async def test_an_opened_topic_says_how_old_its_values_are_while_the_daemon_is_gone(browser: Browser) -> None:
+    async with shown(browser, Config()) as (_, line, tab):
+        await tab.layout("Watch")
+        await tab.page.locator("#topics .topics button", has_text="/robot_0/odometry").first.click(timeout=15_000)
+        await tab.shows("#topics .opened", "since it was opened")
+        await expect_page(tab.page.locator("#topics .opened > .hint").first).not_to_contain_text("no connection")
+        cut(line, "refused")
+        await tab.shows("#topics .opened", "no connection, the newest is")
+
+
+async def test_without_a_robot_the_page_names_the_ports_of_this_daemon(browser: Browser) -> None:
+    config = Config(udp=UdpConfig(host="127.0.0.1", port=0))
+    async with daemon(config) as host, visit(browser, host.url) as tab:
+        assert host.udp is not None
+        await tab.shows("#robots .ways", f"127.0.0.1:{host.tcp[1]}")
+        await tab.shows("#robots .ways", f"127.0.0.1:{host.udp[1]}")
+        assert "11411" not in await tab.page.locator("#robots .empty").inner_text()
+        await tab.page.screenshot(path=PICTURES / "page-empty.png")
+        shown_command = await tab.page.locator("#robots .ways code").last.inner_text()
+        command = shlex.split(shown_command)
+        assert command[:2] == ["hostlink", "sim"]
+        program = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", *command, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.DEVNULL
+        )
+        try:
+            await tab.shows("#robots", "robot_0", timeout_s=20.0)
+        finally:
+            program.terminate()
+            await program.wait()
+        assert tab.complaints == []
+
+
+async def test_without_a_robot_that_may_connect_from_here_the_page_names_no_simulator(browser: Browser) -> None:
+    config = Config(tcp=TcpConfig(allow=("10.0.0.0/8",)))
+    async with daemon(config) as host, visit(browser, host.url) as tab:
+        await tab.shows("#robots .ways", f"127.0.0.1:{host.tcp[1]}")
+        assert "hostlink sim" not in await tab.page.locator("#robots .empty").inner_text()
+
+
+async def test_ports_of_a_daemon_that_was_started_anew_are_the_new_ones(browser: Browser) -> None:
+    async with daemon() as first, daemon() as second:
+        (name, port), (_, other) = (re.match(r"http://(.*):(\d+)", one.url).groups() for one in (first, second))  # type: ignore[union-attr]
+        async with proxy((name, int(port))) as line, visit(browser, line.url) as tab:
+            await tab.shows("#robots .ways", str(first.tcp[1]))
+            line.target = (name, int(other))
+            line.break_off()
+            await tab.shows("#robots .ways", str(second.tcp[1]))
+            await expect(lambda: tab.other_hosts == [])
+
+
+async def test_without_a_robot_a_daemon_on_all_addresses_names_its_port_and_serial_ports(browser: Browser) -> None:
+    async with page_server() as server:
+        listening = {
+            "tcp": {"host": "0.0.0.0", "port": 11412},
+            "udp": {"host": "10.0.0.7", "port": 11500},
+            "serial": [{"port": "/dev/ttyACM0", "bauds": [57600, 115200]}],
+            "simulate": "hostlink sim --connect 127.0.0.1:11412",
+        }
+        server.show(State(listening=listening))
+        async with visit(browser, server.url) as tab:
+            await tab.shows("#robots .ways", "port 11412, this computer")
+            await tab.shows("#robots .ways", "10.0.0.7:11500")
+            await tab.shows("#robots .ways", "on /dev/ttyACM0 at 57600, 115200 baud")
+            await tab.shows("#robots .ways", "hostlink sim --connect 127.0.0.1:11412")
+            await tab.page.screenshot(path=PICTURES / "page-empty-all.png")

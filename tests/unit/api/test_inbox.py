@@ -1,0 +1,133 @@
+"""Inbox: the order of what a client has sent, and which velocities are skipped for newer ones."""
+
+import asyncio
+from dataclasses import dataclass, field
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hostlink.api.inbox import MANY, MAX_BYTES, Inbox, Operation
+from tests.support.virtual_loop import run_virtual
+
+
+@dataclass
+class Program:
+    """Messages are words; `robot=2` is a velocity."""
+
+    done: list[str] = field(default_factory=list)
+    replaced: list[str] = field(default_factory=list)
+    came_s: dict[str, float] = field(default_factory=dict)
+
+    def read(self, data: str | bytes, came_s: float) -> Operation[str]:
+        word = str(data)
+        robot, is_velocity, value = word.partition("=")
+        return Operation(word, came_s, robot if is_velocity else None, value == "0")
+
+    def do(self, operation: Operation[str]) -> None:
+        self.done.append(operation.content)
+        self.replaced += operation.replaced
+        self.came_s[operation.content] = operation.came_s
+
+
+def inbox(program: Program) -> Inbox[str]:
+    return Inbox(program, lambda: None)
+
+
+def outcome(*words: str) -> Program:
+    """What becomes of words that come at once."""
+
+    async def run() -> Program:
+        program = Program()
+        box = inbox(program)
+        for word in words:
+            box.put(word, 0.0)
+        while len(box):
+            box.work()
+        return program
+
+    return run_virtual(run())
+
+
+def test_of_velocities_for_one_robot_the_newest_alone_is_done() -> None:
+    program = outcome("a=1", "a=2", "b=1", "a=3")
+    assert program.done == ["b=1", "a=3"]
+    assert program.replaced == ["a=1", "a=2"]
+
+
+def test_a_zero_is_never_skipped_and_skips_what_it_ends() -> None:
+    assert outcome("a=1", "a=0", "a=2", "a=0", "a=0").done == ["a=0", "a=0", "a=0"]
+    assert outcome("a=0", "a=1").done == ["a=0", "a=1"]
+
+
+def test_a_velocity_overtakes_nothing() -> None:
+    assert outcome("a=1", "stop", "a=2", "lock").done == ["stop", "a=2", "lock"]
+
+
+@given(st.lists(st.sampled_from(["a=0", "a=1", "a=2", "b=0", "b=7", "stop", "call"]), max_size=20))
+def test_whatever_comes_only_velocities_before_a_newer_one_of_their_robot_are_skipped(words: list[str]) -> None:
+    program = outcome(*words)
+    kept = [
+        word
+        for number, word in enumerate(words)
+        if "=" not in word or word.endswith("=0") or not any(later[:2] == word[:2] for later in words[number + 1 :])
+    ]
+    assert program.done == kept
+    assert len(program.done) + len(program.replaced) == len(words)
+
+
+def test_a_velocity_that_waits_is_replaced_while_others_are_worked_on() -> None:
+    async def run() -> Program:
+        program = Program()
+        box = inbox(program)
+        for word in ("call", "a=1"):
+            box.put(word, 0.0)
+        box.work()
+        box.put("a=2", 0.0)
+        while len(box):
+            box.work()
+        return program
+
+    assert run_virtual(run()).done == ["call", "a=2"]
+
+
+def test_what_was_there_before_it_was_waited_for_is_as_old_as_what_was_before_it() -> None:
+    async def run() -> Program:
+        program = Program()
+        box = inbox(program)
+        with box.receiving():
+            await asyncio.sleep(0.1)
+        box.put("first", 1.0)
+        with box.receiving():
+            pass
+        box.put("second", 9.0)
+        with box.receiving():
+            await asyncio.sleep(0.1)
+        box.put("third", 9.0)
+        while len(box):
+            box.work()
+        return program
+
+    assert run_virtual(run()).came_s == {"first": 1.0, "second": 1.0, "third": 9.0}
+
+
+def test_too_many_are_a_flood_until_none_waits_and_too_much_is_not_received() -> None:
+    async def run() -> None:
+        box = inbox(Program())
+        for _ in range(MANY + 1):
+            assert not box.is_flooding
+            box.put("call", 0.0)
+        assert box.is_flooding
+        for _ in range(MANY):
+            box.work()
+        assert box.is_flooding
+        box.work()
+        assert not box.is_flooding
+        await box.idle()
+        box.put("x" * (MAX_BYTES + 1), 0.0)
+        room = asyncio.get_running_loop().create_task(box.room())
+        await asyncio.sleep(1)
+        assert not room.done()
+        box.work()
+        await room
+
+    run_virtual(run())

@@ -1,0 +1,75 @@
+"""Which messages may be skipped for a newer one: velocities for gated topics and robots, and no zero."""
+
+import base64
+from typing import Any
+
+import pytest
+
+from hostlink.api.request import Request
+from hostlink.api.velocities import velocity_of_payload, velocity_of_request
+from hostlink.hub.topic import DeviceSubscription
+from hostlink.hub.topic_graph import TopicGraph
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from tests.support.fake_device import CATALOG
+
+TOPIC = "/robot_0/cmd_vel"
+MOVING = Velocity(linear_x_m_s=0.2).encode()
+
+
+def topics() -> TopicGraph:
+    graph = TopicGraph(CATALOG)
+    for name, is_gate in ((TOPIC, True), ("/plan", False)):
+        graph.subscribe_device(name, "key", DeviceSubscription(lambda _: None, is_gate=is_gate), type_name=TWIST_TYPE)
+    return graph
+
+
+@pytest.mark.parametrize(
+    ("fields", "is_zero"),
+    [
+        ({"msg": {"linear": {"x": 0.2}}}, False),
+        ({"msg": {"linear": {"x": 0}, "angular": {"z": -0.0}}}, True),
+        ({"msg": {}}, True),
+        ({"msg": {"header": {}, "twist": {"angular": {"z": 1}}}}, False),
+        ({"msg": {"header": {}, "twist": {}}}, True),
+        ({"raw": base64.b64encode(MOVING).decode()}, False),
+        ({"raw": base64.b64encode(bytes(20) + ZERO.encode()).decode()}, True),
+    ],
+)
+def test_a_message_on_a_velocity_topic_is_a_velocity(fields: dict[str, Any], is_zero: bool) -> None:
+    request = Request({"op": "publish", "topic": TOPIC[1:], "priority": 60} | fields)
+    assert velocity_of_request(request, topics()) == (("publish", TOPIC, 60), is_zero)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"op": "publish", "topic": "/plan", "msg": {}},
+        {"op": "publish", "topic": "/unknown", "msg": {}},
+        {"op": "publish", "topic": TOPIC, "msg": 3},
+        {"op": "publish", "topic": TOPIC, "msg": {"linear": [1]}},
+        {"op": "publish", "topic": TOPIC, "msg": {"linear": {"x": "fast"}}},
+        {"op": "publish", "topic": TOPIC, "msg": {"linear": {"x": True}}},
+        {"op": "publish", "topic": TOPIC, "msg": {"twist": 1}},
+        {"op": "publish", "topic": TOPIC, "raw": "?"},
+        {"op": "publish", "topic": TOPIC, "raw": "AAAA"},
+        {"op": "publish", "topic": TOPIC, "msg": {}, "priority": [1]},
+        {"op": "drive", "robot": 7, "linear": 1, "angular": 1},
+        {"op": "drive", "robot": "robot_0", "linear": "1", "angular": 1},
+        {"op": "subscribe", "topic": TOPIC},
+    ],
+)
+def test_what_is_none_or_wrong_is_never_skipped(fields: dict[str, Any]) -> None:
+    assert velocity_of_request(Request(fields), topics()) == (None, False)
+
+
+def test_a_drive_is_a_velocity_of_its_robot_and_priority() -> None:
+    drive = {"op": "drive", "robot": "robot_0", "linear": 0, "angular": 0.0}
+    assert velocity_of_request(Request(drive), topics()) == (("drive", "robot_0", None), True)
+    assert velocity_of_request(Request(drive | {"angular": 0.1}), topics()) == (("drive", "robot_0", None), False)
+
+
+def test_a_serialised_velocity_is_one_on_a_velocity_topic_alone() -> None:
+    assert velocity_of_payload(TOPIC, MOVING, topics()) == (("publish", TOPIC), False)
+    assert velocity_of_payload(TOPIC, ZERO.encode(), topics()) == (("publish", TOPIC), True)
+    assert velocity_of_payload(TOPIC, b"short", topics()) == (None, False)
+    assert velocity_of_payload("/plan", MOVING, topics()) == (None, False)

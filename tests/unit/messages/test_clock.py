@@ -1,0 +1,14 @@
+"""Messages of /clock: what is a time, and what is not."""
+
+import pytest
+
+from hostlink.messages.clock import decode_clock
+
+
+def test_clock_message_is_its_time_in_nanoseconds() -> None:
+    assert decode_clock(bytes.fromhex("02000000 03000000")) == 2_000_000_003
+
+
+@pytest.mark.parametrize("payload", [b"", bytes(7), bytes(9)])
+def test_payload_of_another_length_is_no_time(payload: bytes) -> None:
+    assert decode_clock(payload) is None

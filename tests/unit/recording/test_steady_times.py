@@ -1,0 +1,214 @@
+"""A clock that is set while a robot is recorded: order, pauses and ages go by another, which nobody sets."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hostlink.api.incidents import stored_history
+from hostlink.messages.catalog import Catalog
+from hostlink.recording import file_thread
+from hostlink.recording.black_box import write_incident
+from hostlink.recording.channel import DEVICE, EVENTS, NS_PER_S, Channel, as_text, ros_channel
+from hostlink.recording.contents import contents_of
+from hostlink.recording.file_thread import FileThread, Splitting
+from hostlink.recording.folder import Folder
+from hostlink.recording.incident import Incident
+from hostlink.recording.mcap_writer import McapWriter
+from hostlink.recording.playing import schedule
+from hostlink.recording.reader import Reader
+from hostlink.recording.repair import repair
+from hostlink.recording.ring import Entry
+from hostlink.recording.tables import read
+
+DAY_S = 86_400
+COUNT = 480  # messages, ten a second
+BEGIN_NS = 1_700_000_000 * NS_PER_S
+POSE = Catalog().message("geometry_msgs/Pose2D")
+assert POSE is not None
+ODOMETRY = ros_channel("/robot_0/odometry", POSE.name, POSE, is_latched=False, robot="robot_0", origin=DEVICE)
+SECONDS = [number / 10 for number in range(COUNT)]
+JUMPS = [
+    pytest.param(100 * DAY_S, id="forward"),
+    pytest.param(-100 * DAY_S, id="back"),
+    pytest.param(5.0, id="a little"),
+]
+
+
+def wall_ns(second: float, jump_s: float) -> int:
+    """The clock is set after 12 s."""
+    return BEGIN_NS + round((second + jump_s * (second >= 12)) * NS_PER_S)
+
+
+def pose(second: float) -> bytes:
+    assert POSE is not None
+    return POSE.encode({"x": second / 100})
+
+
+def recording(path: Path, jump_s: float, *, is_old: bool = False, chunk_of: int = 7, is_finished: bool = True) -> Path:
+    """With wall times alone, as older releases wrote it, or with steady ones."""
+    writer = McapWriter(path, metadata={}, has_steady_times=not is_old)
+    for number, second in enumerate(SECONDS, 1):
+        stamp_ns = wall_ns(second, jump_s)
+        writer.write(ODOMETRY, stamp_ns, pose(second), stamp_ns if is_old else BEGIN_NS + round(second * NS_PER_S))
+        if number % 10 == 0:
+            writer.write(EVENTS, stamp_ns, as_text(b"{}"), BEGIN_NS + round(second * NS_PER_S))
+        if number % chunk_of == 0:
+            writer.end_chunk()
+    if is_finished:
+        writer.close()
+    else:
+        writer.abandon()
+    return path
+
+
+def times(path: Path, **options: float) -> list[float]:
+    reader = Reader(path)
+    due = schedule(reader.messages(lambda channel: channel == ODOMETRY), **options)
+    return [round(each.at_s, 6) for each in due]
+
+
+@pytest.mark.parametrize("is_finished", [True, False])
+@pytest.mark.parametrize("jump_s", JUMPS)
+def test_recording_with_steady_times_is_read_as_if_the_clock_had_not_been_set(
+    tmp_path: Path, jump_s: float, is_finished: bool
+) -> None:
+    path = recording(tmp_path / "a.mcap", jump_s, is_finished=is_finished)
+    count = COUNT if is_finished else COUNT // 7 * 7
+    assert times(path) == SECONDS[:count]
+    assert times(path, start_s=30.0) == [round(second - 30, 6) for second in SECONDS[:count] if second >= 30]
+    found = contents_of(path)
+    assert found.seconds == pytest.approx(SECONDS[count - 1])
+    assert [(step.at_s, step.step_s) for step in found.clock_steps] == [(12.0, jump_s)]
+    table = read(path)["/robot_0/odometry"]
+    assert table.time_s.tolist() == pytest.approx(SECONDS[:count])
+    assert table.stamp_ns.tolist() == [wall_ns(second, jump_s) for second in SECONDS[:count]]
+
+
+@pytest.mark.parametrize("chunk_of", [7, 120, 10_000])
+@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
+def test_older_recording_has_a_step_of_its_clock_as_no_time_at_all(
+    tmp_path: Path, jump_s: float, chunk_of: int
+) -> None:
+    path = recording(tmp_path / "a.mcap", jump_s, is_old=True, chunk_of=chunk_of)
+    expected = [round(second - 0.1 * (second >= 12), 6) for second in SECONDS]
+    assert times(path) == expected
+    assert contents_of(path).seconds == pytest.approx(expected[-1])
+    assert read(path)["/robot_0/odometry"].time_s.tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
+def test_topic_with_few_messages_keeps_its_times_in_an_older_recording_whose_clock_was_set(
+    tmp_path: Path, jump_s: float
+) -> None:
+    """Chunks that are not read tell how the clock was set."""
+    path = recording(tmp_path / "a.mcap", jump_s, is_old=True)
+    events = [message.steady_ns for message in Reader(path).messages(lambda channel: channel == EVENTS)]
+    everything = [message.steady_ns for message in Reader(path).messages() if message.channel == EVENTS]
+    assert events == everything
+
+
+def test_repair_keeps_steady_times_and_makes_none_up(tmp_path: Path) -> None:
+    for is_old in (False, True):
+        path = recording(tmp_path / f"{is_old}.mcap", 100 * DAY_S, is_old=is_old, is_finished=False)
+        before = list(Reader(path).messages())
+        repair(path)
+        assert list(Reader(path).messages()) == before
+        assert Reader(path).reads_steady_times() is not is_old
+
+
+def test_start_of_a_play_reads_few_chunks(tmp_path: Path) -> None:
+    """Found by halving, though the chunks' own times go back in their midst."""
+    path = recording(tmp_path / "a.mcap", -100 * DAY_S)
+    assert len(list(Reader(path).messages(after_s=45.0))) < COUNT // 8
+    assert times(path, start_s=45.0)[0] == 0.0
+
+
+def test_play_cuts_a_long_pause_and_says_how_much() -> None:
+    class Message:
+        def __init__(self, second: float) -> None:
+            self.steady_ns = int(second * NS_PER_S)
+
+    messages: list[Message] = [Message(each) for each in (0, 1, 1001, 1002)]
+    due = list(schedule(messages, max_pause_s=60.0))  # type: ignore[arg-type] - only times matter
+    assert [(each.at_s, each.cut_s) for each in due] == [(0, 0), (1, 0), (61, 940), (62, 0)]
+
+
+async def test_recording_that_is_written_has_steady_times_in_all_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own clock goes on; the one on the wall is set by another program in between."""
+    jump_ns = [0]
+    of_system: Callable[[], int] = file_thread.time.time_ns
+    monkeypatch.setattr(file_thread.time, "time_ns", lambda: of_system() + jump_ns[0])
+    thread = FileThread(
+        lambda number: tmp_path / f"{number}.mcap",
+        Splitting(10**9, 10**9),
+        loop=asyncio.get_running_loop(),
+        metadata={},
+    )
+    for number in range(20):
+        if number == 10:
+            jump_ns[0] = 100 * DAY_S * NS_PER_S
+        thread.put(EVENTS, file_thread.time.time_ns(), as_text(b"{}"))
+    await thread.aclose()
+    found = list(Reader(tmp_path / "0.mcap").messages())
+    steady = [message.steady_ns for message in found]
+    assert steady == sorted(steady)
+    assert steady[-1] - steady[0] < 60 * NS_PER_S
+    assert found[-1].stamp_ns - found[0].stamp_ns >= 100 * DAY_S * NS_PER_S
+
+
+def incident_file(folder: Path, jump_s: float, *, is_old: bool) -> Path:
+    """Of an incident at the 40th second."""
+    incident = Incident("robot_0", "gone", "", wall_ns(40.0, jump_s), 1040.0)
+    entries = [Entry(ODOMETRY, wall_ns(second, jump_s), pose(second), 1000 + second) for second in SECONDS]
+    if not is_old:
+        return write_incident(
+            Folder(folder, max_disk_mb=100, min_free_disk_mb=0),
+            incident,
+            [ODOMETRY],
+            [entries],
+            before_s=120.0,
+            rest=lambda: None,
+        )
+    facts = {"robot": "robot_0", "cause": "gone", "stamp_ns": str(incident.stamp_ns)}
+    writer = McapWriter(folder / "old.mcap", metadata=facts, has_steady_times=False)
+    for entry in sorted(entries, key=lambda entry: entry.stamp_ns):
+        writer.write(entry.channel, entry.stamp_ns, entry.payload)
+    writer.close()
+    return writer.path
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+@pytest.mark.parametrize("jump_s", [100 * DAY_S, -100 * DAY_S])
+def test_ages_around_an_incident_are_seconds_though_the_clock_was_set(
+    tmp_path: Path, jump_s: float, is_old: bool
+) -> None:
+    encoded = stored_history(Catalog(), incident_file(tmp_path, jump_s, is_old=is_old))
+    assert encoded is not None
+    view = json.loads(encoded)
+    ages = [each["age_s"] for each in view["history"]["poses"]]
+    assert (view["robot"], view["damage"], len(ages)) == ("robot_0", [], COUNT)
+    if not is_old:
+        assert ages == pytest.approx([40 - second for second in SECONDS])
+    else:
+        assert max(map(abs, ages)) < COUNT / 10 + 1
+        assert 0.0 in ages
+
+
+def channel_of(topic: str) -> Channel:
+    return ros_channel(topic, "std_msgs/String", None, is_latched=False)
+
+
+def test_begin_of_a_recording_is_its_first_message_of_any_topic(tmp_path: Path) -> None:
+    writer = McapWriter(tmp_path / "a.mcap", metadata={})
+    for number in range(100):
+        writer.write(channel_of("/a" if number < 60 else "/b"), number * NS_PER_S, b"", number * NS_PER_S + 7)
+        writer.end_chunk()
+    writer.close()
+    reader = Reader(tmp_path / "a.mcap")
+    (first, *_) = reader.messages(lambda channel: channel.topic == "/b")
+    assert (first.steady_ns - reader.begin_ns) == 60 * NS_PER_S

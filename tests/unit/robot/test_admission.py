@@ -1,0 +1,542 @@
+"""Admission: one test for each row of its tables."""
+
+import pytest
+
+from hostlink.errors import RefusalKind
+from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S, MAX_SOURCES, Admission, Command, Decision, EarlierMotion
+from hostlink.robot.velocity import ZERO, Velocity
+
+FORWARD = Velocity(0.3)
+
+
+class Timeline:
+    """An admission and a clock. `command` is a command of `ann` that is received now unless a test says otherwise."""
+
+    def __init__(self, **settings: float) -> None:
+        self.now_s = 100.0
+        self.admission = Admission("robot_0", **settings)  # type: ignore[arg-type]
+        self.admission.connect(self.now_s)
+
+    def wait(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def command(
+        self,
+        velocity: Velocity = FORWARD,
+        *,
+        source: str = "ann",
+        priority: int = 50,
+        waited_s: float = 0.0,
+        sent_s: float | None = None,
+        epoch: int | None = None,
+        stamp_age_s: float | None = None,
+        topic: str = "",
+    ) -> Decision:
+        command = Command(velocity, source, priority, self.now_s - waited_s, sent_s, epoch, stamp_age_s)
+        return self.admission.decide(command, self.now_s, topic=topic)
+
+    def driver(self, topic: str = "") -> object:
+        found = self.admission.driver(topic, self.now_s)
+        return None if found is None else found.source
+
+    def stop(self) -> None:
+        self.admission.interrupt(self.now_s)
+
+
+@pytest.fixture
+def robot() -> Timeline:
+    return Timeline()
+
+
+@pytest.fixture
+def driven(robot: Timeline) -> Timeline:
+    assert robot.command().is_admitted
+    return robot
+
+
+def interruptions() -> list[object]:
+    def lock_and_unlock(robot: Timeline) -> None:
+        robot.admission.lock("smoke", robot.now_s)
+        robot.admission.unlock(robot.now_s)
+
+    def reconnect(robot: Timeline) -> None:
+        robot.admission.disconnect(robot.now_s)
+        robot.admission.connect(robot.now_s + 0.01)
+        robot.wait(0.01)
+
+    def pause(robot: Timeline) -> None:
+        began_s = robot.now_s
+        robot.wait(9.0)
+        robot.admission.interrupt(robot.now_s, since_s=began_s)
+
+    def change_topics(robot: Timeline) -> None:
+        robot.admission.connect(robot.now_s)
+
+    each = {
+        "stop": Timeline.stop,
+        "lock and unlock": lock_and_unlock,
+        "reconnect": reconnect,
+        "topics": change_topics,
+        "pause": pause,
+    }
+    return [pytest.param(interrupt, id=name) for name, interrupt in each.items()]
+
+
+def test_command_of_quiet_source_is_admitted_for_a_lease(robot: Timeline) -> None:
+    assert robot.command().is_admitted
+    robot.wait(LEASE_S - 0.01)
+    assert robot.driver() == "ann"
+    robot.wait(0.01)
+    assert robot.driver() is None
+
+
+def test_command_of_driving_source_prolongs_the_lease(driven: Timeline) -> None:
+    driven.wait(0.4)
+    assert driven.command().is_admitted
+    driven.wait(0.4)
+    assert driven.driver() == "ann"
+
+
+@pytest.mark.parametrize("interrupt", interruptions())
+def test_interruption_ends_the_lease_and_disarms_the_driver(driven: Timeline, interrupt: object) -> None:
+    epoch = driven.admission.epoch
+    interrupt(driven)  # type: ignore[operator]
+    assert driven.driver() is None
+    assert driven.admission.epoch > epoch
+    for _ in range(20):
+        driven.wait(LEASE_S - 0.01)
+        refusal = driven.command()
+        assert refusal.kind is RefusalKind.DISARMED
+        assert f"pause for {LEASE_S:g} s, or send epoch {driven.admission.epoch}" in refusal.reason
+    assert driven.driver() is None
+
+
+@pytest.mark.parametrize("interrupt", interruptions())
+def test_disarmed_source_with_current_epoch_is_admitted(driven: Timeline, interrupt: object) -> None:
+    interrupt(driven)  # type: ignore[operator]
+    assert driven.command(epoch=driven.admission.epoch).is_admitted
+    assert driven.command().is_admitted
+
+
+@pytest.mark.parametrize("interrupt", interruptions())
+def test_disarmed_source_after_zero_is_admitted(driven: Timeline, interrupt: object) -> None:
+    interrupt(driven)  # type: ignore[operator]
+    assert driven.command(ZERO).is_admitted
+    assert driven.command().is_admitted
+
+
+@pytest.mark.parametrize("interrupt", interruptions())
+def test_disarmed_source_after_a_lease_of_silence_is_admitted(driven: Timeline, interrupt: object) -> None:
+    interrupt(driven)  # type: ignore[operator]
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+
+
+@pytest.mark.parametrize("interrupt", interruptions())
+def test_quiet_source_after_an_interruption_is_admitted(driven: Timeline, interrupt: object) -> None:
+    interrupt(driven)  # type: ignore[operator]
+    assert driven.command(source="bob").is_admitted
+
+
+def test_source_that_was_silent_for_a_lease_is_not_met_by_a_stop(driven: Timeline) -> None:
+    driven.wait(LEASE_S)
+    driven.stop()
+    assert driven.command().is_admitted
+
+
+def test_lock_ends_the_lease_at_once(driven: Timeline) -> None:
+    epoch = driven.admission.epoch
+    driven.admission.lock("smoke", driven.now_s)
+    assert driven.driver() is None
+    assert driven.admission.epoch == epoch + 1
+
+
+def test_command_with_earlier_epoch_disarms_its_source(robot: Timeline) -> None:
+    epoch = robot.admission.epoch
+    robot.stop()
+    assert robot.command(epoch=epoch).kind is RefusalKind.DISARMED
+    robot.wait(0.1)
+    assert robot.command().kind is RefusalKind.DISARMED
+
+
+def test_command_with_the_epoch_of_another_daemon_is_refused(robot: Timeline) -> None:
+    assert robot.command(epoch=robot.admission.epoch + 1).kind is RefusalKind.DISARMED
+
+
+def test_zero_that_is_late_does_not_arm(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(0.1)
+    assert driven.command(ZERO, waited_s=LEASE_S).is_admitted
+    assert driven.command().kind is RefusalKind.DISARMED
+
+
+def test_source_that_leaves_stops_the_topics_that_it_drove(driven: Timeline) -> None:
+    assert driven.command(topic="other").is_admitted
+    driven.admission.withdraw("bob")
+    assert driven.driver() == driven.driver("other") == "ann"
+    driven.admission.withdraw("ann")
+    assert driven.driver() is driven.driver("other") is None
+
+
+def test_source_that_leaves_holds_the_robot_no_more(driven: Timeline) -> None:
+    driven.admission.withdraw("ann")
+    assert not driven.admission.is_held(driven.now_s)
+    assert driven.command(source="bob", priority=10).is_admitted
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_velocity_that_is_not_finite_is_refused(robot: Timeline, value: float) -> None:
+    refusal = robot.command(Velocity(value))
+    assert refusal == Decision(RefusalKind.NOT_FINITE, "robot_0: a velocity must consist of finite numbers")
+
+
+def test_command_while_locked_is_refused_and_unlocking_moves_nothing(robot: Timeline) -> None:
+    robot.admission.lock("smoke", robot.now_s)
+    for _ in range(5):
+        robot.wait(0.1)
+        refusal = robot.command()
+        assert refusal.kind is RefusalKind.LOCKED
+        assert "locked: smoke" in refusal.reason
+    robot.admission.unlock(robot.now_s)
+    robot.wait(0.1)
+    assert robot.command().kind is RefusalKind.DISARMED
+
+
+def test_zero_while_locked_arms_for_the_time_after_unlock(robot: Timeline) -> None:
+    robot.admission.lock("smoke", robot.now_s)
+    assert robot.command().kind is RefusalKind.LOCKED
+    assert robot.command(ZERO).is_admitted
+    robot.admission.unlock(robot.now_s)
+    assert robot.command().is_admitted
+
+
+def test_unlock_of_unlocked_robot_interrupts_nothing(driven: Timeline) -> None:
+    driven.admission.unlock(driven.now_s)
+    assert driven.driver() == "ann"
+
+
+def test_command_without_device_is_refused_and_the_device_that_comes_back_stands(robot: Timeline) -> None:
+    robot.admission.disconnect(robot.now_s)
+    for _ in range(5):
+        robot.wait(0.1)
+        assert robot.command().kind is RefusalKind.NOT_CONNECTED
+    assert robot.command(ZERO, source="bob").kind is RefusalKind.NOT_CONNECTED
+    robot.admission.connect(robot.now_s)
+    robot.wait(0.1)
+    assert robot.command().kind is RefusalKind.DISARMED
+
+
+def test_device_that_goes_and_one_that_comes_end_lease_and_hold(driven: Timeline) -> None:
+    driven.admission.disconnect(driven.now_s)
+    assert driven.driver() is None
+    assert not driven.admission.is_held(driven.now_s)
+    driven.admission.connect(driven.now_s)
+    assert driven.command(source="eve").is_admitted
+    driven.admission.connect(driven.now_s)  # it has other topics
+    assert driven.command(source="bob", priority=10).is_admitted
+
+
+@pytest.mark.parametrize("away_s", [0.0, LEASE_S, 60.0])
+def test_source_that_drove_when_the_device_left_is_disarmed_however_long_it_was_away(
+    driven: Timeline, away_s: float
+) -> None:
+    """A publisher goes on without an answer, and is not seen here while there is no device that subscribes."""
+    driven.admission.disconnect(driven.now_s)
+    driven.wait(away_s)
+    driven.admission.disconnect(driven.now_s)  # by another link of it, which was never ready
+    driven.admission.connect(driven.now_s)
+    driven.wait(0.1)
+    assert driven.command().kind is RefusalKind.DISARMED
+    driven.wait(LEASE_S)
+    assert driven.command().is_admitted
+    driven.wait(LEASE_S)
+    driven.admission.disconnect(driven.now_s)
+    driven.admission.connect(driven.now_s)
+    assert driven.command().is_admitted
+
+
+def test_source_that_let_go_while_the_device_was_away_is_armed(driven: Timeline) -> None:
+    driven.admission.disconnect(driven.now_s)
+    assert driven.command(ZERO).kind is RefusalKind.NOT_CONNECTED
+    driven.admission.connect(driven.now_s)
+    assert driven.command().is_admitted
+
+
+@pytest.mark.parametrize(("away_s", "kind"), [(2.5, None), (3.0, RefusalKind.DISARMED)])
+def test_source_goes_on_when_the_device_was_away_for_less_than_resume_after_reconnect(
+    away_s: float, kind: RefusalKind | None
+) -> None:
+    robot = Timeline(resume_after_reconnect_s=3.0)
+    assert robot.command().is_admitted
+    robot.admission.disconnect(robot.now_s)
+    for _ in range(8):
+        robot.wait(away_s / 8)
+        assert robot.command().kind is RefusalKind.NOT_CONNECTED
+    robot.admission.connect(robot.now_s)
+    robot.admission.connect(robot.now_s + 0.001)  # its second velocity topic
+    robot.wait(0.1)
+    assert robot.command().kind is kind
+
+
+@pytest.mark.parametrize("waited_s", [LEASE_S, 9.0])
+def test_command_that_waited_for_a_lease_is_refused(robot: Timeline, waited_s: float) -> None:
+    refusal = robot.command(waited_s=waited_s)
+    assert refusal.kind is RefusalKind.LATE
+    assert refusal.reason == f"robot_0: velocity is {waited_s:.1f} s old, the lease is 0.5 s; send a new one"
+    assert robot.command(waited_s=LEASE_S - 0.01).is_admitted
+
+
+def test_lease_of_a_command_that_waited_is_shorter_by_that_time(robot: Timeline) -> None:
+    assert robot.command(waited_s=0.4).is_admitted
+    robot.wait(0.09)
+    assert robot.driver() == "ann"
+    robot.wait(0.02)
+    assert robot.driver() is None
+
+
+def test_lease_is_not_longer_for_a_command_of_the_future(robot: Timeline) -> None:
+    assert robot.command(waited_s=-1.0).is_admitted
+    robot.wait(LEASE_S)
+    assert robot.driver() is None
+
+
+def test_command_that_was_delayed_on_its_way_is_refused_by_the_clock_of_its_sender(robot: Timeline) -> None:
+    assert robot.command(sent_s=7.0).is_admitted
+    robot.wait(1.0)
+    assert robot.command(sent_s=7.4).kind is RefusalKind.LATE  # 0.6 s later than the first one
+    assert robot.command(sent_s=7.6).is_admitted
+    assert robot.command(sent_s=7.8, waited_s=0.4).is_admitted
+    assert robot.command(sent_s=7.8, waited_s=0.4 + LEASE_S).kind is RefusalKind.LATE
+
+
+def test_command_whose_stamp_is_older_than_allowed_is_refused() -> None:
+    robot = Timeline(max_stamp_age_s=1.0)
+    refusal = robot.command(stamp_age_s=1.2)
+    assert refusal.kind is RefusalKind.LATE
+    assert refusal.reason == "robot_0: its stamp is 1.200 s old, cmd_vel_max_age_s allows 1"
+    assert robot.command(stamp_age_s=1.0).is_admitted
+    robot.stop()
+    assert robot.command(ZERO, stamp_age_s=1.2).is_admitted
+    assert robot.command().kind is RefusalKind.DISARMED
+
+
+def test_stamp_of_any_age_is_admitted_unless_an_age_is_configured(robot: Timeline) -> None:
+    assert robot.command(stamp_age_s=1e9).is_admitted
+
+
+def test_route_that_became_slower_for_good_is_accepted_in_time(robot: Timeline) -> None:
+    assert robot.command(sent_s=robot.now_s).is_admitted
+    kinds = set()
+    for _ in range(1000):
+        robot.wait(1.0)
+        kinds.add(robot.command(sent_s=robot.now_s - 0.7).kind)
+    assert kinds == {RefusalKind.LATE, None}
+    assert robot.driver() == "ann"
+
+
+def test_pause_of_the_daemon_makes_no_later_command_late(robot: Timeline) -> None:
+    assert robot.command(sent_s=7.0).is_admitted
+    robot.wait(3.0)
+    assert robot.command(sent_s=10.0, waited_s=3.0).kind is RefusalKind.LATE  # it may have waited since then
+    robot.wait(LEASE_S)
+    assert robot.command(sent_s=10.5).is_admitted
+
+
+def test_lower_priority_is_refused_while_a_higher_one_holds_and_goes_on_afterwards(robot: Timeline) -> None:
+    assert robot.command(source="bob", priority=10).is_admitted
+    assert robot.command(source="ann", priority=60).is_admitted
+    for _ in range(4):
+        robot.wait(0.1)
+        refusal = robot.command(source="bob", priority=10)
+        assert refusal.kind is RefusalKind.HELD
+        assert refusal.holder == "ann"
+        assert "ann drives it with a higher priority" in refusal.reason
+    robot.wait(0.11)
+    assert robot.command(source="bob", priority=10).is_admitted
+
+
+def test_same_priority_takes_the_robot_over(driven: Timeline) -> None:
+    assert driven.command(source="bob").is_admitted
+    assert driven.driver() == "bob"
+
+
+def test_source_may_change_its_priority(robot: Timeline) -> None:
+    assert robot.command(priority=10).is_admitted
+    assert robot.command(priority=60).is_admitted
+    assert robot.command(source="bob").kind is RefusalKind.HELD
+    assert robot.command(priority=10).is_admitted
+    assert robot.command(source="bob").is_admitted
+
+
+def test_the_most_important_of_several_holds(robot: Timeline) -> None:
+    assert robot.command(source="bob", priority=10).is_admitted
+    assert robot.command(source="ann", priority=60).is_admitted
+    refusal = robot.command(source="eve", priority=50)
+    assert (refusal.kind, refusal.holder) == (RefusalKind.HELD, "ann")
+    robot.wait(0.3)
+    assert robot.command(source="ann", priority=60).is_admitted
+    robot.wait(0.3)  # the lease of bob is over
+    assert robot.admission.is_held(robot.now_s)
+
+
+def test_higher_priority_holds_every_topic_of_the_robot(driven: Timeline) -> None:
+    assert driven.command(source="bob", priority=10, topic="other").kind is RefusalKind.HELD
+
+
+def test_source_that_is_held_is_disarmed_by_a_stop_too(driven: Timeline) -> None:
+    assert driven.command(source="bob", priority=10).kind is RefusalKind.HELD
+    driven.stop()
+    driven.wait(0.4)
+    assert driven.command(source="bob", priority=10).kind is RefusalKind.DISARMED
+
+
+def test_stop_does_not_shorten_the_time_for_which_the_robot_is_held(driven: Timeline) -> None:
+    driven.stop()
+    driven.wait(LEASE_S - 0.01)
+    assert driven.command(source="bob", priority=10).kind is RefusalKind.HELD
+    driven.wait(0.01)
+    assert driven.command(source="bob", priority=10).is_admitted
+
+
+def test_zero_of_another_source_is_refused_while_one_drives(driven: Timeline) -> None:
+    refusal = driven.command(ZERO, source="bob", priority=60)
+    assert refusal.kind is RefusalKind.HELD
+    assert "ann drives it, and a zero of another source does not stop it" in refusal.reason
+    assert "hostlink stop robot_0, or POST /api/robots/robot_0/stop" in refusal.reason
+    assert driven.driver() == "ann"
+
+
+def test_zero_of_the_driver_keeps_its_lease(driven: Timeline) -> None:
+    driven.wait(0.3)
+    assert driven.command(ZERO).is_admitted
+    assert driven.driver() == "ann"
+    driven.wait(0.2)
+    assert driven.driver() is None
+
+
+def test_end_of_one_topic_keeps_the_robot_held(driven: Timeline) -> None:
+    driven.admission.end("")
+    assert driven.driver() is None
+    assert driven.admission.is_held(driven.now_s)
+    assert driven.command().is_admitted
+    driven.wait(LEASE_S)
+    assert not driven.admission.is_held(driven.now_s)
+
+
+def test_one_more_source_than_the_limit_is_refused_unless_it_is_more_important(robot: Timeline) -> None:
+    for number in range(MAX_SOURCES):
+        assert robot.command(source=f"{number}").is_admitted
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+    assert robot.command(source="ann", priority=60).is_admitted
+    assert robot.command(ZERO, source="bob").kind is RefusalKind.HELD
+    robot.wait(LEASE_S)
+    assert robot.command(source="bob").is_admitted
+
+
+def crowd(robot: Timeline, *, priority: int = 50, topics: bool = False) -> None:
+    for number in range(MAX_SOURCES):
+        robot.command(source=f"{number}", priority=priority, topic=f"{number}" if topics else "")
+
+
+def test_of_equals_the_one_gives_way_that_commanded_the_longest_ago(robot: Timeline) -> None:
+    crowd(robot)
+    assert robot.command(source="0").is_admitted
+    assert robot.command(source="1").is_admitted  # and drives
+    assert robot.command(source="ann", priority=60).is_admitted
+    robot.stop()
+    assert robot.command(source="0").kind is RefusalKind.DISARMED
+    assert robot.command(source="2").kind is RefusalKind.CROWDED
+
+
+def test_the_least_important_of_several_gives_way(robot: Timeline) -> None:
+    assert robot.command(source="bob", priority=10).is_admitted
+    for number in range(1, MAX_SOURCES):
+        assert robot.command(source=f"{number}").is_admitted
+    assert robot.command(source="ann", priority=50).is_admitted
+
+
+def test_source_that_drives_never_gives_way(robot: Timeline) -> None:
+    crowd(robot, topics=True)
+    assert robot.command(source="ann", priority=60).kind is RefusalKind.CROWDED
+
+
+def test_sources_that_only_were_refused_are_as_important_as_they_said(robot: Timeline) -> None:
+    robot.admission.lock("smoke", robot.now_s)
+    crowd(robot, priority=60)
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+
+
+def test_source_that_gave_a_zero_holds_the_robot_in_a_crowd_too(robot: Timeline) -> None:
+    crowd(robot, priority=60)
+    assert robot.command(ZERO, source=f"{MAX_SOURCES - 1}").is_admitted
+    assert robot.command(source="ann").kind is RefusalKind.CROWDED
+
+
+def test_sources_that_let_go_after_a_stop_give_way(robot: Timeline) -> None:
+    crowd(robot)
+    robot.stop()
+    for number in range(MAX_SOURCES):
+        assert robot.command(ZERO, source=f"{number}").is_admitted
+    assert robot.command(source="ann", priority=60).is_admitted
+
+
+def test_sources_that_drove_when_the_device_left_are_not_forgotten(robot: Timeline) -> None:
+    crowd(robot)
+    robot.admission.disconnect(robot.now_s)
+    robot.wait(9.0)
+    robot.command(source="ann")
+    robot.admission.connect(robot.now_s)
+    assert {robot.command(source=f"{number}").kind for number in range(MAX_SOURCES)} == {RefusalKind.DISARMED}
+
+
+def test_disarmed_source_is_never_forgotten_for_another(robot: Timeline) -> None:
+    for number in range(MAX_SOURCES):
+        assert robot.command(source=f"{number}").is_admitted
+    robot.stop()
+    assert robot.command(source="ann", priority=100).kind is RefusalKind.CROWDED
+    assert robot.command(source="0").kind is RefusalKind.DISARMED
+
+
+def test_refusals_are_counted_by_kind(driven: Timeline) -> None:
+    driven.stop()
+    for _ in range(3):
+        driven.command()
+    driven.command(waited_s=1.0)
+    assert driven.admission.refused == {RefusalKind.DISARMED: 3, RefusalKind.LATE: 1}
+
+
+@pytest.mark.parametrize("refusal", [RefusalKind.NOT_FINITE, RefusalKind.LOCKED, RefusalKind.LATE])
+def test_refused_command_with_earlier_epoch_disarms_its_source(robot: Timeline, refusal: RefusalKind) -> None:
+    """A graph marks only the first velocity of a motion that it joins; what follows continues it."""
+    if refusal is RefusalKind.LOCKED:
+        robot.admission.lock("smoke", robot.now_s)
+    velocity = Velocity(float("nan")) if refusal is RefusalKind.NOT_FINITE else FORWARD
+    waited_s = LEASE_S if refusal is RefusalKind.LATE else 0.0
+    assert robot.command(velocity, waited_s=waited_s, epoch=EARLIER_EPOCH).kind is refusal
+    robot.admission.unlock(robot.now_s)
+    for _ in range(5):
+        robot.wait(LEASE_S - 0.1)
+        assert robot.command().kind is RefusalKind.DISARMED
+    robot.wait(LEASE_S)
+    assert robot.command().is_admitted
+
+
+def test_numbers_that_are_not_finite_are_commands_that_a_source_still_gives(driven: Timeline) -> None:
+    driven.stop()
+    for _ in range(5):
+        driven.wait(LEASE_S - 0.1)
+        assert driven.command(Velocity(float("inf"))).kind is RefusalKind.NOT_FINITE
+    driven.wait(LEASE_S - 0.1)
+    assert driven.command().kind is RefusalKind.DISARMED
+
+
+def test_first_command_of_a_publisher_that_was_there_before_has_an_earlier_epoch() -> None:
+    joined = EarlierMotion.within_a_lease(10.0)
+    assert joined.pop_epoch(10.0 + LEASE_S - 0.01) == EARLIER_EPOCH
+    assert joined.pop_epoch(10.0 + LEASE_S - 0.01) is None
+
+
+def test_publisher_that_was_silent_for_a_lease_begins_anew() -> None:
+    joined = EarlierMotion.within_a_lease(10.0)
+    assert joined.pop_epoch(10.0 + LEASE_S) is None
+    assert EarlierMotion().pop_epoch(0.0) is None

@@ -1,0 +1,92 @@
+"""What the black box costs a message, in one process and without sockets.
+
+Two hubs, one with a black box and one without, read poses of as many robots in turn, a few at a time, so that what
+else runs on the machine disturbs both alike. Prints the processor time of a pose, from the link to nobody, and what the
+black box adds: the median over all pairs of turns.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import dataclasses
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from hostlink import logs
+from hostlink.config import BlackBoxConfig, Config
+from hostlink.hub.hub import Hub
+from hostlink.messages.catalog import Catalog
+from hostlink.recording.black_box import BlackBox
+from tests.support.fake_device import pose, robot_topics
+from tests.support.scripted_device import ScriptedDevice
+
+READY_S = 3.0  # until every device is a robot and its topics are kept
+POSES = 5  # of each robot in a turn
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=30)
+    parser.add_argument("--turns", type=int, default=300, help="of each hub")
+    arguments = parser.parse_args()
+    logs.configure(level="error")
+    plain_us, added_us = asyncio.run(measure(arguments.robots, arguments.turns))
+    print(f"a message of {arguments.robots} robots without the black box {plain_us:5.1f} us")
+    print(f"the black box adds {added_us:.1f} us, {added_us / plain_us:.2f} of that")
+
+
+async def measure(robots: int, turns: int) -> tuple[float, float]:
+    """Processor time of one message without the black box, and what it adds, in microseconds."""
+    plain_us, added_us = [], []
+    async with crowd(robots, is_kept=False) as plain, crowd(robots, is_kept=True) as kept:
+        await asyncio.sleep(READY_S)
+        for _ in range(turns):
+            without_us, with_us = [await message_us(devices) for devices in (plain, kept)]
+            plain_us.append(without_us)
+            added_us.append(with_us - without_us)
+    return statistics.median(plain_us), statistics.median(added_us)
+
+
+@contextlib.asynccontextmanager
+async def crowd(robots: int, *, is_kept: bool) -> AsyncIterator[list[ScriptedDevice]]:
+    """The devices of a hub, with or without a black box."""
+    config = Config(black_box=dataclasses.replace(BlackBoxConfig(), enabled=is_kept))
+    hub = Hub(config, Catalog(), reraises=True)
+    with tempfile.TemporaryDirectory() as folder:
+        async with asyncio.TaskGroup() as tasks:
+            running = tasks.create_task(hub.run())
+            await hub.is_running.wait()
+            black_box = BlackBox(hub, Path(folder))
+            black_box.start()
+            names = [f"robot_{number}" for number in range(robots)]
+            devices = [ScriptedDevice(hub, robot_topics(name), address=name) for name in names]
+            yield devices
+            if len(hub.robots.here()) < robots or bool(black_box.rings.size_bytes) != is_kept:
+                raise AssertionError(f"{len(hub.robots.here())} robots, {black_box.rings.size_bytes} bytes kept")
+            for device in devices:
+                await device.aclose()
+            await black_box.aclose()
+            running.cancel()
+
+
+async def message_us(devices: list[ScriptedDevice]) -> float:
+    """Processor time of one message of a turn."""
+    began_s = time.process_time()
+    for number in range(POSES):
+        wire = pose(number / 1000)
+        for device in devices:
+            device.write(wire)
+        await asyncio.sleep(0)
+        while any(device.link.unread_bytes for device in devices):  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0)
+    return (time.process_time() - began_s) / (POSES * len(devices)) * 1e6
+
+
+if __name__ == "__main__":
+    main()
