@@ -10,7 +10,7 @@ from typing import Any
 from hostlink.cli.drivers import driver
 from hostlink.cli.step_stages import Stage, Wheel
 from hostlink.client import PRIORITY, Host, Mailbox, Robot, RobotState
-from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, UnknownTopic
+from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, Refused, UnknownTopic
 from hostlink.robot.step_response import Record, Sample, make_record
 
 TICK_S = 0.02
@@ -236,7 +236,7 @@ class StepRecorder:
         self._ran_at_s = now_s
         refusal = self._robot.refusal
         if refusal is not None:
-            raise HostlinkError(refusal.reason)
+            raise Refused(refusal.kind, refusal.reason)
         if now_s >= self._commanded_at_s + COMMAND_INTERVAL_S:
             self._has_commanded, self._commanded_at_s = True, now_s
             await self._robot.command(stage.linear_m_s, stage.angular_rad_s)

@@ -151,7 +151,7 @@ async def test_handshakes_of_tls_that_never_end_give_way(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(
     ("linear", "queued", "status"),
-    [(b"0.3", QUEUED, b"400"), (b"0.0", QUEUED, b"200"), (b"0.3", 0, b"200")],
+    [(b"0.3", QUEUED, b"409"), (b"0.0", QUEUED, b"200"), (b"0.3", 0, b"200")],
     ids=["old", "zero", "new"],
 )
 async def test_velocity_that_waited_to_be_accepted_longer_than_its_lease_is_refused(
@@ -167,4 +167,4 @@ async def test_velocity_that_waited_to_be_accepted_longer_than_its_lease_is_refu
             driver.sendall(velocity_request(linear))
             answer = await asyncio.to_thread(driver.recv, 4096)
         assert answer.split()[1] == status, answer
-        assert (b"may have waited" in answer) == (status == b"400")
+        assert (b'"kind":"late"' in answer) == (status == b"409")
