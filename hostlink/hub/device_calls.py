@@ -35,7 +35,7 @@ from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import ServiceRequested
 from hostlink.protocol.frame import OVERHEAD_BYTES
-from hostlink.protocol.to_device import response_bytes
+from hostlink.protocol.session import response_bytes
 
 log = structlog.get_logger()
 

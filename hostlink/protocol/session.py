@@ -5,20 +5,39 @@ It owns the stream, the topics and the outbox. The Link moves the bytes and read
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from struct import error as StructError  # noqa: N812 - a class, named like one
 
-from hostlink.errors import BadRequest, HostlinkError
+from hostlink.errors import BadRequest, FrameTooLarge, HostlinkError, UnknownTopic, WrongType
 from hostlink.protocol import events
 from hostlink.protocol.clock import DeviceClock
-from hostlink.protocol.control import TopicInfo, decode_log, decode_parameter_request, decode_topic_info
-from hostlink.protocol.frame import FIRST_TOPIC_ID, HEADER, TOPICS_REQUEST, Frame, Id
+from hostlink.protocol.control import (
+    Parameter,
+    TopicInfo,
+    decode_log,
+    decode_parameter_request,
+    decode_topic_info,
+    encode_parameter,
+)
+from hostlink.protocol.frame import (
+    FIRST_TOPIC_ID,
+    HEADER,
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    PROTOCOL_1_MAX_BYTES,
+    TOPICS_REQUEST,
+    Frame,
+    Id,
+    contains_protocol_1,
+    encode,
+)
 from hostlink.protocol.negotiation import NegotiationScheduler
-from hostlink.protocol.non_rosserial import NonRosserialBytes
 from hostlink.protocol.outbox import Outbox, OutgoingFrame
 from hostlink.protocol.stream import DEFAULT_LIMIT_BYTES, FrameStream, Skipped
-from hostlink.protocol.to_device import MessagesToDevice
 from hostlink.protocol.topic_table import MAX_TOPICS, TopicTable
 
 STALLED_FRAME_S = 2.0  # longer than TCP takes to send a lost segment again
+DEFAULT_BUFFER_BYTES = 512  # rosserial's
+KEPT_BYTES = 1024  # some boot messages, or a hundred lines of a counter's text
 
 _KINDS_FROM_DEVICE = (Id.PUBLISHER, Id.SERVICE_SERVER_PUBLISHER)  # and those of service clients
 
@@ -40,7 +59,24 @@ class SessionCounts:
     topic_requests: int = 0  # requests for topics
 
 
-class Session(MessagesToDevice):
+class NonRosserialBytes:
+    """The last of the skipped bytes, and whether they were frames of protocol version 1."""
+
+    def __init__(self) -> None:
+        self.is_protocol_1 = False
+        self.tail = b""
+
+    def add(self, data: bytes) -> bool:
+        """Keep skipped bytes; True the first time that they hold a frame of protocol version 1."""
+        watched = self.tail[1 - PROTOCOL_1_MAX_BYTES :] + data
+        self.tail = (self.tail + data)[-KEPT_BYTES:]
+        if self.is_protocol_1 or not contains_protocol_1(watched):
+            return False
+        self.is_protocol_1 = True
+        return True
+
+
+class Session:
     """The state machine of one device, host side. All times are of one monotonic clock, in seconds.
 
     Its state is a SessionState, its transitions are TRANSITIONS, both in `negotiation.py`. Messages of known topics are
@@ -59,11 +95,15 @@ class Session(MessagesToDevice):
 
         `is_lossy`: frames may be lost whole on the way, as datagrams are, so that nothing shows it.
         """
-        super().__init__(TopicTable(max_topics), Outbox(uart_bytes_s=uart_bytes_s))
         self.counts = SessionCounts()
+        self.too_large = ""  # the last frame that was refused for its size
         self.device_clock = DeviceClock()
         self.non_rosserial = NonRosserialBytes()
         self._check = check
+        self._topics = TopicTable(max_topics)
+        self._outbox = Outbox(uart_bytes_s=uart_bytes_s)
+        self._refused: dict[int, HostlinkError] = {}
+        self._known: tuple[TopicInfo, ...] = ()
         self._stream = FrameStream(fixed_bytes=self._topics.fixed_bytes)
         self._negotiation = NegotiationScheduler()
         self._is_lossy = is_lossy
@@ -143,6 +183,35 @@ class Session(MessagesToDevice):
     # -- what the hub reads and requests ------------------------------------------------------------------------------
 
     @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """The usable endpoints of the last negotiation."""
+        return self._known
+
+    @property
+    def longest_to_device_bytes(self) -> int:
+        """The longest frame that may have been sent to the device."""
+        return max((_buffer_bytes(info) for info in self._known if info.is_to_device), default=DEFAULT_BUFFER_BYTES)
+
+    @property
+    def replaced(self) -> int:
+        """Commands that never left, because a newer one took their place."""
+        return self._outbox.replaced
+
+    @property
+    def slowest_wait_s(self) -> float:
+        """The longest that a frame waited before it left."""
+        return self._outbox.slowest_wait_s
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether `stop` was called."""
+        return self._outbox.is_stopped
+
+    def oldest_waiting_s(self, now_s: float) -> float:
+        """How long the frame has waited that waits longest; 0 when none does."""
+        return self._outbox.oldest_s(now_s)
+
+    @property
     def is_requesting_time(self) -> bool:
         """Whether it requests the time as often as a rosserial client does: then its silence means something."""
         return self._negotiation.is_regular
@@ -166,6 +235,148 @@ class Session(MessagesToDevice):
     def request_topics(self, reason: str) -> None:
         """Request the topics as soon as that may be: a device that lives answers."""
         self._negotiation.request(reason)
+
+    # -- what the hub sends -------------------------------------------------------------------------------------------
+
+    def keep_clear(self, *, robot_moves: bool) -> None:
+        """While the robot moves, no frame may take a slow line for longer than a stop may wait."""
+        self._outbox.robot_moves = robot_moves
+
+    def publish(
+        self, topic: str, payload: bytes, *, depth: int = 1, is_urgent: bool = False, is_kept: bool = False
+    ) -> None:
+        """Queue a message to the device.
+
+        Raises:
+            UnknownTopic: the device does not subscribe to it.
+            WrongType: the payload has not the size of the topic's type, or the topic was refused.
+            FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
+        """
+        info = self._endpoint("topic", topic, Id.SUBSCRIBER)
+        frame = self._encode(info, payload)
+        if is_urgent:
+            self._outbox.put_urgent(info.topic_id, frame, is_kept=is_kept)
+        else:
+            self._outbox.put_command(info.topic_id, self._prompt(info, frame), depth=depth)
+
+    def send_last(self, frame: bytes) -> None:
+        """Queue a frame for an endpoint that the device may still have, unless its id is another's by now."""
+        topic_id: int = HEADER.unpack_from(frame)[3]
+        if self._topics.get(topic_id) is None:
+            self._outbox.put_urgent(topic_id, frame)
+
+    def frame_to(self, topic: str, payload: bytes) -> bytes:
+        """The frame of a message to the device, as `publish` would queue it.
+
+        Raises:
+            HostlinkError: as from `publish`.
+        """
+        return self._encode(self._endpoint("topic", topic, Id.SUBSCRIBER), payload)
+
+    def topic_id(self, topic: str) -> int:
+        """The id of a topic to which the device subscribes.
+
+        Raises:
+            UnknownTopic: it does not.
+            WrongType: the topic was refused.
+        """
+        return self._endpoint("topic", topic, Id.SUBSCRIBER).topic_id
+
+    def call(self, service: str, payload: bytes) -> None:
+        """Queue a request to a service of the device.
+
+        Raises:
+            UnknownTopic: the device has no such service.
+            WrongType: the payload has not the size of the request's type, or the service was refused.
+            FrameTooLarge: the device's buffer is smaller, or a stop would wait behind the frame.
+            DeviceBusy: too many requests and responses wait.
+        """
+        info = self._endpoint("service", service, Id.SERVICE_SERVER_SUBSCRIBER)
+        self._outbox.put_call(service, self._prompt(info, self._encode(info, payload)))
+
+    def response_endpoint(self, request: TopicInfo) -> TopicInfo:
+        """Where the device receives the response to a request of this endpoint.
+
+        Raises:
+            UnknownTopic: it announced no such endpoint.
+        """
+        found = self._topics.response_to(request)
+        if found is None:
+            raise UnknownTopic("endpoint for responses", request.name)
+        return found
+
+    def has(self, info: TopicInfo) -> bool:
+        """Whether the device still has this endpoint."""
+        return self._topics.get(info.topic_id) == info
+
+    def is_refused(self, info: TopicInfo) -> bool:
+        """Whether the type of this endpoint is not what it is known as here."""
+        return info.topic_id in self._refused
+
+    def respond(self, response: TopicInfo, payload: bytes | None) -> None:
+        """Queue a response to a request of the device.
+
+        None: nobody here knows the layout. Zeros are empty texts and lists, and numbers of zero, in any; with fewer
+        bytes than its layout takes a device would read on in what its buffer contained before.
+
+        Raises:
+            FrameTooLarge: the device's buffer is smaller.
+            DeviceBusy: too many requests and responses wait.
+        """
+        if payload is None:
+            room_bytes = min(_buffer_bytes(response), DEFAULT_BUFFER_BYTES) - OVERHEAD_BYTES
+            payload = bytes(self._topics.fixed_bytes.get(response.topic_id, max(room_bytes, 0)))
+        frame = self._fitting(response.name, response.topic_id, payload, _buffer_bytes(response))
+        self._outbox.put_reply(response.name, frame)
+
+    def answer_parameter(self, name: str, parameter: Parameter) -> None:
+        """Queue the answer to a parameter request; an empty one means that there is none.
+
+        Raises:
+            WrongType: a number is outside of what the protocol can carry.
+            FrameTooLarge: the smallest buffer of the device is smaller.
+            DeviceBusy: too many requests and responses wait.
+        """
+        what = f"parameter {name}"
+        try:
+            payload = encode_parameter(parameter)
+        except (StructError, OverflowError) as error:
+            raise WrongType(what, "int32 or float32", str(error)) from error
+        buffers_bytes = (_buffer_bytes(info) for info in self._known if info.is_to_device)
+        limit_bytes = min(buffers_bytes, default=DEFAULT_BUFFER_BYTES)
+        self._outbox.put_reply(name, self._fitting(what, Id.PARAMETER, payload, limit_bytes))
+
+    def stop(self) -> None:
+        """Queue the request to fall silent, after the urgent commands; the last frame of the session."""
+        self._outbox.put_stop()
+
+    def _endpoint(self, what: str, name: str, kind: Id) -> TopicInfo:
+        info = self._topics.find(name, kind)
+        if info is None:
+            raise UnknownTopic(what, name, tuple(known.name for known in self._known if known.kind is kind))
+        if info.topic_id in self._refused:
+            raise self._refused[info.topic_id].with_traceback(None)  # else it grows by each raise
+        return info
+
+    def _encode(self, info: TopicInfo, payload: bytes) -> bytes:
+        fixed_bytes = self._topics.fixed_bytes.get(info.topic_id)
+        if fixed_bytes is not None and len(payload) != fixed_bytes:
+            raise WrongType(info.name, f"{info.type} of {fixed_bytes} bytes", f"{len(payload)} bytes")
+        return self._fitting(info.name, info.topic_id, payload, _buffer_bytes(info))
+
+    def _fitting(self, what: str, topic_id: int, payload: bytes, limit_bytes: int) -> bytes:
+        """The frame, if the device's buffer has room for it."""
+        if len(payload) + OVERHEAD_BYTES > limit_bytes:
+            error = FrameTooLarge(what, len(payload) + OVERHEAD_BYTES, limit_bytes)
+            self.too_large = str(error)
+            raise error
+        return encode(topic_id, payload)
+
+    def _prompt(self, info: TopicInfo, frame: bytes) -> bytes:
+        """The frame, unless a stop would wait behind it."""
+        if self._outbox.robot_moves and len(frame) > self._outbox.prompt_bytes:
+            raise FrameTooLarge(info.name, len(frame), int(self._outbox.prompt_bytes), when="while the robot moves")
+        return frame
 
     # -- frames -------------------------------------------------------------------------------------------------------
 
@@ -293,3 +504,13 @@ class Session(MessagesToDevice):
             self.counts.topic_requests += 1
             self._outbox.put_topics_request()
             found.append(events.TopicsRequested(reason))
+
+
+def response_bytes(response: TopicInfo) -> int:
+    """How long the payload of a response to the device may be."""
+    return _buffer_bytes(response) - OVERHEAD_BYTES
+
+
+def _buffer_bytes(info: TopicInfo) -> int:
+    """The device's buffer, no longer than the longest frame; old clients announce none."""
+    return min(info.buffer_bytes, MAX_PAYLOAD_BYTES + OVERHEAD_BYTES) if info.buffer_bytes > 0 else DEFAULT_BUFFER_BYTES

@@ -18,8 +18,8 @@ from hostlink.messages.message_type import MessageType
 from hostlink.messages.parsing import parse_service
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.session import DEFAULT_BUFFER_BYTES
 from hostlink.protocol.stream import FrameStream
-from hostlink.protocol.to_device import DEFAULT_BUFFER_BYTES
 from hostlink.sim.device import DeviceCrashed
 from tests.support.memory_transport import MemoryTransport, memory_pair
 

@@ -7,7 +7,7 @@ from hostlink.protocol import events
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import OVERHEAD_BYTES, Frame, Id, encode
 from hostlink.protocol.outbox import MAX_REPLIES
-from hostlink.protocol.to_device import response_bytes
+from hostlink.protocol.session import response_bytes
 from tests.support.session_host import LED, Host
 
 REQUESTS = TopicInfo(Id.SERVICE_CLIENT_PUBLISHER, 125, "/ask", "my_srvs/Mine", "m", 512)

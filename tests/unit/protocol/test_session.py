@@ -12,8 +12,7 @@ from hostlink.protocol.control import Log, Parameter, TopicInfo, encode_log, enc
 from hostlink.protocol.frame import TOPICS_REQUEST, Frame, Id, encode
 from hostlink.protocol.negotiation import MAX_PARTS, MAX_SAME_REQUESTS
 from hostlink.protocol.outbox import OutgoingFrame
-from hostlink.protocol.session import Session
-from hostlink.protocol.to_device import DEFAULT_BUFFER_BYTES
+from hostlink.protocol.session import DEFAULT_BUFFER_BYTES, Session
 from tests.support.session_host import LED, ODOMETRY, TEXT, TIME, Host, check, wire
 
 
