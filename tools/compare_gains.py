@@ -14,9 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hostlink.cli.step_picture import draw_picture
-from hostlink.cli.step_stages import Stage, make_stage, rising_stages
-from hostlink.cli.step_tuning import PAPER_GAINS
+from hostlink.cli.step import PAPER_GAINS, Stage, draw_picture, make_stage, rising_stages
 from hostlink.errors import HostlinkError
 from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, Sample, StepFigures, make_record, step_figures

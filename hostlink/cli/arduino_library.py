@@ -12,8 +12,8 @@ from hostlink.board.archive import pack
 from hostlink.board.library import library, sources, types_needed
 from hostlink.board.selection import Selection, known_names, select
 from hostlink.cli.arguments import Json
+from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
-from hostlink.cli.new_file import check_new_file, replacing
 from hostlink.cli.output import show_progress, write
 from hostlink.errors import ConfigError
 from hostlink.messages.catalog import Catalog

@@ -1,12 +1,15 @@
 """Arguments that several commands have, and the names that a shell completes for them."""
 
-from typing import Annotated
+import json
+import re
+from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.completion import parameter_names, robot_names, service_names, topic_names, type_names
-from hostlink.cli.ros_text import read_message
 from hostlink.errors import ConfigError
+
+# -- arguments --------------------------------------------------------------------------------------------------------
 
 Url = Annotated[str, typer.Option(help="Where hostlink's API is.", envvar="HOSTLINK_URL")]
 Token = Annotated[
@@ -40,3 +43,41 @@ def json_object(name: str, text: str) -> dict[str, object]:
     if not isinstance(value, dict):
         raise ConfigError(name, 'must be a JSON object, as {"data": 1}')
     return value
+
+
+# -- ros text ---------------------------------------------------------------------------------------------------------
+
+_TEXT = r'"(?:[^"\\]|\\.)*"'
+_SINGLE = re.compile(rf"({_TEXT})|'((?:[^']|'')*)'")
+_NAME = re.compile(rf"({_TEXT})|([A-Za-z_]\w*)(?=\s*:)")
+_WORD = re.compile(rf"({_TEXT})|(?<=[:\[,])(\s*)([A-Za-z_/][^,:\[\]{{}}\"]*?)(?=\s*[,\]}}])")
+_LITERALS = {"true": "true", "false": "false", "null": "null", "yes": "true", "no": "false"}
+
+
+def read_message(text: str) -> Any:
+    """JSON as it is; else YAML in one line, with or without the braces.
+
+    Raises:
+        ValueError: it is neither; what is wrong with it as JSON.
+        RecursionError: it is nested too deeply.
+    """
+    try:
+        return json.loads(text)
+    except ValueError:
+        try:
+            return json.loads(_as_json(text.strip()))
+        except ValueError:
+            pass
+        raise
+
+
+def _as_json(text: str) -> str:
+    """Texts, names and words get their double quotes; what has them already is passed over."""
+    text = text if text.startswith(("{", "[")) else f"{{{text}}}"
+    text = _SINGLE.sub(lambda found: found[1] or json.dumps(found[2].replace("''", "'")), text)
+    text = _NAME.sub(lambda found: found[1] or f'"{found[2]}"', text)
+    return _WORD.sub(lambda found: found[1] or found[2] + _word(found[3]), text)
+
+
+def _word(word: str) -> str:
+    return _LITERALS.get(word.lower()) or json.dumps(word)

@@ -1,10 +1,17 @@
-"""The connection of a command to the daemon."""
+"""The connection of a command to the daemon, and what a command shows while it waits or follows a topic."""
 
+import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+import sys
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator
+from typing import Any, TypeVar
 
-from hostlink.cli.waiting import waiting
+from hostlink.cli.names import near
+from hostlink.cli.output import show_progress, write_error
 from hostlink.client import Host, connect
+
+# -- connecting -------------------------------------------------------------------------------------------------------
 
 
 @contextlib.asynccontextmanager
@@ -18,3 +25,85 @@ async def connected(url: str, token: str | None) -> AsyncIterator[Host]:
         with waiting(f"connecting to {url}"):
             host = await stack.enter_async_context(connect(url, token=token, reconnect=False))
         yield host
+
+
+# -- waiting ----------------------------------------------------------------------------------------------------------
+
+PATIENCE_S = 2.0
+INTERVAL_S = 1.0
+CHECKED_ITEMS = 256  # between two readings of the clock
+
+Show = Callable[[str], None]
+
+Item = TypeVar("Item")
+
+
+class _Notice:
+    """A text that is shown from PATIENCE_S on, with the seconds."""
+
+    def __init__(self, text: str, show: Show) -> None:
+        self._text, self._show_line = text, show
+        self._loop = asyncio.get_running_loop()
+        self._began_s = self._loop.time()
+        self._is_shown = False
+        self._timer = self._loop.call_later(PATIENCE_S, self._show)
+
+    def _show(self) -> None:
+        self._is_shown = True
+        self._show_line(f"{self._text} ... {self._loop.time() - self._began_s:.0f} s; Ctrl-C ends")
+        self._timer = self._loop.call_later(INTERVAL_S, self._show)
+
+    def end(self) -> None:
+        """Clear the line."""
+        self._timer.cancel()
+        if self._is_shown:
+            self._show_line("")
+
+
+@contextlib.contextmanager
+def waiting(text: str, show: Show = show_progress) -> Iterator[None]:
+    """For the length of the block: if that is longer than a person waits without a sign, the text."""
+    notice = _Notice(text, show)
+    try:
+        yield
+    finally:
+        notice.end()
+
+
+def counted(
+    items: Iterable[Item], what: str, *, show: Show = show_progress, clock: Callable[[], float] = time.monotonic
+) -> Iterator[Item]:
+    """The items; after PATIENCE_S and each second how many they were."""
+    show_at_s = clock() + PATIENCE_S
+    is_shown = False
+    for count, item in enumerate(items):
+        if count % CHECKED_ITEMS == 0 and clock() >= show_at_s:
+            show_at_s, is_shown = clock() + INTERVAL_S, True
+            show(f"{count} {what} ...")
+        yield item
+    if is_shown:
+        show("")
+
+
+# -- following --------------------------------------------------------------------------------------------------------
+
+
+def run_until_interrupted(work: Coroutine[Any, Any, None]) -> None:
+    """Run until it is done, or until Ctrl-C."""
+    try:
+        asyncio.run(work)
+    except KeyboardInterrupt:
+        if sys.stderr.isatty():  # which has written ^C
+            write_error("")
+
+
+async def write_hint(host: Host, topic: str) -> None:
+    """If nobody has announced to publish the topic: one line about it, and the names that come near."""
+    topics = {each["name"]: each for each in await host.topics()}
+    full = "/" + topic.lstrip("/~")
+    known = topics.pop(full, None)
+    if known is not None and known["publishers"]:
+        return
+    found = near(full, topics) if known is None or not known["messages"] else []
+    names = f"near it: {', '.join(found)}; " if found else ""
+    write_error(f"nobody publishes {full}; {names}`hostlink topics` lists what there is; waiting, Ctrl-C ends")

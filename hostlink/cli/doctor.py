@@ -1,27 +1,135 @@
-"""`hostlink doctor`: what is wrong with the devices, and what to do about it.
-
-Exit status: 0 nothing is wrong, 1 something is, 2 the arguments are.
-"""
+"""hostlink doctor: what is wrong with the devices, and what to do about it."""
 
 import asyncio
 import contextlib
 import dataclasses
 import importlib
 import json as json_text
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.addresses import parse_address, parse_serial
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import show_progress, write, write_error
-from hostlink.cli.report import Report, report_lines, report_of
+from hostlink.cli.output import duration, show_progress, write, write_error
 from hostlink.client import DEFAULT_URL
 from hostlink.diagnosis.finding import finding
 from hostlink.errors import HostlinkError
+
+# -- report -----------------------------------------------------------------------------------------------------------
+
+Report = dict[str, Any]  # {"source", "links", "findings"}: what `hostlink doctor --json` prints
+
+RECENT_END_S = 60.0
+YOUNG_S = 10.0  # a link younger than that may not have shown what is wrong with it: the one before it has
+MAX_NAMES = 6  # of topics in a line
+
+
+def report_of(view: dict[str, Any], source: str, robots: Sequence[Any] = ()) -> Report:
+    """The links of a daemon: the live ones, and those that ended recently and explain more."""
+    by_link = {robot["link"]: robot for robot in robots}
+    live = [_live(link, by_link.get(link["number"])) for link in view["links"]]
+    gone: dict[str, Report] = {}
+    for link in view["ended"]:  # the latest first
+        if link["ended_ago_s"] < RECENT_END_S and _explains_more(link, _successor(link, live)):
+            gone.setdefault(_device(link), {"topics": 0, **link})
+    findings = [each for port in view["ports"] for each in port["diagnosis"]]
+    return {"source": source, "links": live + list(gone.values()), "findings": findings}
+
+
+def rates(counts: dict[str, Any], seconds: float) -> Report:
+    """Of a link's whole life, from its counters."""
+    came = counts["bytes_from_device"]
+    return {
+        "frames_from_device_s": round(counts["frames_from_device"] / max(seconds, 1e-3), 1),
+        "frames_to_device_s": round(counts["frames_to_device"] / max(seconds, 1e-3), 1),
+        "lost_percent": round(100 * counts["skipped_bytes"] / came, 1) if came else 0.0,
+    }
+
+
+def _live(link: dict[str, Any], robot: Report | None) -> Report:
+    known = {key: link[key] for key in ("number", "transport", "peer", "robot", "seconds", "diagnosis", "silent_s")}
+    names = sorted({info["name"] for info in link["topics"]})
+    odometry = None if robot is None else robot["odometry"]
+    return {
+        **known,
+        **rates(link, link["seconds"]),
+        "topics": len(link["topics"]),
+        "names": names,
+        "odometry": odometry and {key: odometry[key] for key in ("rate_hz", "age_s")},
+        "driver": None if robot is None else robot["holder"],
+        "end": None,
+    }
+
+
+def _successor(ended: Report, live: list[Report]) -> Report | None:
+    """The present link of the device whose link has ended; of a device that is no robot, any of its address."""
+    if ended["robot"] is not None:
+        return next((link for link in live if link["robot"] == ended["robot"]), None)
+    return next((link for link in live if _host(link) == _host(ended)), None)
+
+
+def _explains_more(ended: Report, live: Report | None) -> bool:
+    """Than the device's present link, if it has one."""
+    if live is None:
+        return True
+    return bool(ended["diagnosis"]) and not live["diagnosis"] and live["seconds"] < YOUNG_S
+
+
+def _device(link: Report) -> str:
+    return link["robot"] or _host(link)
+
+
+def _host(link: Report) -> str:
+    peer: str = link["peer"]
+    return peer.rpartition(":")[0] or peer
+
+
+# -- text -------------------------------------------------------------------------------------------------------------
+
+
+def report_lines(report: Report) -> list[str]:
+    """What is wrong with no link, then each link."""
+    lines = [line for found in report["findings"] for line in _finding_lines(found)]
+    return lines + [line for link in report["links"] for line in _link_lines(link)]
+
+
+def _link_lines(link: Report) -> Iterator[str]:
+    state = f"ended: {link['end']}" if link["end"] else f"{link['seconds']:.0f} s"
+    baud = f", {link['baud']} baud" if link.get("baud") else ""
+    way = ", UDP" if link.get("transport") == "udp" else ""
+    robot = f"  {link['robot']}" if link.get("robot") else ""
+    well = "" if link["diagnosis"] else "  nothing was wrong" if link["end"] else "  healthy"
+    yield f"link {link['number']}  {link['peer']}{robot}  ({state}, {link['topics']} topics{baud}{way}){well}"
+    yield from (f"  {line}" for found in link["diagnosis"] for line in _finding_lines(found))
+    if link.get("frames_from_device_s"):
+        yield f"  {_rates_line(link)}"
+    if link.get("odometry"):
+        odometry = link["odometry"]
+        age = duration(odometry["age_s"])
+        yield f"  odometry {odometry['rate_hz']:.1f} Hz, {age} old; driven by {link['driver'] or 'nobody'}"
+    if link.get("names"):
+        more = len(link["names"]) - MAX_NAMES
+        yield f"  topics {', '.join(link['names'][:MAX_NAMES])}{f' and {more} more' if more > 0 else ''}"
+
+
+def _rates_line(link: Report) -> str:
+    lost = f"{link['lost_percent']} % of its bytes lost" if link["lost_percent"] else "nothing lost"
+    silent = "" if link["silent_s"] is None else f", last heard {duration(link['silent_s'])} ago"
+    to_device = "" if link["frames_to_device_s"] is None else f", {link['frames_to_device_s']} to it"
+    return f"{link['frames_from_device_s']} frames/s from it{to_device}, {lost}{silent}"
+
+
+def _finding_lines(found: dict[str, Any]) -> list[str]:
+    detail = f" ({found['detail']})" if found["detail"] else ""
+    return [f"{found['code']}: {found['cause']}{detail}", f"  next: {found['next_step']}"]
+
+
+# -- doctor -----------------------------------------------------------------------------------------------------------
 
 LISTEN = "0.0.0.0:11411"
 

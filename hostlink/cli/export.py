@@ -1,5 +1,7 @@
-"""`hostlink export`: a recording as CSV, as a bag of ROS 2 or as one of ROS 1."""
+"""The commands for recordings that are files here: export, plot, and what is in one, for info."""
 
+import importlib.util
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypedDict
@@ -7,8 +9,13 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import msgspec
 import typer
 
-from hostlink.cli.output import show_progress, write, write_error
-from hostlink.errors import ConfigError, HostlinkError
+from hostlink.cli.output import megabytes, show_progress, table, write, write_error
+from hostlink.errors import ConfigError, HostlinkError, LibraryMissing
+from hostlink.recording.channel import NS_PER_S
+from hostlink.recording.contents import Contents, TopicContents, contents_of
+from hostlink.recording.definitions import why_unknown
+
+# -- export -----------------------------------------------------------------------------------------------------------
 
 if TYPE_CHECKING:
     from hostlink.recording.export import Exported
@@ -30,7 +37,7 @@ class _Facts(TypedDict):
     damage: list[str]
 
 
-def command(
+def export(
     file: Annotated[
         Path,
         typer.Argument(
@@ -88,3 +95,112 @@ def _export(file: Path, target: Path, format_: Format, topics: list[str], *, ski
     from hostlink.recording.export_ros import RosFormat, export_ros  # noqa: PLC0415 - as above
 
     return export_ros(source, target, RosFormat(format_.value), topics=topics, skips_unknown=skips_unknown)
+
+
+# -- plot -------------------------------------------------------------------------------------------------------------
+
+SUFFIXES = (".pdf", ".png", ".svg")
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(help="As `hostlink record` made it.", show_default=False)],
+    fields: Annotated[list[str] | None, typer.Argument(help="As /robot_0/odometry.x; may be several.")] = None,
+    *,
+    map_: Annotated[bool, typer.Option("--map", help="Draw the paths instead.")] = False,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="A .png, .svg or .pdf; else beside it.")] = None,
+) -> None:
+    """Draw fields of a recording over time, or with --map where the robots drove."""
+    target = output or file.with_suffix(".png")
+    if bool(fields) == map_:
+        raise ConfigError("plot", "name fields, as /robot_0/odometry.x, or say --map")
+    if target.suffix not in SUFFIXES:
+        raise ConfigError("--output", f"{target} must end in one of {', '.join(SUFFIXES)}")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise LibraryMissing("plot", "matplotlib", "plot")
+    # matplotlib and the codec, after what can be refused at once
+    from hostlink.recording.plot import draw_fields, draw_map, read_lines, read_paths  # noqa: PLC0415
+    from hostlink.recording.source import open_source  # noqa: PLC0415
+
+    source = open_source(file)
+    show_progress(f"reading {file}")
+    try:
+        if map_:
+            paths = read_paths(source)
+        else:
+            lines = read_lines(source, fields or [])
+    finally:
+        show_progress("")
+    for damage in source.damage:
+        write_error(f"{file}: {damage}")
+    try:
+        if map_:
+            draw_map(paths, target)
+        else:
+            draw_fields(lines, target)
+    except OSError as error:
+        raise HostlinkError(f"{target}: {error.strerror or error}") from error
+    write(str(target))
+
+
+# -- recording info ---------------------------------------------------------------------------------------------------
+
+
+def show_recording(file: Path, *, as_json: bool) -> None:
+    """Write it.
+
+    Raises:
+        RecordingFailed: it cannot be read, or is no recording.
+    """
+    found = contents_of(file)
+    if as_json:
+        write(msgspec.json.encode(_view(found)).decode())
+        return
+    begin = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(found.begin_ns // NS_PER_S))
+    write(
+        f"{file}: {megabytes(found.size_bytes)}, {found.messages} messages, {found.seconds:.1f} s from {begin}",
+        *(f"  {name}: {value}" for name, value in found.metadata.items() if value),
+        *(f"  clock: it was set by {step.step_s:+.1f} s after {step.at_s:.1f} s" for step in found.clock_steps),
+        *(f"  damage: {damage}{_mended(file)}" for damage in found.damage),
+        *table(["topic", "type", "messages", "Hz", "robot", "from", "export"], [_row(topic) for topic in found.topics]),
+    )
+
+
+def _mended(file: Path) -> str:
+    return f"; hostlink record --repair {file} mends it" if file.suffix == ".mcap" else ""
+
+
+def _row(topic: TopicContents) -> list[str]:
+    channel, rate_hz = topic.channel, topic.rate_hz
+    why = why_unknown(channel)
+    rate = "" if rate_hz is None else f"{rate_hz:.1f}"
+    return [channel.topic, channel.type_name, str(topic.messages), rate, channel.robot, channel.origin, why or "yes"]
+
+
+def _view(found: Contents) -> dict[str, object]:
+    return {
+        "file": str(found.path),
+        "bytes": found.size_bytes,
+        "messages": found.messages,
+        "seconds": round(found.seconds, 6),
+        "begin_ns": found.begin_ns,
+        "clock_steps": [step._asdict() for step in found.clock_steps],
+        "metadata": found.metadata,
+        "damage": found.damage,
+        "topics": [
+            {
+                "topic": topic.channel.topic,
+                "type": topic.channel.type_name,
+                "encoding": topic.channel.encoding,
+                "robot": topic.channel.robot,
+                "origin": topic.channel.origin,
+                "not_exported": why_unknown(topic.channel),
+                "messages": topic.messages,
+                "bytes": topic.payload_bytes,
+                "rate_hz": None if topic.rate_hz is None else round(topic.rate_hz, 3),
+            }
+            for topic in found.topics
+        ],
+    }
+
+
+COMMANDS = {"export": export, "plot": plot}

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from hostlink.cli.connecting import counted
 from hostlink.cli.output import table, write
-from hostlink.cli.waiting import counted
 from hostlink.inspection import Inspection, Payload, Report, Series, load_reads
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import Parameter, TopicInfo

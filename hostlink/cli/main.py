@@ -1,5 +1,6 @@
-"""The hostlink command. Each subcommand is a module with a `command`, or with an `app` of more of them; only the one
-that runs is imported.
+"""The hostlink command. The module of a subcommand has it as `command`, in COMMANDS, or in an `app` of subcommands.
+
+Only the module of the subcommand that runs is imported.
 """
 
 import contextlib
@@ -72,7 +73,13 @@ PANELS = {
         "inspect": "Decode a recording of a link.",
     },
 }
-MODULES = {"serve": "serve_command"}  # where the module has not the name of the command
+MODULES = {  # where the module does not have the name of the command
+    "serve": "serve_command",
+    **dict.fromkeys(("info", "type", "find", "echo", "hz", "bw", "delay", "pub", "services", "call"), "topics"),
+    **dict.fromkeys(("drives", "incidents"), "record"),
+    "plot": "export",
+    **dict.fromkeys(("clients", "capture"), "links"),
+}
 COMMANDS = {name: text for panel in PANELS.values() for name, text in panel.items()}
 FAILED, MISUSED = 1, 2
 UsageError: Any = typer.BadParameter.__base__  # click's own, which newer versions of typer have inside of themselves
@@ -98,7 +105,7 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
     if hasattr(module, "app"):
         app.add_typer(module.app, name=name, short_help=text, rich_help_panel=panel)
     else:
-        function = module.command if is_wanted else _name_only
+        function = _function_of(module, name) if is_wanted else _name_only
         context = getattr(module, "CONTEXT", None)
         app.command(
             name=name,
@@ -107,6 +114,12 @@ def _add(app: typer.Typer, name: str, text: str, panel: str, *, is_wanted: bool)
             rich_help_panel=panel,
             context_settings=context,
         )(function)
+
+
+def _function_of(module: Any, command: str) -> Any:
+    """A module with several commands has them in COMMANDS."""
+    commands: dict[str, Any] = getattr(module, "COMMANDS", {})
+    return commands.get(command) or module.command
 
 
 def module_of(command: str) -> str:

@@ -8,6 +8,7 @@ import os
 import sys
 from typing import Any, TextIO
 
+BYTES_PER_MB = 1_000_000
 _CLEAR_LINE = "\r\x1b[2K"
 _AS_JSON = "hostlink.json"  # how a text is written that the terminal's encoding does not have
 
@@ -98,3 +99,27 @@ def table(head: list[str], rows: list[list[Any]]) -> list[str]:
         "",
         *("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in cells),
     ]
+
+
+def duration(seconds: float) -> str:
+    """With as many digits as a person reads: 0.412 ms, 33.3 ms, 1.23 s."""
+    value = abs(seconds)
+    if value == 0:
+        return "0 ms"
+    if value >= 1:
+        return f"{seconds:.2f} s"
+    return f"{seconds * 1000:.1f} ms" if value >= 0.001 else f"{seconds * 1000:.3f} ms"  # noqa: PLR2004 - a millisecond
+
+
+def size(count: float) -> str:
+    """Bytes: 320 B, 9.6 kB, 1.2 MB."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:  # noqa: PLR2004 - orders of magnitude
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
+
+
+def megabytes(count: float) -> str:
+    """Of a file: always in MB, so that a column or a line that is written again and again keeps its unit."""
+    return f"{count / BYTES_PER_MB:.1f} MB"

@@ -1,10 +1,13 @@
-"""Probe: diagnose devices without a daemon, by one that runs for some seconds, or a recording."""
+"""What hostlink doctor finds without a daemon: on a port, a serial port, or in a capture."""
 
 import asyncio
+import contextlib
 import dataclasses
 import errno
+import os
+import re
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +15,9 @@ import msgspec
 
 from hostlink.api.slices import Slices
 from hostlink.api.views import finding_views, links_view, robot_view
-from hostlink.cli.port_users import user_of_file, user_of_port
-from hostlink.cli.report import Report, rates, report_of
+from hostlink.cli.connecting import counted
+from hostlink.cli.doctor import Report, rates, report_of
 from hostlink.cli.serve import running
-from hostlink.cli.waiting import counted
 from hostlink.config import ApiConfig, Config, SerialConfig, TcpConfig
 from hostlink.diagnosis.finding import Finding, finding
 from hostlink.diagnosis.replay import Replay, replay
@@ -23,6 +25,53 @@ from hostlink.hub.device import check_type
 from hostlink.hub.hub import Hub
 from hostlink.inspection import load_reads
 from hostlink.messages.catalog import Catalog
+
+# -- port users -------------------------------------------------------------------------------------------------------
+
+PROC = Path("/proc")
+_LISTENS = "0A"
+_SOCKET = re.compile(r"socket:\[(\d+)\]")
+
+
+def user_of_port(port: int) -> str:
+    """The process that listens on a TCP port: "rosserial_python (pid 1234)"."""
+    wanted = set(_listening_sockets(port))
+    return _user(lambda target: bool((found := _SOCKET.fullmatch(target)) and found[1] in wanted))
+
+
+def user_of_file(path: str) -> str:
+    """The process that has a file or a serial port open."""
+    real = os.path.realpath(path)
+    return _user(lambda target: target == real)
+
+
+def _listening_sockets(port: int) -> Iterator[str]:
+    for table in ("tcp", "tcp6"):
+        with contextlib.suppress(OSError):
+            for line in (PROC / "net" / table).read_text().splitlines()[1:]:
+                fields = line.split()
+                if int(fields[1].rpartition(":")[2], 16) == port and fields[3] == _LISTENS:
+                    yield fields[9]
+
+
+def _user(is_it: Callable[[str], bool]) -> str:
+    for process in PROC.glob("[0-9]*"):
+        if int(process.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            if any(is_it(_target(descriptor)) for descriptor in (process / "fd").iterdir()):
+                return f"{(process / 'comm').read_text().strip()} (pid {process.name})"
+    return ""
+
+
+def _target(descriptor: Path) -> str:
+    try:
+        return str(descriptor.readlink())
+    except OSError:
+        return ""
+
+
+# -- probe ------------------------------------------------------------------------------------------------------------
 
 Show = Callable[[str], None]
 

@@ -1,27 +1,33 @@
-"""`hostlink record`: let the daemon record into an MCAP file, and fetch it; repair one that was never finished."""
+"""The commands for recordings of the daemon: record, drives, incidents."""
 
 import asyncio
+import json as json_text
 import signal
 import time
+import urllib.parse
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 import typer
 
-from hostlink.cli.arguments import Token, Url
-from hostlink.cli.fetching import check_output, fetch
-from hostlink.cli.measuring import BYTES_PER_MB, megabytes
-from hostlink.cli.output import show_progress, table, write, write_error
+from hostlink.cli.arguments import Json, RobotName, Token, Url
+from hostlink.cli.connecting import connected
+from hostlink.cli.drivers import named
+from hostlink.cli.files import check_output, fetch
+from hostlink.cli.output import BYTES_PER_MB, megabytes, show_progress, table, write, write_error
 from hostlink.client import DEFAULT_URL, Host, connect
 from hostlink.errors import ConfigError, HostlinkError
 from hostlink.recording.folder import is_name
+
+# -- record -----------------------------------------------------------------------------------------------------------
 
 POLL_S = 0.5
 _PATH = "/api/recordings"
 
 
-def command(
+def record(
     topics: Annotated[list[str] | None, typer.Argument(help="Names, or patterns: '/robot_0/*'. None: all.")] = None,
     *,
     output: Annotated[
@@ -155,3 +161,92 @@ def _repair(file: Path, *, as_json: bool) -> None:
         write(f"{file}: {found.messages} messages; it is whole now. Before: {'; '.join(found.damage)}")
     else:
         write(f"{file}: {found.messages} messages; it was whole, and stays as it is")
+
+
+# -- drives -----------------------------------------------------------------------------------------------------------
+
+HEADS = ["from UTC", "s", "robot", "who", "top m/s", "rad/s", "why it ended"]
+
+
+def drives(robot: RobotName = None, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+    """List who drove a robot, or any robot, and when; the newest first."""
+    view = asyncio.run(_fetch(url, token, robot))
+    if json:
+        write(json_text.dumps(view))
+    else:
+        nobody = "nobody drove yet" if robot is None else f"nobody drove {robot} yet"
+        today = datetime.now(UTC).date().isoformat()
+        write(*(table(HEADS, [row(each, today) for each in view["drives"]])[1:] or [nobody]))
+
+
+async def _fetch(url: str, token: str | None, robot: str | None) -> dict[str, Any]:
+    query = "" if robot is None else "?" + urllib.parse.urlencode({"robot": robot.strip("/")})
+    async with connected(url, token) as host:
+        return await host.get(f"/api/drives{query}")
+
+
+def row(drive: dict[str, Any], today: str) -> list[str]:
+    """The cells of a drive under HEADS. `today` is the date, as 2026-11-22: of its drives the time is enough."""
+    began = drive["began"].replace("T", " ").partition(".")[0].removeprefix(f"{today} ")
+    who = named(drive["owner"], drive.get("address", ""))
+    speeds = [f"{drive['fastest_m_s']:.2f}", f"{drive['fastest_rad_s']:.2f}"]
+    return [began, f"{drive['seconds']:.1f}", drive["robot"], who, *speeds, drive["end"] or "drives now"]
+
+
+# -- incidents --------------------------------------------------------------------------------------------------------
+
+_INCIDENTS_PATH = "/api/incidents"
+
+
+def incidents(
+    name: Annotated[str | None, typer.Argument(help="The file of one, as the list names it; with --output.")] = None,
+    *,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Where to put that file.")] = None,
+    save: Annotated[str | None, typer.Option(metavar="ROBOT", help="Save this robot's last minutes now.")] = None,
+    reason: Annotated[str, typer.Option(help="With --save: why.")] = "",
+    as_json: Annotated[bool, typer.Option("--json", help="JSON, for programs.")] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+) -> None:
+    """List what happened to robots: locks, drivers that vanished, links that broke, errors, what doctor found.
+
+    The daemon has the two minutes before each and the half minute after in an MCAP file.
+    """
+    if (name is None) != (output is None):
+        raise ConfigError("incidents", "name the file of one, and say where to put it with -o FILE")
+    if output is not None:
+        check_output(output)
+    asyncio.run(_work(url, token, name, output, save, reason, as_json=as_json))
+
+
+async def _work(
+    url: str,
+    token: str | None,
+    name: str | None,
+    output: Path | None,
+    save: str | None,
+    reason: str,
+    *,
+    as_json: bool,
+) -> None:
+    async with connect(url, token=token, reconnect=False) as host:
+        if save is not None:
+            view = await host.post(_INCIDENTS_PATH, {"robot": save, "reason": reason})
+            write_error("it is saved when the time after it is over: hostlink incidents")
+        elif name is not None and output is not None:
+            await fetch(host, f"{_PATH}/{name}", output)
+            write(str(output))
+            return
+        else:
+            view = await host.get(_INCIDENTS_PATH)
+    if as_json:
+        write(msgspec.json.encode(view).decode())
+    elif save is None:
+        rows = [
+            [each["at"], each["robot"], each["cause"], each["file"] or "being saved", each["detail"]]
+            for each in view["incidents"]
+        ]
+        write(*(table(["when", "robot", "cause", "file", "detail"], rows)[1:] or ["nothing has happened"]))
+
+
+COMMANDS = {"record": record, "drives": drives, "incidents": incidents}

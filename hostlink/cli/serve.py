@@ -7,9 +7,11 @@ import dataclasses
 import gc
 import importlib
 import os
+import signal
 import socket
 import sys
-from collections.abc import AsyncIterator, Callable, Sequence
+import threading
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 
 import structlog
 
@@ -19,10 +21,7 @@ from hostlink.cli.check import check, describe
 from hostlink.cli.complaints import complaints_logged
 from hostlink.cli.descriptors import fitted, limit
 from hostlink.cli.ending import stop_signals
-from hostlink.cli.garbage import collect_while_idle
 from hostlink.cli.output import write, write_error
-from hostlink.cli.reload_signal import reload_signal
-from hostlink.cli.systemd import Notifier
 from hostlink.config import Config, UdpConfig
 from hostlink.detached import DetachedThread
 from hostlink.guardian.guardian import guarded
@@ -30,6 +29,7 @@ from hostlink.hub.guard import Guard
 from hostlink.hub.hub import Hub
 from hostlink.hub.listening import Listening
 from hostlink.hub.reloader import Read, Reloader
+from hostlink.hub.robots import Robots
 from hostlink.listeners.serial_ports import serve_serial
 from hostlink.listeners.tcp_acceptor import TcpAcceptor
 from hostlink.listeners.udp_acceptor import UdpAcceptor
@@ -39,6 +39,8 @@ from hostlink.recording.recordings import Recordings
 from hostlink.transport.mdns import advertised
 from hostlink.transport.tcp import serve_tcp
 from hostlink.transport.udp_port import serve_udp
+
+# -- serve ------------------------------------------------------------------------------------------------------------
 
 log = structlog.get_logger()
 
@@ -282,3 +284,76 @@ async def serve(
 def _status(hub: Hub) -> str:
     connected = [robot.name for robot in hub.robots.here() if robot.link is not None]
     return f"{len(hub.links.all())} devices; robots: {', '.join(connected) or 'none'}"
+
+
+# -- reload signal ----------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reload_signal(reloader: Reloader) -> Iterator[None]:
+    """Answer it within the block; what is wrong is logged, and nothing changes."""
+    if threading.current_thread() is not threading.main_thread():  # no signal arrives there
+        yield
+        return
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGUSR1, reloader.request)
+    try:
+        yield
+    finally:
+        loop.remove_signal_handler(signal.SIGUSR1)
+
+
+# -- garbage ----------------------------------------------------------------------------------------------------------
+
+CHECK_INTERVAL_S = 1.0
+LONGEST_INTERVAL_S = 8.0  # 200 connections a second leave some 10 MiB behind in it
+ENOUGH = 20  # collections of the generation before it: about a hundred connections since the last time
+WORTH = 1000  # objects: a dozen connections
+
+
+async def collect_while_idle(robots: Robots) -> None:
+    """Check regularly whether it is worth it, until cancelled; less often while it is not.
+
+    A crowd of robots makes enough objects for a collection each second, and leaves no cycles behind.
+    """
+    interval_s = CHECK_INTERVAL_S
+    while True:
+        await asyncio.sleep(interval_s)
+        if gc.get_count()[2] >= ENOUGH and not any(robot.gate.may_move for robot in robots.here()):
+            is_worth_it = gc.collect() >= WORTH
+            interval_s = CHECK_INTERVAL_S if is_worth_it else min(2 * interval_s, LONGEST_INTERVAL_S)
+
+
+# -- systemd ----------------------------------------------------------------------------------------------------------
+
+STATUS_INTERVAL_S = 10.0  # without a watchdog
+_US_PER_S = 1_000_000
+
+
+class Notifier:
+    """Silent when nobody listens."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        address = environment.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._interval_s = STATUS_INTERVAL_S
+        microseconds = environment.get("WATCHDOG_USEC", "")
+        is_for_us = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        if is_for_us and microseconds.isdecimal() and int(microseconds):
+            self._interval_s = int(microseconds) / _US_PER_S / 2  # as sd_watchdog_enabled(3) advises
+
+    def notify(self, *assignments: str) -> None:
+        """Send `NAME=value` lines; a systemd that receives nothing must not stop a robot's host."""
+        if not self._address:
+            return
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as channel:
+            try:
+                channel.sendto("\n".join(assignments).encode(), self._address)
+            except OSError as error:
+                log.debug("systemd.deaf", reason=error.strerror)
+
+    async def beat(self, status: Callable[[], str]) -> None:
+        """Report that the event loop runs, and what it does, until cancelled."""
+        while self._address:
+            self.notify("WATCHDOG=1", f"STATUS={status()}")
+            await asyncio.sleep(self._interval_s)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hostlink.cli.new_file import check_new_file, replacing
+from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.output import write, write_error
 from hostlink.cli.setup_plan import Question, configuration, questions
 from hostlink.config import load

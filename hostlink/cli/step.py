@@ -1,32 +1,600 @@
-"""`hostlink step`: drive a step of speed, and show how the robot follows; or identify its motors, and tune its PID."""
+"""hostlink step: drive a step of speed, show how the robot follows, tune its PID."""
 
 import asyncio
+import contextlib
+import importlib.util
 import json as json_text
+import math
 import sys
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.output import show_progress, write, write_error
-from hostlink.cli.step_picture import draw_picture, require_picture
-from hostlink.cli.step_recorder import (
-    Recording,
-    StepRecorder,
-    connected_state,
-    find_source,
-    require_robot,
-    separation_of,
+from hostlink.cli.drivers import driver
+from hostlink.cli.output import show_progress, table, write, write_error
+from hostlink.client import DEFAULT_URL, PRIORITY, Host, Mailbox, Robot, RobotState
+from hostlink.errors import (
+    CommandRefused,
+    ConfigError,
+    DeviceGone,
+    HostlinkError,
+    LibraryMissing,
+    RefusalKind,
+    Refused,
+    UnknownTopic,
 )
-from hostlink.cli.step_report import notes_of, record_views, step_lines
-from hostlink.cli.step_stages import Stage, Wheel, describe_way, make_stage, rising_stages
-from hostlink.cli.step_tuning import tune
-from hostlink.client import DEFAULT_URL, Host
-from hostlink.errors import ConfigError
-from hostlink.robot.step_response import FULL_PWM, step_figures
+from hostlink.robot.motor_model import MotorModel, PidGains, identify_motor, simc_gains
+from hostlink.robot.step_response import FULL_PWM, Record, Sample, StepFigures, make_record, step_figures
+
+# -- step stages ------------------------------------------------------------------------------------------------------
+
+FIRST_SHARE, LEVELS = 0.4, 6  # of the speed, rising to all of it
+FIRST_LEVEL_S, LEVEL_S = 2.4, 1.2  # the first one begins with a robot that stands
+
+
+class Wheel(StrEnum):
+    """The one that turns while the other stands."""
+
+    LEFT = "left"
+    RIGHT = "right"
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A velocity, and for how long; `speed_m_s` is that of the wheels that turn."""
+
+    speed_m_s: float
+    linear_m_s: float
+    angular_rad_s: float
+    seconds: float
+
+
+def make_stage(speed_m_s: float, seconds: float, wheel: Wheel | None, separation_m: float) -> Stage:
+    """Straight ahead, or one wheel round the other."""
+    if wheel is None:
+        return Stage(speed_m_s, speed_m_s, 0.0, seconds)
+    turn = -1 if wheel is Wheel.LEFT else 1  # the left wheel alone turns the robot clockwise
+    return Stage(speed_m_s, speed_m_s / 2, turn * speed_m_s / separation_m, seconds)
+
+
+def rising_stages(speed_m_s: float, wheel: Wheel | None, separation_m: float) -> tuple[Stage, ...]:
+    """Small steps upwards: the robot never brakes between two messages, where nobody would notice."""
+    shares = [FIRST_SHARE + (1 - FIRST_SHARE) * level / (LEVELS - 1) for level in range(LEVELS)]
+    lengths_s = [FIRST_LEVEL_S, *[LEVEL_S] * (LEVELS - 1)]
+    return tuple(
+        make_stage(share * speed_m_s, seconds, wheel, separation_m)
+        for share, seconds in zip(shares, lengths_s, strict=True)
+    )
+
+
+def describe_way(robot: str, stages: Sequence[Stage], wheel: Wheel | None, separation_m: float) -> str:
+    """What the robot will do, for the person who must make room."""
+    way_m = sum(abs(stage.speed_m_s) * stage.seconds for stage in stages)
+    seconds = sum(stage.seconds for stage in stages)
+    speed_m_s = stages[-1].speed_m_s
+    pace = f"at up to {abs(speed_m_s):.2f} m/s for {seconds:.1f} s"
+    direction = "forwards" if speed_m_s > 0 else "backwards"
+    if wheel is None:
+        return f"{robot} drives {way_m:.2f} m straight {direction} {pace}; keep half a metre more free"
+    other = Wheel.RIGHT if wheel is Wheel.LEFT else Wheel.LEFT
+    return (
+        f"{robot}'s {wheel.value} wheel rolls {way_m:.2f} m {direction} round the {other.value} one {pace}; "
+        f"keep a circle of {2 * separation_m + 0.5:.1f} m free"
+    )
+
+
+# -- step recorder ----------------------------------------------------------------------------------------------------
+
+TICK_S = 0.02
+COMMAND_INTERVAL_S = 0.1  # a fifth of the lease
+LONGEST_PAUSE_S = 0.4  # of this program; after a lease the robot has stopped
+CREEP_M_S = 0.01  # a zero takes a robot over from nobody
+STANDING_S = 0.5
+STOP_INTERVAL_S = 1.0
+STANDING_TIMEOUT_S = 5.0
+STANDING_TICKS_S, STANDING_M_S = 1.5, 0.005
+FIRST_MESSAGE_S = 2.0
+SILENCE_S = 0.9  # of what measures it: the robot would drive blind
+SEPARATION_M = 0.210  # docs/robot.md#numbers
+LEAST_SEPARATION_M, MOST_SEPARATION_M = 0.02, 5.0  # that hostlink's firmware accepts
+PLOT_TYPE, GAINS_TYPE = "geometry_msgs/Twist", "geometry_msgs/Vector3"
+ODOMETRY_TYPE = "nav_msgs/Odometry"
+
+Samples = Mapping[str, Sample]  # by wheel; "robot" where only the whole is known
+Reader = Callable[[Mapping[str, Any], Stage], Samples]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a robot's speeds come from."""
+
+    topic: str
+    type_name: str
+    unit: str
+    read: Reader
+    standing: float  # in the unit; slower is a standstill
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What came of a drive."""
+
+    source: str
+    records: Mapping[str, Record]
+    accepted: tuple[float, float]  # m/s, rad/s of the last stage, within the limits of the robot
+
+
+class RobotTopics:
+    """A robot's topics by their leaf, as the daemon knows them on its link."""
+
+    def __init__(self, state: RobotState, links: Sequence[Mapping[str, Any]]) -> None:
+        self._namespace = state["velocity_topic"].rpartition("/")[0] + "/"
+        self._topics = [topic for link in links if link["number"] == state["link"] for topic in link["topics"]]
+
+    def find(self, leaf: str, type_name: str) -> str | None:
+        """The robot's own topic first; None: it has none."""
+        found = [
+            topic["name"]
+            for topic in self._topics
+            if topic["type"] == type_name and topic["name"].rpartition("/")[2] == leaf
+        ]
+        wanted = self._namespace + leaf
+        return wanted if wanted in found else next(iter(found), None)
+
+
+async def connected_state(robot: Robot) -> RobotState:
+    """The state of a robot that may be driven.
+
+    Raises:
+        HostlinkError: there is no such robot.
+        DeviceGone: it is not connected.
+        CommandRefused: it is locked.
+        HostlinkError: a source of the same or a higher priority drives it.
+    """
+    state = await robot.state()
+    if not state["connected"]:
+        raise DeviceGone(robot.name)
+    if state.get("locked"):
+        reason = f"{robot.name}: locked: {state.get('lock_reason')}; to drive it again: hostlink unlock {robot.name}"
+        raise CommandRefused(robot.name, RefusalKind.LOCKED, reason)
+    if state["holder"] is not None and not _is_less_important(state):
+        raise HostlinkError(f"{robot.name}: {driver(state)} drives it; end that first")
+    return state
+
+
+def _is_less_important(state: RobotState) -> bool:
+    priority = state.get("priority")
+    return priority is not None and priority < PRIORITY
+
+
+async def find_source(host: Host, state: RobotState, wheel: Wheel | None, separation_m: float) -> Source:
+    """Where its speeds come from: plot_data, else the odometry that the daemon publishes.
+
+    Raises:
+        HostlinkError: the robot has neither.
+    """
+    plot = RobotTopics(state, await host.links()).find("plot_data", PLOT_TYPE)
+    if plot is not None:
+        return Source(plot, PLOT_TYPE, "ticks/s", _plot_reader(wheel), STANDING_TICKS_S)
+    odometry = f"/{state['name']}/odom"
+    if any(topic["name"] == odometry and topic["type"] == ODOMETRY_TYPE for topic in await host.topics()):
+        return Source(odometry, ODOMETRY_TYPE, "m/s", _odometry_reader(wheel, separation_m), STANDING_M_S)
+    raise HostlinkError(f"{state['name']} sends neither plot_data nor odometry: nothing measures its speed")
+
+
+def _plot_reader(wheel: Wheel | None) -> Reader:
+    axes = {"left": "x", "right": "y"} if wheel is None else {wheel.value: "x" if wheel is Wheel.LEFT else "y"}
+    pwm = {"left": "linear", "right": "angular"}
+
+    def read(message: Mapping[str, Any], _: Stage) -> Samples:
+        return {
+            side: Sample(message["angular"][axis], message["linear"][axis], message[pwm[side]]["z"])
+            for side, axis in axes.items()
+        }
+
+    return read
+
+
+def _odometry_reader(wheel: Wheel | None, separation_m: float) -> Reader:
+    side = 0.0 if wheel is None else separation_m / 2 * (-1 if wheel is Wheel.LEFT else 1)
+    name = "robot" if wheel is None else wheel.value
+
+    def read(message: Mapping[str, Any], stage: Stage) -> Samples:
+        twist = message["twist"]["twist"]
+        return {name: Sample(stage.speed_m_s, twist["linear"]["x"] + side * twist["angular"]["z"])}
+
+    return read
+
+
+class StepRecorder:
+    """Drives one robot; whatever ends `record`, the robot is stopped, unless somebody else has it."""
+
+    def __init__(self, host: Host, robot: Robot, source: Source, *, show: Callable[[str], None]) -> None:
+        self._host, self._robot, self._source, self._show = host, robot, source, show
+        self._arrivals_s: list[float] = []
+        self._samples: list[Samples] = []
+        self._is_measured = False  # a message came
+        self._has_commanded = False
+        self._ran_at_s = 0.0
+        self._commanded_at_s = -math.inf
+
+    async def record(self, stages: Sequence[Stage]) -> Recording:
+        """Wait until the robot stands, drive the stages, stop.
+
+        Raises:
+            HostlinkError: it is driven by another, refused, not measured, does not stand, or the connection is lost.
+        """
+        source = self._source
+        async with self._host.subscribe(source.topic, type_name=source.type_name) as messages, self._stopping():
+            await self._stand(messages)
+            began_s = _now_s()
+            for stage in stages:
+                await self._drive(stage, messages)
+            accepted = (await self._robot.state())["velocity"]
+        names = self._samples[0]
+        arrivals_s = [arrival_s - began_s for arrival_s in self._arrivals_s]
+        return Recording(
+            source.topic,
+            {name: make_record(source.unit, arrivals_s, [each[name] for each in self._samples]) for name in names},
+            (accepted["linear_m_s"], accepted["angular_rad_s"]),
+        )
+
+    @contextlib.asynccontextmanager
+    async def _stopping(self) -> AsyncIterator[None]:
+        try:
+            yield
+        finally:
+            if self._may_move:
+                with contextlib.suppress(HostlinkError):  # without a connection the daemon has stopped it
+                    await self._robot.stop(wait_s=0.0)
+
+    @property
+    def _may_move(self) -> bool:
+        """Whether it moves as commanded here; a stop would end another's drive, too."""
+        refusal = self._robot.refusal
+        return self._has_commanded and (refusal is None or refusal.kind != RefusalKind.HELD)
+
+    async def _stand(self, messages: Mailbox[dict[str, Any]]) -> None:
+        """Stop the robot, and keep the last half second of its standing."""
+        began_s, stopped_s = _now_s(), -math.inf
+        rest = Stage(0.0, 0.0, 0.0, 0.0)
+        while not self._stands():
+            if _now_s() >= stopped_s + STOP_INTERVAL_S:
+                stopped_s = _now_s()
+                await self._take_over()
+            await asyncio.sleep(TICK_S)
+            self._receive(messages, rest)
+            if not self._is_measured and _now_s() > began_s + FIRST_MESSAGE_S:
+                raise HostlinkError(f"nothing comes on {self._source.topic}; see `hostlink doctor`")
+            if _now_s() > began_s + STANDING_TIMEOUT_S:
+                raise HostlinkError(f"{self._robot.name} does not come to rest; a step begins with a robot that stands")
+
+    async def _take_over(self) -> None:
+        """Stop what somebody less important drives; he may have begun since."""
+        state = await connected_state(self._robot)
+        if state["holder"] is not None:
+            self._has_commanded = True
+            await self._robot.command(CREEP_M_S, 0.0)
+        await self._robot.stop(wait_s=0.0)
+
+    def _stands(self) -> bool:
+        """For half a second; what came before that is forgotten."""
+        moving = [
+            number
+            for number, samples in enumerate(self._samples)
+            if any(abs(sample.measured) > self._source.standing for sample in samples.values())
+        ]
+        first = moving[-1] + 1 if moving else 0
+        del self._arrivals_s[:first], self._samples[:first]
+        return bool(self._arrivals_s) and self._arrivals_s[-1] - self._arrivals_s[0] >= STANDING_S
+
+    async def _drive(self, stage: Stage, messages: Mailbox[dict[str, Any]]) -> None:
+        end_s = _now_s() + stage.seconds
+        self._ran_at_s, self._commanded_at_s = _now_s(), -math.inf
+        self._show(f"driving at {stage.speed_m_s:.2f} m/s; Ctrl-C stops")
+        while _now_s() < end_s:
+            await self._command(stage)
+            await asyncio.sleep(min(TICK_S, max(0.0, end_s - _now_s())))
+            self._receive(messages, stage)
+            if _now_s() > self._arrivals_s[-1] + SILENCE_S:
+                raise HostlinkError(f"{self._source.topic} has fallen silent; the robot was sent a stop")
+
+    async def _command(self, stage: Stage) -> None:
+        now_s = _now_s()
+        if now_s > self._ran_at_s + LONGEST_PAUSE_S:
+            raise HostlinkError(
+                f"this program did not run for {now_s - self._ran_at_s:.1f} s; the robot was sent a stop"
+            )
+        self._ran_at_s = now_s
+        refusal = self._robot.refusal
+        if refusal is not None:
+            raise Refused(refusal.kind, refusal.reason)
+        if now_s >= self._commanded_at_s + COMMAND_INTERVAL_S:
+            self._has_commanded, self._commanded_at_s = True, now_s
+            await self._robot.command(stage.linear_m_s, stage.angular_rad_s)
+
+    def _receive(self, messages: Mailbox[dict[str, Any]], stage: Stage) -> None:
+        for message in messages.pop_all():
+            self._is_measured = True
+            self._arrivals_s.append(_now_s())
+            self._samples.append(self._source.read(message, stage))
+
+
+async def wheel_parameter(host: Host, robot: str, leaf: str) -> list[float]:
+    """Numbers of a parameter of the robot, as the daemon's configuration has them; empty: none.
+
+    Raises:
+        HostlinkError: there is no connection.
+    """
+    answer = await host.call("/rosapi/get_param", {"name": f"/{robot}/{leaf}", "default": ""})
+    return _numbers(str(answer["value"]))
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.strip("[] ").split(",")] if text.strip("[] ") else []
+    except ValueError:
+        return []
+
+
+async def separation_of(host: Host, robot: str) -> float:
+    """Wheel to wheel: the parameter unless the firmware refuses it, else the robot's setting, else the paper's.
+
+    Raises:
+        HostlinkError: there is no connection, or no such robot.
+    """
+    parameter = await wheel_parameter(host, robot, "wheel_separation")
+    if parameter and LEAST_SEPARATION_M <= parameter[0] <= MOST_SEPARATION_M:
+        return parameter[0]
+    return (await host.robot(robot).state()).get("wheel_separation_m") or SEPARATION_M
+
+
+async def require_robot(host: Host, name: str) -> Robot:
+    """A robot that the daemon knows.
+
+    Raises:
+        UnknownTopic: it does not; the text names those that it does.
+    """
+    known = tuple(state["name"] for state in await host.robots())
+    if name.strip("/") not in known:
+        raise UnknownTopic("robot", name.strip("/"), known)
+    return host.robot(name)
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+# -- step picture -----------------------------------------------------------------------------------------------------
+
+SUFFIXES = (".pdf", ".png", ".svg")
+LIBRARY = "matplotlib"
+_WIDTH_IN, _HEIGHT_IN = 9.0, 5.5
+_SET_POINT, _MEASURED, _PWM = "#888888", "#0b6bcb", "#c25e00"
+
+
+def require_picture(path: Path) -> None:
+    """Fail before the robot moves, not afterwards.
+
+    Raises:
+        ConfigError: no picture can be written there.
+    """
+    if path.suffix not in SUFFIXES:
+        raise ConfigError("--picture", f"{path} must end in one of {', '.join(SUFFIXES)}")
+    if not path.parent.is_dir():
+        raise ConfigError("--picture", f"there is no folder {path.parent}")
+    if importlib.util.find_spec(LIBRARY) is None:
+        raise LibraryMissing("--picture", "matplotlib", "pictures")
+
+
+def draw_picture(path: Path, title: str, records: Mapping[str, Record]) -> None:
+    """Write a picture with a column for each wheel."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - takes a second, and is an extra
+
+    figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), layout="constrained")
+    figure.suptitle(title)
+    has_pwm = any(record.pwm is not None for record in records.values())
+    rows = 2 if has_pwm else 1
+    axes = figure.subplots(rows, len(records), sharex=True, sharey="row", squeeze=False)
+    for column, (name, record) in enumerate(records.items()):
+        speeds = axes[0][column]
+        speeds.set_title(name)
+        speeds.plot(record.t_s, record.set_point, color=_SET_POINT, linestyle="--", label="set-point")
+        speeds.plot(record.t_s, record.measured, color=_MEASURED, label="measured")
+        if record.pwm is not None:
+            axes[1][column].plot(record.t_s, record.pwm, color=_PWM, drawstyle="steps-post", label="PWM")
+        axes[-1][column].set_xlabel("time since the first command, s")
+        for row in axes:
+            row[column].grid(visible=True, alpha=0.3)
+    axes[0][0].set_ylabel(f"speed, {next(iter(records.values())).unit}")
+    axes[0][0].legend(loc="lower right")
+    if has_pwm:
+        axes[1][0].set_ylabel("PWM, counts")
+    figure.savefig(path, dpi=120)
+
+
+# -- step report ------------------------------------------------------------------------------------------------------
+
+DIGITS = 4
+
+
+def step_lines(figures: Mapping[str, StepFigures], units: Mapping[str, str]) -> list[str]:
+    """A column for each wheel."""
+    unit = next(iter(units.values()))
+    rows = [
+        ["set-point", *(f"{each.target:.4g} {unit}" for each in figures.values())],
+        ["rise time (10 to 90 %)", *(_seconds(each.rise_s) for each in figures.values())],
+        ["  of the set-point", *(_seconds(each.set_point_rise_s) for each in figures.values())],
+        ["behind the set-point", *(_seconds(each.lag_s) for each in figures.values())],
+        ["dead time", *(_seconds(each.dead_s) for each in figures.values())],
+        ["overshoot", *(f"{each.overshoot_percent:.1f} %" for each in figures.values())],
+        ["settled (within 5 %)", *(_seconds(each.settling_s) for each in figures.values())],
+        ["steady error", *(f"{each.steady_error_percent:+.1f} %" for each in figures.values())],
+        ["tracking error", *(f"{each.tracking_error:.3g} {unit}" for each in figures.values())],
+        ["full PWM", *(_percent(each.saturated_percent) for each in figures.values())],
+    ]
+    return table(["", *figures], rows)
+
+
+def record_views(records: Mapping[str, Record], figures: Mapping[str, StepFigures]) -> dict[str, Any]:
+    """By wheel: figures and samples."""
+    return {
+        side: {"figures": rounded(asdict(each)), "samples": sample_view(records[side])}
+        for side, each in figures.items()
+    }
+
+
+def sample_view(record: Record) -> dict[str, Any]:
+    """What was recorded, as lists."""
+    return {
+        "unit": record.unit,
+        "t_s": [round(float(value), DIGITS) for value in record.t_s],
+        "set_point": [round(float(value), DIGITS) for value in record.set_point],
+        "measured": [round(float(value), DIGITS) for value in record.measured],
+        "pwm": None if record.pwm is None else [round(float(value)) for value in record.pwm],
+    }
+
+
+def rounded(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers with as many digits as mean something."""
+    return {name: round(value, DIGITS) if isinstance(value, float) else value for name, value in values.items()}
+
+
+def notes_of(stage: Stage, accepted: tuple[float, float], records: Mapping[str, Record]) -> list[str]:
+    """What makes the figures of a drive other than they seem."""
+    notes = []
+    wanted = (stage.linear_m_s, stage.angular_rad_s)
+    if not all(
+        math.isclose(one, other, rel_tol=0.001, abs_tol=0.0005) for one, other in zip(wanted, accepted, strict=True)
+    ):
+        notes.append(
+            f"the robot's limits made {accepted[0]:.3f} m/s, {accepted[1]:.3f} rad/s "
+            f"of {wanted[0]:.3f} m/s, {wanted[1]:.3f} rad/s"
+        )
+    if any(record.is_set_point_changing for record in records.values()):
+        notes.append("the set-point was still on its way at the end; request more --seconds")
+    return notes
+
+
+def _seconds(value: float | None) -> str:
+    return "not reached" if value is None else f"{value:.2f} s"
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.0f} % of the time"
+
+
+# -- step tuning ------------------------------------------------------------------------------------------------------
+
+PAPER_GAINS = {"left": PidGains(23.0, 36.0, 0.1), "right": PidGains(24.0, 35.0, 0.1)}  # docs/robot.md#numbers
+GAINS = 3
+RULE = "SIMC: S. Skogestad, J. Process Control 13 (2003) 291-309, tau_c = dead time"
+
+
+@dataclass(frozen=True, slots=True)
+class TunedWheel:
+    """One motor and its gains."""
+
+    model: MotorModel
+    present: PidGains
+    is_configured: bool  # present are the ones of the configuration, else those of the firmware
+    proposed: PidGains
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """What tuning a robot gave."""
+
+    robot: str
+    wheels: Mapping[str, TunedWheel]
+    is_sent: bool
+
+    def lines(self) -> list[str]:
+        """For people."""
+        rows = [
+            row
+            for side, wheel in self.wheels.items()
+            for row in (
+                [side, "present", *_digits(wheel.present), _origin(wheel)],
+                ["", "proposed", *_digits(wheel.proposed), ""],
+            )
+        ]
+        settings = [
+            f'  "/{self.robot}/gains_{side}" = {[float(word) for word in _digits(wheel.proposed)]}'
+            for side, wheel in self.wheels.items()
+        ]
+        return [
+            *(f"{side} motor: {wheel.model}" for side, wheel in self.wheels.items()),
+            *table(["", "", "Kp", "Ki", "Kd", ""], rows),
+            f"rule: {RULE}",
+            "",
+            "sent to the robot, until it is switched off" if self.is_sent else "not sent; --send sends them",
+            "for good, under [parameters] of the daemon's configuration:",
+            *settings,
+        ]
+
+    def view(self, records: Mapping[str, Record]) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "rule": RULE,
+            "is_sent": self.is_sent,
+            "wheels": {
+                side: {
+                    "model": rounded(asdict(wheel.model)),
+                    "present": asdict(wheel.present) | {"is_configured": wheel.is_configured},
+                    "proposed": rounded(asdict(wheel.proposed)),
+                    "samples": sample_view(records[side]),
+                }
+                for side, wheel in self.wheels.items()
+            },
+        }
+
+
+async def tune(host: Host, robot: str, records: Mapping[str, Record], *, sends: bool) -> Tuning:
+    """Identify each motor, and send the gains where that is requested.
+
+    Raises:
+        HostlinkError: a motor was not identified; the robot accepts no gains; there is no connection.
+    """
+    wheels = {}
+    for side, record in records.items():
+        model = identify_motor(record)
+        configured = await wheel_parameter(host, robot, f"gains_{side}")
+        is_configured = len(configured) == GAINS
+        present = PidGains(*configured) if is_configured else PAPER_GAINS[side]
+        wheels[side] = TunedWheel(model, present, is_configured, simc_gains(model))
+    if sends:
+        await _send(host, robot, wheels)
+    return Tuning(robot, wheels, sends)
+
+
+async def _send(host: Host, robot: str, wheels: Mapping[str, TunedWheel]) -> None:
+    topics = RobotTopics(await host.robot(robot).state(), await host.links())
+    found = {side: topics.find(f"pid_tune_{side[0]}", GAINS_TYPE) for side in wheels}
+    for side, topic in found.items():
+        if topic is None:
+            raise HostlinkError(f"{robot} accepts no gains: it subscribes to no pid_tune_{side[0]} of {GAINS_TYPE}")
+    for side, topic in found.items():
+        gains = wheels[side].proposed
+        await host.publish(str(topic), {"x": gains.kp, "y": gains.ki, "z": gains.kd}, type_name=GAINS_TYPE)
+    await host.settle()
+
+
+def _digits(gains: PidGains) -> list[str]:
+    return [f"{gains.kp:.1f}", f"{gains.ki:.1f}", f"{gains.kd:.1f}"]
+
+
+def _origin(wheel: TunedWheel) -> str:
+    return "of the configuration" if wheel.is_configured else "of the firmware (the paper's table 1)"
+
+
+# -- step -------------------------------------------------------------------------------------------------------------
 
 STEP_S = 6.0
 LEAST_SPEED_M_S, MOST_SPEED_M_S = 0.02, 2.0

@@ -1,22 +1,40 @@
-"""`hostlink topics`: what there is to read and to write."""
+"""The commands for topics, nodes and services: topics, info, type, find, echo, hz, bw, delay, pub, services, call."""
 
 import asyncio
+import contextlib
+import csv
+import io
+import itertools
 import json as json_text
+import math
+import re
+import shlex
+import struct
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hostlink.cli.arguments import Json, Token, Url
-from hostlink.cli.connecting import connected
-from hostlink.cli.names import natural
-from hostlink.cli.output import plain, show_progress, table, write, write_error
-from hostlink.client import DEFAULT_URL, Host, TopicState
+from hostlink.cli.arguments import Json, JsonLines, Seconds, ServiceName, Token, TopicName, TypeName, Url, json_object
+from hostlink.cli.completion import graph_names
+from hostlink.cli.connecting import PATIENCE_S, connected, run_until_interrupted, waiting, write_hint
+from hostlink.cli.names import natural, unknown
+from hostlink.cli.output import duration, plain, show_progress, size, table, write, write_error
+from hostlink.client import DEFAULT_URL, Host, Mailbox, RawMessage, TopicState
+from hostlink.errors import ConfigError, HostlinkError
+
+# -- topics -----------------------------------------------------------------------------------------------------------
 
 RATE_S = 1.0  # rates of -v are of this time
 HEAD = ("topic", "type", "publishers", "subscribers", "messages", "rate")
 
 
-def command(
+def topics(
     *,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="With heads, and rates of a second.")] = False,
     url: Url = DEFAULT_URL,
@@ -30,7 +48,7 @@ def command(
     elif not topics:
         write_error("no topics: no device has connected yet; `hostlink doctor` finds out why")
     else:
-        write(*(table(list(HEAD), [_row(topic) for topic in topics])[1:] if verbose else _lines(topics)))
+        write(*(table(list(HEAD), [_topic_row(topic) for topic in topics])[1:] if verbose else _topic_lines(topics)))
 
 
 async def _topics(url: str, token: str | None, *, with_rates: bool) -> list[Any]:
@@ -55,13 +73,13 @@ async def _rated(host: Host) -> list[Any]:
     return [{**topic, "rate_hz": rate_hz(topic)} for topic in topics]
 
 
-def _row(topic: dict[str, Any]) -> list[str]:
+def _topic_row(topic: dict[str, Any]) -> list[str]:
     counts = [str(topic[key]) for key in ("publishers", "subscribers", "messages")]
     rate = "-" if topic["rate_hz"] is None else f"{topic['rate_hz']:.1f} Hz"
     return [topic["name"], topic["type"] or "-", *counts, rate]
 
 
-def _lines(topics: list[Any]) -> list[str]:
+def _topic_lines(topics: list[Any]) -> list[str]:
     names = [(plain(topic["name"]), plain(topic["type"])) for topic in topics]
     width, type_width = (max(map(len, column)) for column in zip(*names, strict=True))
     return [
@@ -69,3 +87,742 @@ def _lines(topics: list[Any]) -> list[str]:
         f"{topic['messages']} messages"
         for (name, type_name), topic in zip(names, topics, strict=True)
     ]
+
+
+# -- graph info -------------------------------------------------------------------------------------------------------
+
+
+def show_name(name: str, url: str, token: str | None, *, as_json: bool) -> None:
+    """Write what is known of a topic, a node or a service.
+
+    Raises:
+        HostlinkError: there is none of that name, or no daemon.
+    """
+    found = asyncio.run(_find_name(url, token, "/" + name.lstrip("/~")))
+    write(*([json_text.dumps(found)] if as_json else _fact_lines(found)))
+
+
+async def _find_name(url: str, token: str | None, name: str) -> dict[str, Any]:
+    async with connected(url, token) as host:
+        topics = {topic["name"]: topic for topic in await host.topics()}
+        if name in topics:
+            return await _topic(host, name, topics[name]["type"], topics[name]["messages"])
+        nodes: list[str] = (await host.call("/rosapi/nodes", {}))["nodes"]
+        if name in nodes:
+            details: dict[str, Any] = await host.call("/rosapi/node_details", {"node": name})
+            return {"node": name, **details}
+        services: list[str] = (await host.call("/rosapi/services", {}))["services"]
+        if name in services:
+            return await _service(host, name)
+    raise unknown("topic, node or service", name, [*topics, *nodes, *services], command="topics")
+
+
+async def _topic(host: Host, name: str, type_name: str, messages: int) -> dict[str, Any]:
+    publishers = (await host.call("/rosapi/publishers", {"topic": name}))["publishers"]
+    subscribers = (await host.call("/rosapi/subscribers", {"topic": name}))["subscribers"]
+    return {
+        "topic": name,
+        "type": type_name,
+        "publishers": publishers,
+        "subscribers": subscribers,
+        "messages": messages,
+    }
+
+
+async def _service(host: Host, name: str) -> dict[str, Any]:
+    type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
+    return {
+        "service": name,
+        "type": type_name,
+        "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
+    }
+
+
+def _fact_lines(found: dict[str, Any]) -> list[str]:
+    """A line for each fact; a list is a line an item."""
+    width = max(map(len, found)) + 2
+    lines = []
+    for key, value in found.items():
+        if isinstance(value, list):
+            lines += [f"{key:<{width}}{len(value) or 'none'}", *(f"  {item}" for item in value)]
+        else:
+            lines.append(f"{key:<{width}}{value if value != '' else '(nobody has named it)'}")
+    return lines
+
+
+# -- info -------------------------------------------------------------------------------------------------------------
+
+_RECORDING = ".mcap"
+_BAG_METADATA = "metadata.yaml"  # of a folder of rosbag2
+
+
+def info(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|FILE",
+            help="A topic, a node or a service; or a recording, as `hostlink record` made it.",
+            show_default=False,
+            autocompletion=graph_names,
+        ),
+    ],
+    *,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """Show who publishes and subscribes, of a topic, a node or a service; or what is in a recording.
+
+    Of a recording: topics, types, rates, what of the file is damaged.
+    """
+    if is_recording(name):
+        from hostlink.cli.export import show_recording  # noqa: PLC0415 - for other names nothing of it is needed
+
+        show_recording(Path(name), as_json=json)
+    else:
+        show_name(name, url, token, as_json=json)
+
+
+def is_recording(name: str) -> bool:
+    """Whether it is meant as a file or a folder of rosbag2; what can be no file's name is one of the graph."""
+    try:
+        return name.endswith(_RECORDING) or Path(name).is_file() or (Path(name) / _BAG_METADATA).is_file()
+    except (OSError, ValueError):  # too long, or with a zero byte
+        return False
+
+
+# -- type -------------------------------------------------------------------------------------------------------------
+
+NameOrType = Annotated[
+    str,
+    typer.Argument(help="Of a topic or a service; or a type.", autocompletion=graph_names),
+]
+
+
+def type_(
+    name: NameOrType,
+    *,
+    fields: Annotated[
+        bool, typer.Option("--fields", "-f", help="Its fields too, as `pub` and `call` want them.")
+    ] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """Show the type of a topic or of a service; of a type its fields."""
+    found = asyncio.run(_find_type(url, token, "/" + name.lstrip("/~"), with_fields=fields))
+    if json:
+        write(json_text.dumps(found))
+    else:
+        write(found["type"], *(f"  {field['type']} {field['name']}" for field in found.get("fields", [])))
+
+
+async def _find_type(url: str, token: str | None, name: str, *, with_fields: bool) -> dict[str, Any]:
+    async with connected(url, token) as host:
+        topics = {topic["name"]: topic["type"] for topic in await host.topics()}
+        services: list[str] = [] if name in topics else (await host.call("/rosapi/services", {}))["services"]
+        if name in topics:
+            type_name, details = topics[name], "message_details"
+        elif name in services:
+            type_name = (await host.call("/rosapi/service_type", {"service": name}))["type"]
+            details = "service_request_details"
+        else:
+            of_type = await _of_type(host, name.removeprefix("/").replace("/msg/", "/"))
+            if of_type is None:
+                raise unknown("topic or service", name, [*topics, *services], command="topics")
+            return of_type
+        if not type_name:
+            raise HostlinkError(f"{name} has no type yet: it has subscribers, and nobody publishes it")
+        found: dict[str, Any] = {"name": name, "type": type_name}
+        return found | {"fields": await _fields(host, details, type_name)} if with_fields else found
+
+
+async def _of_type(host: Host, type_name: str) -> dict[str, Any] | None:
+    """What `rosmsg show` has: the fields of a type of messages; None: there is none of that name."""
+    try:
+        fields = await _fields(host, "message_details", type_name)
+    except HostlinkError:
+        return None
+    return {"name": type_name, "type": type_name, "fields": fields} if fields else None
+
+
+async def _fields(host: Host, details: str, type_name: str) -> list[dict[str, str]]:
+    """Of the type and of those that it contains, by their paths."""
+    typedefs = (await host.call(f"/rosapi/{details}", {"type": type_name}))["typedefs"]
+    known = {each["type"]: each for each in typedefs}
+
+    def walk(typedef: dict[str, Any], prefix: str) -> list[dict[str, str]]:
+        found = []
+        for name, type_, length in zip(
+            typedef["fieldnames"], typedef["fieldtypes"], typedef["fieldarraylen"], strict=True
+        ):
+            suffix = {-1: "", 0: "[]"}.get(length, f"[{length}]")
+            found.append({"name": prefix + name, "type": type_ + suffix})
+            if type_ in known and length < 0:
+                found += walk(known[type_], f"{prefix}{name}.")
+        return found
+
+    return walk(typedefs[0], "") if typedefs else []
+
+
+# -- find -------------------------------------------------------------------------------------------------------------
+
+
+def find(type_name: TypeName, *, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) -> None:
+    """List the topics and services of a type."""
+    topics, services = asyncio.run(_find_of_type(url, token, type_name))
+    write(*([json_text.dumps({"topics": topics, "services": services})] if json else [*topics, *services]))
+
+
+async def _find_of_type(url: str, token: str | None, type_name: str) -> tuple[list[str], list[str]]:
+    async with connected(url, token) as host:
+        topics: list[str] = (await host.call("/rosapi/topics_for_type", {"type": type_name}))["topics"]
+        services: list[str] = (await host.call("/rosapi/services_for_type", {"type": type_name}))["services"]
+        if not topics and not services:
+            known = {topic["type"] for topic in await host.topics()} - {""}
+            raise unknown("topic or service of type", type_name, known, command="topics")
+    return topics, services
+
+
+# -- echo -------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Echo:
+    """What is printed, and how."""
+
+    topic: str
+    field: str
+    count: int  # 0: until Ctrl-C
+    throttle_ms: int
+    timeout_s: float  # 0: none
+    as_json: bool
+    as_csv: bool
+
+
+def echo(
+    topic: TopicName,
+    *,
+    count: Annotated[int, typer.Option(min=0, help="Stop after so many messages; 0: never.")] = 0,
+    once: Annotated[bool, typer.Option("--once", help="Stop after the first message.")] = False,
+    field: Annotated[
+        str, typer.Option(help="Only this field, as pose.position.x or ranges[0].", show_default=False)
+    ] = "",
+    csv: Annotated[bool, typer.Option("--csv", help="A table: the time, and a column a field.")] = False,
+    throttle_ms: Annotated[int, typer.Option(min=0, help="At most one message in so many milliseconds.")] = 0,
+    timeout: Annotated[
+        float, typer.Option(min=0.0, help="Seconds to wait for a message, else it fails; 0: for ever.")
+    ] = 0.0,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: JsonLines = False,
+) -> None:
+    """Print the messages of a topic until Ctrl-C."""
+    if csv and json:
+        raise ConfigError("--csv", "is no JSON: give one of the two")
+    echo = Echo(
+        topic=topic,
+        field=field,
+        count=1 if once else count,
+        throttle_ms=throttle_ms,
+        timeout_s=timeout,
+        as_json=json,
+        as_csv=csv,
+    )
+    run_until_interrupted(_echo(url, token, echo))
+
+
+async def _echo(url: str, token: str | None, echo: Echo) -> None:
+    async with (
+        connected(url, token) as host,
+        host.subscribe(echo.topic, throttle_rate_ms=echo.throttle_ms) as messages,
+    ):
+        if not echo.as_json:
+            await write_hint(host, echo.topic)
+        printed = 0
+        async for message in _within(messages, echo):
+            write(*_message_lines(message, echo, is_first=not printed))
+            printed += 1
+            if printed == echo.count:
+                return
+
+
+def _message_lines(message: dict[str, Any], echo: Echo, *, is_first: bool) -> list[str]:
+    value = field_of(message, echo.field) if echo.field else message
+    if not echo.as_csv:
+        text = json_text.dumps(value if echo.as_json else readable(value), ensure_ascii=False)
+        return [text if echo.as_json or echo.field else f"{echo.topic}  {text}"]
+    names, values = zip(*flat(value, echo.field), strict=True) if value != {} else ((), ())
+    lines = [csv_line([f"{time.time():.6f}", *values])]
+    return [csv_line(["time", *names]), *lines] if is_first else lines
+
+
+async def _within(messages: AsyncIterator[dict[str, Any]], echo: Echo) -> AsyncIterator[dict[str, Any]]:
+    """Every message.
+
+    Raises:
+        HostlinkError: none came for so long.
+    """
+    while True:
+        try:
+            async with asyncio.timeout(echo.timeout_s or None):
+                message = await anext(messages)
+        except TimeoutError:
+            raise HostlinkError(f"{echo.topic}: no message came within {echo.timeout_s:g} s") from None
+        yield message
+
+
+# -- fields -----------------------------------------------------------------------------------------------------------
+
+DIGITS = 6  # after the point of what is 1 or more, and significant ones below: a float32 has no more
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,9})\]")
+
+
+def field_of(message: Any, path: str) -> Any:
+    """The value at a path, as pose.position.x or ranges[0].
+
+    Raises:
+        HostlinkError: there is no such field; it names those that there are.
+    """
+    value = message
+    for name, index in _STEP.findall(path):
+        if isinstance(value, dict) and name in value:
+            value = value[name]
+        elif isinstance(value, list) and (index or name).isdecimal() and int(index or name) < len(value):
+            value = value[int(index or name)]
+        else:
+            raise HostlinkError(f"no field {path}: there is {_known(value)}")
+    return value
+
+
+def _known(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(value) or "none"
+    return f"a list of {len(value)}" if isinstance(value, list) else "a single value"
+
+
+def flat(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+    """(path, value) of every field that has no fields of its own; a list is one of them."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from flat(inner, f"{name}.{key}" if name else key)
+    else:
+        yield name, value
+
+
+def csv_line(cells: Iterable[Any]) -> str:
+    """A line of a table; lists are JSON."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(
+        json_text.dumps(cell) if isinstance(cell, list | dict | bool) else cell for cell in cells
+    )
+    return line.getvalue()
+
+
+def readable(value: Any) -> Any:
+    """The value with the digits that a person reads."""
+    if isinstance(value, dict):
+        return {key: readable(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [readable(inner) for inner in value]
+    if isinstance(value, float):
+        return round(value, DIGITS) if abs(value) >= 1 else float(f"{value:.{DIGITS}g}")
+    return value
+
+
+# -- measuring --------------------------------------------------------------------------------------------------------
+
+RATE_WINDOW = 10_000  # messages, as rostopic has it
+
+
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """What many numbers are like."""
+
+    count: int
+    mean: float
+    least: float
+    most: float
+    deviation: float
+
+
+def distribution(numbers: Iterable[float]) -> Distribution | None:
+    """None: there are no numbers."""
+    known = list(numbers)
+    if not known:
+        return None
+    mean = math.fsum(known) / len(known)
+    variance = math.fsum((each - mean) ** 2 for each in known) / len(known)
+    return Distribution(len(known), mean, min(known), max(known), math.sqrt(variance))
+
+
+class Measured:
+    """The messages of the window: when they came, and a figure of each."""
+
+    def __init__(self, window: int) -> None:
+        self.messages = 0
+        self._times_s: deque[float] = deque(maxlen=window)
+        self._figures: deque[float] = deque(maxlen=window)
+
+    def add(self, time_s: float, figure: float = 0.0) -> None:
+        """One message."""
+        self.messages += 1
+        self._times_s.append(time_s)
+        self._figures.append(figure)
+
+    @property
+    def figures(self) -> Distribution | None:
+        """None before the first message."""
+        return distribution(self._figures)
+
+    @property
+    def between_s(self) -> Distribution | None:
+        """From each message to the next; None before the second of them."""
+        times_s = list(self._times_s)
+        return distribution(later - earlier for earlier, later in itertools.pairwise(times_s))
+
+    @property
+    def rate_hz(self) -> float:
+        """0 before the second message."""
+        between_s = self.between_s
+        return 0.0 if between_s is None or between_s.mean <= 0 else 1 / between_s.mean
+
+
+# -- topic figures ----------------------------------------------------------------------------------------------------
+
+INTERVAL_S = 1.0
+
+
+async def _nothing_to_check(_host: Host, _topic: str) -> None:
+    """Every topic can be measured."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """What a command measures of each message, and how it shows that."""
+
+    text: str  # the help of the command
+    view: Callable[[Measured], dict[str, Any]]  # for programs
+    line: Callable[[Measured], str]
+    figure: Callable[[RawMessage], float] = lambda _: 0.0
+    window: int = RATE_WINDOW
+    check: Callable[[Host, str], Awaitable[None]] = _nothing_to_check  # raises HostlinkError for a topic without it
+
+
+def command_of(figures: Figures) -> Callable[..., None]:
+    """The command of these figures."""
+
+    def command(
+        topic: TopicName,
+        *,
+        window: Annotated[int, typer.Option(min=2, help="Of the last so many messages.")] = figures.window,
+        seconds: Seconds = 0.0,
+        url: Url = DEFAULT_URL,
+        token: Token = None,
+        json: JsonLines = False,
+    ) -> None:
+        measured = Measured(window)
+        began_s = time.monotonic()
+
+        async def run() -> None:
+            async with connected(url, token) as host:
+                await figures.check(host, topic)
+                if not json:
+                    await write_hint(host, topic)
+                async with host.subscribe_raw(topic) as messages:
+                    await _measure(figures, measured, messages, seconds=seconds or float("inf"), as_json=json)
+
+        run_until_interrupted(run())
+        write_error(f"{measured.messages} messages in {time.monotonic() - began_s:.1f} s")
+
+    command.__doc__ = figures.text
+    return command
+
+
+async def _measure(
+    figures: Figures, measured: Measured, messages: Mailbox[RawMessage], *, seconds: float, as_json: bool
+) -> None:
+    """A line each second."""
+    next_s = asyncio.get_running_loop().time()
+    end_s = next_s + seconds
+    while next_s < end_s:
+        next_s, before = min(next_s + INTERVAL_S, end_s), measured.messages
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(next_s):
+                async for message in messages:
+                    measured.add(message.stamp_ns / 1e9, figures.figure(message))
+        if as_json:
+            write(json_text.dumps({"messages": measured.messages} | figures.view(measured)))
+        else:
+            write(figures.line(measured) if measured.messages > before else "no new messages")
+
+
+# -- hz ---------------------------------------------------------------------------------------------------------------
+
+
+def _hz_view(measured: Measured) -> dict[str, Any]:
+    between_s = measured.between_s
+    if between_s is None:
+        return {"rate_hz": None}
+    seconds = {"min_s": between_s.least, "max_s": between_s.most, "std_dev_s": between_s.deviation}
+    rounded = {key: round(value, 6) for key, value in seconds.items()}
+    return {"rate_hz": round(measured.rate_hz, 4), "window": between_s.count + 1} | rounded
+
+
+def _hz_line(measured: Measured) -> str:
+    between_s = measured.between_s
+    if between_s is None:
+        return "one message"
+    return (
+        f"{measured.rate_hz:8.2f} Hz   every {duration(between_s.mean)} (min {duration(between_s.least)}, "
+        f"max {duration(between_s.most)}, std dev {duration(between_s.deviation)}) of {between_s.count + 1} messages"
+    )
+
+
+hz = command_of(
+    Figures(text="Measure the rate of a topic; a line each second until Ctrl-C.", view=_hz_view, line=_hz_line)
+)
+
+
+# -- bw ---------------------------------------------------------------------------------------------------------------
+
+BW_WINDOW = 100  # messages, as rostopic has it
+
+
+def _bw_view(measured: Measured) -> dict[str, Any]:
+    bytes_ = measured.figures
+    if bytes_ is None:
+        return {"bytes_s": None}
+    return {
+        "bytes_s": round(measured.rate_hz * bytes_.mean, 1),
+        "mean_bytes": round(bytes_.mean, 1),
+        "min_bytes": int(bytes_.least),
+        "max_bytes": int(bytes_.most),
+        "window": bytes_.count,
+    }
+
+
+def _bw_line(measured: Measured) -> str:
+    bytes_ = measured.figures
+    if bytes_ is None or measured.between_s is None:
+        return "one message"
+    return (
+        f"{size(measured.rate_hz * bytes_.mean)}/s   {measured.rate_hz:.1f} messages a second of {size(bytes_.mean)} "
+        f"(min {size(bytes_.least)}, max {size(bytes_.most)})"
+    )
+
+
+bw = command_of(
+    Figures(
+        text="Measure the bandwidth of a topic; a line each second until Ctrl-C.",
+        view=_bw_view,
+        line=_bw_line,
+        figure=lambda message: len(message.payload),
+        window=BW_WINDOW,
+    )
+)
+
+
+# -- delay ------------------------------------------------------------------------------------------------------------
+
+_HEADER = struct.Struct("<III")  # seq, secs, nsecs: what a std_msgs/Header begins with
+
+
+async def _check_header(host: Host, topic: str) -> None:
+    """Raises HostlinkError for a topic whose type has no header."""
+    type_name = (await host.call("/rosapi/topic_type", {"topic": topic}))["type"]
+    if not type_name:
+        raise HostlinkError(f"{topic} has no type yet: nobody publishes it; `hostlink topics` lists them")
+    fields = (await host.call("/rosapi/message_details", {"type": type_name}))["typedefs"][0]["fieldtypes"]
+    if fields[:1] != ["std_msgs/Header"]:
+        raise HostlinkError(
+            f"{topic}: a {type_name} has no header, and so no stamp to measure by; "
+            f"`hostlink hz {topic}` shows when its messages come"
+        )
+
+
+def _age_s(message: RawMessage) -> float:
+    _, secs, nsecs = _HEADER.unpack_from(message.payload)
+    return float(time.time() - secs - nsecs / 1e9)
+
+
+def _delay_view(measured: Measured) -> dict[str, Any]:
+    age_s = measured.figures
+    if age_s is None:
+        return {"delay_s": None}
+    seconds = {"delay_s": age_s.mean, "min_s": age_s.least, "max_s": age_s.most, "std_dev_s": age_s.deviation}
+    return {key: round(value, 6) for key, value in seconds.items()} | {"window": age_s.count}
+
+
+def _delay_line(measured: Measured) -> str:
+    age_s = measured.figures
+    if age_s is None:
+        return "no messages yet"
+    return (
+        f"delay {duration(age_s.mean)} (min {duration(age_s.least)}, max {duration(age_s.most)}, "
+        f"std dev {duration(age_s.deviation)}) of {age_s.count} messages"
+    )
+
+
+delay = command_of(
+    Figures(
+        text="Measure how old the messages of a topic are; a line each second until Ctrl-C. "
+        "They need a header with a stamp.",
+        view=_delay_view,
+        line=_delay_line,
+        figure=_age_s,
+        check=_check_header,
+    )
+)
+
+
+# -- pub --------------------------------------------------------------------------------------------------------------
+
+_TYPE = re.compile(r"[A-Za-z]\w*(/msg)?/[A-Za-z]\w*")
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How often, and how many; 0: until Ctrl-C."""
+
+    rate_hz: float
+    count: int
+
+
+@dataclass(slots=True)
+class Sent:
+    """How many were sent so far: reported also after Ctrl-C."""
+
+    messages: int = 0
+
+
+def pub(
+    topic: TopicName,
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[TYPE] [MESSAGE]",
+            help='JSON, as {"linear": {"x": 0.1}}; missing fields are zero, all of them without it.',
+        ),
+    ] = None,
+    *,
+    type_name: Annotated[
+        str, typer.Option("--type", help="As geometry_msgs/Twist; that of the topic if it is known.")
+    ] = "",
+    rate: Annotated[float, typer.Option(min=0.01, max=1000.0, help="Messages a second, with --count.")] = 10.0,
+    count: Annotated[int, typer.Option(min=0, help="How many; 0: until Ctrl-C.")] = 1,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+) -> None:
+    """Publish a message once, or at a rate. A robot that is driven so stops when this command ends."""
+    sent = Sent()
+    named_type, message = type_and_message(words or [])
+    request = json_object("MESSAGE", message)
+    run_until_interrupted(_pub(connected(url, token), topic, request, type_name or named_type, Pace(rate, count), sent))
+    show_progress("")
+    write_error(f"{sent.messages} sent")
+
+
+def type_and_message(words: list[str]) -> tuple[str, str]:
+    """Of `[TYPE] [MESSAGE]`, as rostopic and ros2 have them; the type is empty where none is named.
+
+    Raises:
+        ConfigError: there are more of them.
+    """
+    is_typed = bool(words) and _TYPE.fullmatch(words[0]) is not None
+    type_name, rest = (words[0].replace("/msg/", "/"), words[1:]) if is_typed else ("", words)
+    if len(rest) > 1:
+        raise ConfigError("MESSAGE", f"is one argument, in quotes: {shlex.quote('{linear: {x: 0.1}}')}")
+    return type_name, rest[0] if rest else "{}"
+
+
+async def _pub(
+    daemon: AbstractAsyncContextManager[Host],
+    topic: str,
+    message: dict[str, object],
+    type_name: str,
+    pace: Pace,
+    sent: Sent,
+) -> None:
+    async with daemon as host:
+        while not pace.count or sent.messages < pace.count:
+            if sent.messages:
+                await asyncio.sleep(1 / pace.rate_hz)
+            await host.publish(topic, message, type_name=type_name)
+            sent.messages += 1
+            if sent.messages > pace.rate_hz * PATIENCE_S and not sent.messages % max(1, round(pace.rate_hz)):
+                show_progress(f"{sent.messages} sent{f' of {pace.count}' if pace.count else ''}; Ctrl-C ends")
+        await host.settle()
+
+
+# -- services ---------------------------------------------------------------------------------------------------------
+
+_OWN = "/rosapi/"
+
+
+def services(
+    *,
+    everything: Annotated[bool, typer.Option("--all", "-a", help="The daemon's own too: /rosapi/...")] = False,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+    json: Json = False,
+) -> None:
+    """List the services: name, type, who provides it."""
+    services = asyncio.run(_services(url, token, with_own=everything))
+    if json:
+        write(json_text.dumps(services))
+    elif services:
+        write(*table(["service", "type", "node"], [list(each.values()) for each in services])[1:])
+    else:
+        write_error("no device or program offers a service; --all lists the daemon's own")
+
+
+async def _services(url: str, token: str | None, *, with_own: bool) -> list[dict[str, Any]]:
+    async with connected(url, token) as host:
+        names: list[str] = (await host.call("/rosapi/services", {}))["services"]
+        return [
+            {
+                "name": name,
+                "type": (await host.call("/rosapi/service_type", {"service": name}))["type"],
+                "node": (await host.call("/rosapi/service_node", {"service": name}))["node"],
+            }
+            for name in sorted(names, key=natural)
+            if with_own or not name.startswith(_OWN)
+        ]
+
+
+# -- call -------------------------------------------------------------------------------------------------------------
+
+
+def call(
+    service: ServiceName,
+    request: Annotated[str, typer.Argument(help='JSON, as {"data": true}.')] = "{}",
+    *,
+    timeout: Annotated[float, typer.Option(min=0.01, max=3600.0, help="Seconds to wait for the answer.")] = 5.0,
+    url: Url = DEFAULT_URL,
+    token: Token = None,
+) -> None:
+    """Call a service and print its answer as JSON."""
+    answer = asyncio.run(_call(url, token, service, json_object("REQUEST", request), timeout))
+    write(json_text.dumps(answer, ensure_ascii=False))
+
+
+async def _call(url: str, token: str | None, service: str, request: dict[str, object], timeout_s: float) -> object:
+    async with connected(url, token) as host:
+        with waiting(f"waiting for {service}"):
+            return await host.call(service, request, timeout_s=timeout_s)
+
+
+COMMANDS = {
+    "topics": topics,
+    "info": info,
+    "type": type_,
+    "find": find,
+    "echo": echo,
+    "hz": hz,
+    "bw": bw,
+    "delay": delay,
+    "pub": pub,
+    "services": services,
+    "call": call,
+}

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hostlink.cli.step_stages import make_stage
-from hostlink.cli.step_tuning import PAPER_GAINS
+from hostlink.cli.step import PAPER_GAINS, make_stage
 from hostlink.robot.motor_model import simc_gains
 from hostlink.robot.step_response import step_figures
 from hostlink.sim.controller import FILTER, LOOP_S, Feedback

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.fetching import fetch
+from hostlink.cli.files import fetch
 from hostlink.client import connect
 from hostlink.config import Config, RecordingConfig
 from hostlink.errors import HostlinkError

@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 
 from hostlink.cli.demo import DemoDriver
-from hostlink.cli.step_recorder import (
+from hostlink.cli.step import (
+    PAPER_GAINS,
     Recording,
+    Stage,
     StepRecorder,
+    Wheel,
     connected_state,
     find_source,
+    make_stage,
     require_robot,
     separation_of,
+    tune,
     wheel_parameter,
 )
-from hostlink.cli.step_stages import Stage, Wheel, make_stage
-from hostlink.cli.step_tuning import PAPER_GAINS, tune
 from hostlink.client import Host, connect
 from hostlink.config import Config, ParameterValue, RobotConfig
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, Refused, UnknownTopic

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from hostlink.cli.drives import HEADS, row
 from hostlink.cli.output import table
+from hostlink.cli.record import HEADS, row
 
 
 def drive(**changes: Any) -> dict[str, Any]:

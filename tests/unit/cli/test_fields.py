@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.fields import csv_line, field_of, flat, readable
+from hostlink.cli.topics import csv_line, field_of, flat, readable
 from hostlink.errors import HostlinkError
 
 MESSAGE = {"header": {"stamp": {"secs": 5}}, "ranges": [0.5, 1.5], "legs": [{"x": 1}, {"x": 2}], "name": "a"}

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.info import is_recording
+from hostlink.cli.topics import is_recording
 
 
 @pytest.mark.parametrize("name", ["/robot_0/odometry", "robot_0", "x" * 5000, "/" + "x" * 5000, "a\0b"])

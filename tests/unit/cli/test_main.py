@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.main import COMMANDS, completed_words, wanted_command
+from hostlink.cli.main import COMMANDS, completed_words, module_of, wanted_command
 
 
 @pytest.mark.parametrize(
@@ -71,7 +71,7 @@ QUICK = (
 
 
 def test_a_command_that_queries_a_daemon_imports_no_daemon() -> None:
-    modules = [f"hostlink.cli.{name}" for name in QUICK]
+    modules = sorted({module_of(name) for name in QUICK})
     slow = ("hostlink.hub.hub", "aiohttp.web", "structlog", "numpy")
     text = f"import sys, importlib; [*map(importlib.import_module, {modules})]; print({{*{slow}}} & {{*sys.modules}})"
     found = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.measuring import Measured, distribution, duration, size
+from hostlink.cli.output import duration, size
+from hostlink.cli.topics import Measured, distribution
 
 
 def test_a_rate_is_of_the_window() -> None:

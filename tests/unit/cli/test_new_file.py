@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.cli.fetching import check_output
+from hostlink.cli.files import check_output
 from hostlink.cli.setup import command
 from hostlink.errors import ConfigError
 

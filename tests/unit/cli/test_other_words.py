@@ -4,7 +4,7 @@ import pytest
 
 from hostlink.cli import main, other_words
 from hostlink.cli.other_words import meant
-from hostlink.cli.pub import type_and_message
+from hostlink.cli.topics import type_and_message
 from hostlink.errors import ConfigError
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hostlink.cli.report import report_lines, report_of
+from hostlink.cli.doctor import report_lines, report_of
 
 FOUND = {"code": "text_on_line", "cause": "text", "next_step": "remove it", "detail": ""}
 

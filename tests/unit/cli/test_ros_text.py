@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.cli.ros_text import read_message
+from hostlink.cli.arguments import read_message
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-9, 9) | st.floats(-9, 9) | st.text("ab:{}[],'\"\\ é", max_size=8),

@@ -7,11 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hostlink.cli import step_picture
-from hostlink.cli.step_picture import draw_picture, require_picture
-from hostlink.cli.step_recorder import RobotTopics
-from hostlink.cli.step_report import notes_of, record_views, step_lines
-from hostlink.cli.step_stages import Stage, Wheel, describe_way, make_stage, rising_stages
+from hostlink.cli import step as step_module
+from hostlink.cli.step import (
+    RobotTopics,
+    Stage,
+    Wheel,
+    describe_way,
+    draw_picture,
+    make_stage,
+    notes_of,
+    record_views,
+    require_picture,
+    rising_stages,
+    step_lines,
+)
 from hostlink.client import RobotState
 from hostlink.errors import ConfigError
 from hostlink.robot.kinematics import DifferentialDrive
@@ -105,7 +114,7 @@ def test_a_picture_that_cannot_be_is_refused_before_the_robot_moves(
         require_picture(tmp_path / "step.gif")
     with pytest.raises(ConfigError, match="there is no folder"):
         require_picture(tmp_path / "nowhere" / "step.png")
-    monkeypatch.setattr(step_picture, "LIBRARY", "no_such_library")
+    monkeypatch.setattr(step_module, "LIBRARY", "no_such_library")
     with pytest.raises(ConfigError, match=r"needs matplotlib: run  pip install '.\[pictures\]'"):
         require_picture(tmp_path / "step.png")
 

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from hostlink.cli.waiting import CHECKED_ITEMS, counted, waiting
+from hostlink.cli.connecting import CHECKED_ITEMS, counted, waiting
 from hostlink.errors import BadRequest
 from tests.support.virtual_loop import run_virtual
 

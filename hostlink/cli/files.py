@@ -1,4 +1,4 @@
-"""Where a command may write a file: at a name that is free, or with --force over a plain file and nothing else."""
+"""Files that commands write: fetched from the daemon, or new ones here."""
 
 import contextlib
 import os
@@ -6,7 +6,47 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from hostlink.errors import ConfigError
+from hostlink.cli.output import megabytes, show_progress
+from hostlink.client import Host
+from hostlink.errors import ConfigError, HostlinkError
+
+# -- fetching ---------------------------------------------------------------------------------------------------------
+
+
+def check_output(output: Path) -> None:
+    """Now, and not after an hour of work.
+
+    Raises:
+        ConfigError: nothing can be written there, or there is something already.
+    """
+    try:
+        if output.exists():
+            raise ConfigError("--output", f"{output} is there already; choose another name, or remove it")
+        output.touch()
+        output.unlink()
+    except OSError as error:
+        raise ConfigError("--output", f"{output}: {error.strerror}") from error
+
+
+async def fetch(host: Host, path: str, target: Path) -> None:
+    """Fetch a file, with progress.
+
+    Raises:
+        HostlinkError: the daemon refuses, the connection is lost, or the file cannot be written.
+    """
+    size = 0
+    try:
+        with target.open("xb") as out:
+            async for piece in host.download(path):
+                out.write(piece)
+                size += len(piece)
+                show_progress(f"fetching: {megabytes(size)}")
+    except OSError as error:
+        raise HostlinkError(f"{target}: {error.strerror}; the daemon still has it") from error
+    show_progress("")
+
+
+# -- new file ---------------------------------------------------------------------------------------------------------
 
 
 def check_new_file(option: str, file: Path, *, is_forced: bool, example: str) -> None:
