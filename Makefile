@@ -31,13 +31,13 @@ PURE_FILES := $(subst $(empty) ,$(comma),$(foreach package,$(PURE),hostlink/$(pa
 CORES := $(shell nproc)
 WORKERS ?= $(shell echo $$((3 * $(CORES))))# of make test: two thirds of its time is waiting
 QUIET_WORKERS ?= $(shell echo $$((3 * $(CORES) / 2)))# of the tests that a busy machine disturbs: three fifths of their time is waiting
-MARKED = $(shell grep -rlE 'mark\.$(1)\b' --include='test_*.py' tests)# only these files are read for the few tests with a mark
 unexport PYTHONDONTWRITEBYTECODE # the tests start hostlink some hundred times
 
-.PHONY: help demo docs test test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release format clean
+.PHONY: help demo docs test quick test-pythons coverage mutants check bench fuzz web screenshots firmware world lab chain soak netns ros2-venv ros-mcp-venv release format clean
 
 help:
 	@echo "make demo    start the daemon with a simulated robot"
+	@echo "make quick   run the tests that need nothing but Python, in about a minute"
 	@echo "make test    run every test"
 	@echo "make docs    build the site of the documents, into build/docs/index.html"
 	@echo "make test-pythons  unit, property and integration tests on each Python from 3.11 that is found (PYTHONS=3.13)"
@@ -115,13 +115,11 @@ $(CLIENTS): tests/clients/package.json tests/clients/package-lock.json
 
 test: $(VENV)/.dev $(CLIENTS) $(ROS2_VENV)/.installed $(ROS_MCP_VENV)/.installed
 	@tools/require.sh tmux procps systemd chromium-headless-shell firefox-esr openssl $(FIRMWARE_PACKAGES) $(ROS1_PACKAGES)
-	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null & \
-	  $(BIN)/coverage run -m pytest -n $(CORES) $(PURE_TESTS) && wait # what pytest compiles: once, not once a worker
-	$(BIN)/coverage combine --quiet
-	$(BIN)/coverage report --include='$(PURE_FILES)' --fail-under=100
-	$(BIN)/python tools/run_tests.py -n $(WORKERS) -m "not quiet and not alone" $(addprefix --ignore=,$(PURE_TESTS))
-	$(BIN)/python tools/run_tests.py -n $(QUIET_WORKERS) -m "quiet and not alone" $(call MARKED,quiet)
-	$(BIN)/python tools/run_tests.py -m alone $(call MARKED,alone)
+	$(BIN)/python -m pytest --collect-only --quiet tests >/dev/null # what pytest compiles: once, not once a worker
+	$(BIN)/python tools/run_tests.py --workers $(WORKERS) --quiet-workers $(QUIET_WORKERS)
+
+quick: $(VENV)/.dev
+	$(BIN)/python -m pytest -q -n $(CORES) -m "not quiet and not alone and not long" tests/unit
 
 coverage: $(VENV)/.dev
 	HYPOTHESIS_PROFILE=ci $(BIN)/coverage run -m pytest -n $(CORES) tests/unit tests/property tests/integration

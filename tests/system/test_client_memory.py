@@ -94,11 +94,12 @@ async def test_nothing_is_kept_of_a_client_that_is_gone(visit: Visit) -> None:
 async def test_a_daemon_that_has_served_2700_clients_is_no_larger_than_after_1800() -> None:
     sizes = []
     async with serve() as host:
-        for _ in range(3):
+        for _ in range(2):
             await visits(web_socket, int(host.url.rpartition(":")[2]), CLIENTS)
             await asyncio.sleep(1.5)  # nobody drives: it collects
             sizes.append(resident_kib(host))
-    assert sizes[2] - sizes[1] < MOST_KIB, sizes
+        await visits(web_socket, int(host.url.rpartition(":")[2]), CLIENTS)
+        await expect(lambda: resident_kib(host) - sizes[1] < MOST_KIB, timeout_s=15.0)  # a busy machine collects later
 
 
 LATCHING, LATCHED_TOPICS, LATCHED_BYTES, ROUNDS = 30, 4, 900_000, 2
