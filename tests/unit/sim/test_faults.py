@@ -1,10 +1,10 @@
 """The faults spoil what a device says in the way that their name says, and nothing else."""
 
 import pytest
-from hostlink.protocol.non_rosserial import NonRosserialBytes
 
 from hostlink.protocol.control import TopicInfo, decode_topic_info, encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
+from hostlink.protocol.session import NonRosserialBytes
 from hostlink.protocol.stream import FrameStream
 from hostlink.sim.faults import FAULTS, HEALTHY, FaultyLine
 
