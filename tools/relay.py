@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from hostlink.transport.base import Transport
 from hostlink.transport.connection import Connection
-from hostlink.transport.stream import StreamTransport
+from hostlink.transport.tcp import StreamTransport
 from tools.faults import OF_BYTES, Direction, Fault, FaultyLine, Kind, Schedule, Script, boot_noise
 
 MAX_WAITING_BYTES = 1 << 20  # on a line; then the sender's TCP stops it

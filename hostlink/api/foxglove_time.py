@@ -10,7 +10,7 @@ from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
 from hostlink.hub.subscription import Subscription
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.messages.clock import CLOCK, CLOCK_TYPE, decode_clock
+from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 
 INTERVAL_S = 0.1  # between two times while no message comes
 STEP_S = 0.005  # between two times before messages: the app takes the newest time for when a message arrived

@@ -20,10 +20,9 @@ from hostlink.hub.node import Role
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import MAX_DETAIL, BlackBox
 from hostlink.recording.channel import NS_PER_S
-from hostlink.recording.disk_budget import StoredFile
+from hostlink.recording.folder import StoredFile
 from hostlink.recording.history import RobotHistory
-from hostlink.recording.incident import Incident
-from hostlink.recording.incident_files import IncidentFiles, SavedIncident, read_incident
+from hostlink.recording.incident import Incident, IncidentFiles, SavedIncident, read_incident
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import Entry
 from hostlink.robot.odometry_estimator import OdometryEstimator

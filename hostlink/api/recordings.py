@@ -15,8 +15,7 @@ from hostlink.api.rest import decode_body
 from hostlink.api.routes import BODY, FILE, Route
 from hostlink.errors import UnknownTopic
 from hostlink.hub.node import Role
-from hostlink.recording.disk_budget import StoredFile
-from hostlink.recording.folder import NAME_PATTERN
+from hostlink.recording.folder import NAME_PATTERN, StoredFile
 from hostlink.recording.recorder import Selection
 from hostlink.recording.recordings import Recording, Recordings
 

@@ -1,14 +1,163 @@
-"""The C++11 header of a message or service type, as ros_lib has one for each. Definition in, text out. Pure."""
+"""C++ literals for the values of a definition's constants. Pure."""
 
+import math
 import re
-from collections.abc import Iterator
+import struct
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.resources import files
 from itertools import groupby
 from typing import Final, NamedTuple
 
-from hostlink.board.identifiers import METHODS, Names, class_identifier, class_name, namespace
-from hostlink.board.literals import fits_float32, literal
-from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Constant, Field
+from hostlink.messages.fields import FLOATS, FORMATS, SCALAR, VARIABLE, Constant, Field, bool_value
 from hostlink.messages.message_type import MessageType, ServiceType
+
+# -- literals ---------------------------------------------------------------------------------------------------------
+
+_INT64_LEAST: Final = -(2**63)
+_INT32_BITS: Final = 31  # without its sign
+_FLOAT32_LARGEST: Final = (2 - 2**-23) * 2.0**127
+_FLOAT32_LEAST: Final = 2.0**-126
+_PLAIN: Final = frozenset(range(0x20, 0x7F)) - frozenset(b'"\\?')  # "??=" is one character to some compilers
+
+
+def literal(constant: Constant) -> str:
+    """The value as C++ writes it."""
+    if constant.type == "string":
+        return text_literal(constant.text)
+    if constant.type in FLOATS:
+        return _float_literal(constant.type, float(constant.text))
+    if constant.type == "bool":
+        return "true" if bool_value(constant.text) else "false"
+    return _integer_literal(int(constant.text))
+
+
+def text_literal(text: str) -> str:
+    """The UTF-8 of the text in quotation marks; octal escapes end by themselves."""
+    return '"' + "".join(chr(byte) if byte in _PLAIN else f"\\{byte:03o}" for byte in text.encode()) + '"'
+
+
+def _integer_literal(value: int) -> str:
+    if value == _INT64_LEAST:
+        return f"({value + 1}LL - 1)"
+    if value >= -_INT64_LEAST:
+        return f"{value}ULL"
+    return f"{value}LL" if value.bit_length() > _INT32_BITS else str(value)
+
+
+def _float_literal(type_name: str, value: float) -> str:
+    if math.isnan(value):
+        return "NAN"
+    if type_name == "float32":
+        value = _as_float32(value)
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "-INFINITY"
+    if type_name == "float32":
+        return f"{value!r}f"
+    return repr(value)
+
+
+def fits_float32(value: float) -> bool:
+    """Whether a double of 4 bytes, as AVR has it, accepts the literal without a warning."""
+    return value == 0 or not math.isfinite(value) or _FLOAT32_LEAST <= abs(value) <= _FLOAT32_LARGEST
+
+
+def _as_float32(value: float) -> float:
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
+# -- identifiers ------------------------------------------------------------------------------------------------------
+
+_KEYWORDS: Final = """
+    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char16_t char32_t char8_t class
+    co_await co_return co_yield compl concept const const_cast consteval constexpr constinit continue decltype default
+    delete do double dynamic_cast else enum explicit export extern false float for friend goto if inline int long
+    mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
+    reinterpret_cast requires return short signed sizeof static static_assert static_cast struct switch template this
+    thread_local throw true try typedef typeid typename union unsigned using virtual void volatile wchar_t while xor
+    xor_eq
+"""
+# Macros without arguments of Arduino.h and of what it includes: a field or a constant of that name does not compile.
+# Macros with arguments (min, max, abs) do no harm: no "(" ever stands behind a member. macros.txt has those of the AVRs
+# and of the C libraries, out of their headers (tools/board_macros.py); these are of SAM, ESP8266, ESP32 and compilers.
+_MACROS: Final = """
+    ANALOG BIT0 BIT1 BIT2 BIT3 BIT4 BIT5 BIT6 BIT7 BIT8 BIT9 BIT10 BIT11 BIT12 BIT13 BIT14 BIT15 BIT16 BIT17 BIT18 BIT19
+    BIT20 BIT21 BIT22 BIT23 BIT24 BIT25 BIT26 BIT27 BIT28 BIT29 BIT30 BIT31 CHIPID CPU2X ESP32 ESP8266 ESP_FAIL ESP_OK
+    FUNCTION_0 FUNCTION_1 FUNCTION_2 FUNCTION_3 FUNCTION_4 FUNCTION_5 FUNCTION_6 GPC GPE GPF GPI GPIE GPMUX GPO
+    ICACHE_FLASH_ATTR ICACHE_RAM_ATTR INPUT_PULLDOWN_16 IOSWAP IRAM_ATTR LOCAL MAC0 MAC1 ONHIGH ONHIGH_WE ONLOW ONLOW_WE
+    OPEN_DRAIN PULLDOWN PULLUP PWMRANGE RTCCV RTCSV SPECIAL STORE_ATTR T1C T1I T1L T1V T2A T2C T2I T2L T2V TIM_EDGE
+    TIM_LEVEL TIM_LOOP TIM_SINGLE U0A U0C0 U0C1 U0D U0F U0S U1A U1C0 U1C1 U1D U1F U1S UIS WAKEUP_PULLDOWN WAKEUP_PULLUP
+    ROS_IN_FLASH
+    DAC DISABLED DMAC EFC0 EFC1 FALSE GPBR I2C INPUT_PULLDOWN MATRIX OUTPUT_OPEN_DRAIN PIOA PIOB PIOC PIOD PMC PWM RSTC
+    RTC RTT SMC SPI SUPC TC0 TC1 TC2 TRNG TRUE TWI0 TWI1 UART UNUSED UOTGHS USART0 USART1 USART2 USART3 WDT arm avr i386
+    int16_t int32_t int64_t int8_t linux uint16_t uint32_t uint64_t uint8_t unix
+"""
+# Functions and classes of Arduino's cores and of C that a package could be named like: its namespace cannot be.
+_GLOBALS: Final = """
+    Client EEPROM ESP Ethernet Print Printable SPI Serial Serial_ Server Servo Stream String UDP WiFi Wire abort abs
+    accept access alarm basename bind boolean byte ceil clock close connect crypt daemon delay div dup encrypt equals
+    exit exp floor fork free gamma index init j0 j1 kill lgamma link listen log loop main malloc map micros millis mount
+    nice open optarg pause pipe poll pow printf puts raise rand random read remainder remove rename revoke rewind round
+    scanf select send setup shutdown signal sin sleep socket sqrt square stat stderr stdin stdout swab sync system tan
+    time tone trunc truncate wait word write y0 y1 yield
+"""
+METHODS: Final = ("serialize", "deserialize", "getType", "getMD5", "getSize")  # of each message's class
+
+
+@cache
+def _reserved() -> frozenset[str]:
+    of_headers = files("hostlink.board").joinpath("macros.txt").read_text()
+    return frozenset((_KEYWORDS + _MACROS + of_headers).split())
+
+
+@cache
+def _global_names() -> frozenset[str]:
+    return frozenset(_GLOBALS.split())
+
+
+class Names:
+    """Gives each name of one class once: a name that is in use or means something else gets a _ behind it."""
+
+    def __init__(self, used: Iterable[str] = ()) -> None:
+        self._used = set(used)
+
+    def add(self, name: str) -> str:
+        """The C++ name for it."""
+        name = identifier(name)
+        while name in self._used:
+            name += "_"
+        self._used.add(name)
+        return name
+
+
+def identifier(name: str) -> str:
+    """The name, or with a _ behind it where it is a keyword or a macro."""
+    return f"{name}_" if name in _reserved() else name
+
+
+def class_identifier(base: str) -> str:
+    """As `identifier`, for a class with METHODS."""
+    return f"{base}_" if base in METHODS else identifier(base)
+
+
+def namespace(package: str) -> str:
+    """As `identifier`, for a package."""
+    name = identifier(package)
+    while name in _global_names():
+        name += "_"
+    return name
+
+
+def class_name(full_name: str) -> str:
+    """ "std_msgs/Header" -> "::std_msgs::Header"."""
+    package, _, base = full_name.partition("/")
+    return f"::{namespace(package)}::{class_identifier(base)}"
+
+
+# -- headers ----------------------------------------------------------------------------------------------------------
 
 CPP_TYPES: Final = {
     "bool": "bool",

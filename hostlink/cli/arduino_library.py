@@ -8,16 +8,13 @@ from typing import Annotated
 import msgspec
 import typer
 
-from hostlink.board.archive import pack
-from hostlink.board.library import library, sources, types_needed
-from hostlink.board.selection import Selection, known_names, select
+from hostlink.board.library import Selection, known_names, library, pack, select, sources, types_needed
 from hostlink.cli.arguments import Json
 from hostlink.cli.files import check_new_file, replacing
 from hostlink.cli.names import LISTED, near
 from hostlink.cli.output import show_progress, write
 from hostlink.errors import ConfigError
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.folders import check_not_empty
+from hostlink.messages.catalog import Catalog, check_not_empty
 
 
 def command(

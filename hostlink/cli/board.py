@@ -11,8 +11,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from hostlink.board.settings import SETTINGS, Setting, check_value
-from hostlink.board.settings_port import BoardSettings
+from hostlink.board.settings import SETTINGS, BoardSettings, Setting, check_value
 from hostlink.cli.arguments import Json
 from hostlink.cli.output import plain, show_progress, write, write_error
 from hostlink.config import SerialConfig

@@ -23,12 +23,11 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.parameters import to_parameter
 from hostlink.hub.robot_topic_publisher import frames_of
 from hostlink.hub.topic_graph import resolve
-from hostlink.listeners.tcp_acceptor import TcpAcceptor
-from hostlink.listeners.udp_acceptor import UdpAcceptor
+from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor
 from hostlink.listening import close_all
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_parameter
-from hostlink.transport.ports import find_port
+from hostlink.transport.serial import find_port
 from hostlink.transport.udp_port import serve_udp
 
 _ROS_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z][A-Za-z0-9_]*)*")  # http://wiki.ros.org/Names

@@ -148,7 +148,7 @@ def _line(view: dict[str, Any]) -> str:
 
 
 def _repair(file: Path, *, as_json: bool) -> None:
-    from hostlink.recording.repair import repair  # noqa: PLC0415 - nobody else waits for the library
+    from hostlink.recording.salvage import repair  # noqa: PLC0415 - for other commands nothing of it is needed
 
     began_s = time.monotonic()
     found = repair(file, lambda count: show_progress(f"{count} messages"))

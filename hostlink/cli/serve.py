@@ -30,9 +30,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.listening import Listening
 from hostlink.hub.reloader import Read, Reloader
 from hostlink.hub.robots import Robots
-from hostlink.listeners.serial_ports import serve_serial
-from hostlink.listeners.tcp_acceptor import TcpAcceptor
-from hostlink.listeners.udp_acceptor import UdpAcceptor
+from hostlink.listeners.accepting import TcpAcceptor, UdpAcceptor, serve_serial
 from hostlink.listening import close_all
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.recordings import Recordings

@@ -10,11 +10,9 @@ from dataclasses import dataclass, field
 
 import structlog
 
-from hostlink.diagnosis.evidence import EarlierLink, Evidence
+from hostlink.diagnosis.evidence import EarlierLink, Evidence, HostClock, port_finding
 from hostlink.diagnosis.finding import Finding, words
-from hostlink.diagnosis.host_clock import HostClock
 from hostlink.diagnosis.link_monitor import SAMPLE_INTERVAL_S, LinkMonitor
-from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
 from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.hub.isolation import Isolation

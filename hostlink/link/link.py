@@ -1,4 +1,4 @@
-"""Link: one Session on one Transport, from connect to a named end. It moves bytes and reads the clock, nothing else."""
+"""What begins a link where nothing connects: the first datagram of a device, and what makes a silent one send it."""
 
 import asyncio
 import contextlib
@@ -19,16 +19,113 @@ from hostlink.host_pauses import HostPauses, never_paused
 from hostlink.latency import Latency
 from hostlink.link.capture_buffer import CaptureBuffer, Captured, captured
 from hostlink.link.fair_share import FairShare, Turns
-from hostlink.link.piece_size import FIRST_BYTES, PieceSize
-from hostlink.link.trouble import Trouble
 from hostlink.protocol.clock import ClockReading
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.events import Event
+from hostlink.protocol.frame import HEADER, OVERHEAD_BYTES, SYNC, SYNC_WORD, TOPICS_REQUEST, byte_sum
 from hostlink.protocol.outbox import OutgoingFrame
 from hostlink.protocol.session import Session, SessionCounts
 from hostlink.transport.base import Transport
 
+# -- greeting ---------------------------------------------------------------------------------------------------------
+
+INVITATION = TOPICS_REQUEST  # a device that was not requested its topics sends nothing
+MAX_HEADS = 8  # that are tried: bytes that are none can look like many
+
+
+def has_frame(data: bytes) -> bool:
+    """Whether a whole frame stands in it, wherever it begins: what carries a UART's bytes cuts them anywhere."""
+    at = -1
+    for _ in range(MAX_HEADS):
+        at = data.find(SYNC, at + 1)
+        if at < 0:
+            return False
+        if _is_frame(data, at):
+            return True
+    return False
+
+
+def _is_frame(data: bytes, at: int) -> bool:
+    """Whether a whole frame begins there."""
+    if len(data) < at + OVERHEAD_BYTES:
+        return False
+    sync, size, length_check, topic_id = HEADER.unpack_from(data, at)
+    end = at + HEADER.size + size
+    if sync != SYNC_WORD or length_check != ~(size + (size >> 8)) & 0xFF or len(data) <= end:
+        return False
+    payload = memoryview(data)[at + HEADER.size : end]
+    return bool(data[end] == ~(topic_id + (topic_id >> 8) + byte_sum(payload)) & 0xFF)
+
+
+# -- piece size -------------------------------------------------------------------------------------------------------
+
+MOST_BYTES = 4096  # four frames of 1 KiB: one that is read in parts costs twice as much
+FIRST_BYTES = 512  # of the first piece nobody knows what it costs; what a robot sends at once is mostly less
+LEAST_BYTES = 64  # reading itself costs as much as the smallest frames in it
+PIECE_S = 0.0005  # others have their turn after it: a piece of requests that are all refused took 3 ms
+MOST_FRAMES = FIRST_BYTES // 8  # of one piece: as many as FIRST_BYTES hold, which bounds what one can cost
+LARGE_PIECE_S = 0.0001  # of more than FIRST_BYTES: half a turn of all links, so that a flood delays nobody by it
+
+
+class PieceSize:
+    """Of one link: smaller after a piece that was expensive, larger again after some that were cheap."""
+
+    __slots__ = ("size_bytes",)
+
+    def __init__(self) -> None:
+        self.size_bytes = FIRST_BYTES
+
+    def is_crowded(self, data: bytes) -> bool:
+        """Whether a piece is to be read in parts: after long frames, that were cheap, came many short ones."""
+        is_likely = len(data) > FIRST_BYTES and data.count(SYNC[:1]) > MOST_FRAMES  # a third of the time of the next
+        return is_likely and data.count(SYNC) > MOST_FRAMES
+
+    def update(self, cost_s: float) -> None:
+        """A piece was read, and what was in it has cost this."""
+        is_large = self.size_bytes > FIRST_BYTES
+        if cost_s > (LARGE_PIECE_S if is_large else PIECE_S):
+            self.size_bytes = max(LEAST_BYTES, self.size_bytes // 2)
+        elif cost_s < (LARGE_PIECE_S / 2 if self.size_bytes >= FIRST_BYTES else PIECE_S / 4):
+            self.size_bytes = min(MOST_BYTES, self.size_bytes * 2)
+
+
+# -- trouble ----------------------------------------------------------------------------------------------------------
+
 log = structlog.get_logger()
+
+TROUBLE_INTERVAL_S = 10.0  # damage on the wire is counted, and logged this often
+
+
+class Trouble:
+    """Logs damage on the wire: at most one line in TROUBLE_INTERVAL_S, with what came since the last one."""
+
+    __slots__ = ("_logged", "_logged_at_s")
+
+    def __init__(self, now_s: float) -> None:
+        self._logged_at_s = now_s
+        self._logged: dict[str, int] = {}
+
+    def report(self, session: Session, now_s: float) -> None:
+        """Log what is new, if the last line is old enough."""
+        if now_s < self._logged_at_s + TROUBLE_INTERVAL_S:
+            return
+        self._logged_at_s = now_s
+        counts = session.counts
+        total = {
+            "skipped_bytes": counts.skipped_bytes,
+            "unknown_ids": counts.unknown_ids,
+            "refused_frames": counts.refused_frames,
+            "malformed": counts.malformed,
+            **session.rejected,
+        }
+        before = self._logged
+        new = {name: count - before.get(name, 0) for name, count in total.items() if count > before.get(name, 0)}
+        self._logged = total
+        if new:
+            log.warning("link.trouble", **new)
+
+
+# -- link -------------------------------------------------------------------------------------------------------------
 
 LAST_FRAME_TIMEOUT_S = 0.2
 SOON_S = 0.001  # a timer's grain: what is due within it is due

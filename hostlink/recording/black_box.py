@@ -23,15 +23,13 @@ from hostlink.errors import RecordingBusy
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.channel import Channel, note_newest
-from hostlink.recording.drive_file import LastCommand
+from hostlink.recording.drive_log import LastCommand
 from hostlink.recording.folder import MEGABYTE, Folder
-from hostlink.recording.incident import Incident, IncidentRules
-from hostlink.recording.incident_writer import OutOfTime, write_incident
+from hostlink.recording.incident import Incident, IncidentRules, OutOfTime, write_incident
 from hostlink.recording.recorder import Recorder, Selection
-from hostlink.recording.ring import Rings
-from hostlink.recording.ring_memory import RingMemory
+from hostlink.recording.ring import RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, pending_name, salvage
-from hostlink.recording.salvage import MAX_CHANNELS as MAX_FACT_CHANNELS
+from hostlink.recording.salvage import MAX_PENDING_CHANNELS as MAX_FACT_CHANNELS
 
 log = structlog.get_logger()
 

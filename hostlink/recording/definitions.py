@@ -13,7 +13,7 @@ from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from hostlink.errors import BadPayload, ConfigError, UnknownFormat
-from hostlink.messages.full_definition import read_full_definition
+from hostlink.messages.catalog import read_full_definition
 from hostlink.messages.message_type import MessageType
 from hostlink.recording.channel import CDR, ROS1, Channel
 

@@ -1,10 +1,25 @@
 """Which events are incidents: what somebody will want to look at afterwards. Pure."""
 
+import itertools
+import re
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from mcap.exceptions import McapError
+from mcap.records import Metadata
 
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, EventKind, RobotEvent
+from hostlink.recording.channel import NS_PER_S, Channel
+from hostlink.recording.folder import Folder, StoredFile
+from hostlink.recording.reader import stored_records
+from hostlink.recording.ring import Entry
 from hostlink.robot.velocity import ZERO
+
+# -- incident ---------------------------------------------------------------------------------------------------------
 
 Cause = Literal["locked", "lease", "gone", "diagnosed", "device_error", "watchdog", "requested", "daemon_died"]
 
@@ -95,3 +110,117 @@ def _cause_of_line(text: str, level: object) -> tuple[Cause | None, str]:
     if WATCHDOG_TEXT in text:
         return "watchdog", text
     return ("device_error", text) if isinstance(level, int) and level >= ERROR_LEVEL else (None, "")
+
+
+# -- incident files ---------------------------------------------------------------------------------------------------
+
+_FIRST_RECORDS = 2  # the header, and what the file says of itself
+MAX_LISTED = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class SavedIncident:
+    """One file."""
+
+    incident: Incident
+    file: StoredFile
+
+
+class IncidentFiles:
+    """Reads each file's beginning once; every method waits for the disk."""
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._known: dict[StoredFile, Incident] = {}
+
+    def newest_first(self) -> list[SavedIncident]:
+        """The newest MAX_LISTED. A file that says nothing of itself is none.
+
+        Raises:
+            OSError: the folder cannot be read.
+        """
+        known: dict[StoredFile, Incident] = {}
+        for file in self._folder.files()[-MAX_LISTED:]:
+            incident = self._known.get(file) or read_incident(self._folder.path / file.name)
+            if incident is not None:
+                known[file] = incident
+        self._known = known
+        found = [SavedIncident(incident, file) for file, incident in known.items()]
+        return sorted(found, key=lambda saved: saved.incident.stamp_ns, reverse=True)
+
+
+def read_incident(path: Path) -> Incident | None:
+    """What a file says of itself; None: it is no incident's."""
+    try:
+        with path.open("rb") as file:
+            for record in islice(stored_records(file), _FIRST_RECORDS):
+                if isinstance(record, Metadata) and "cause" in record.metadata:
+                    facts = record.metadata
+                    cause = cast("Cause", facts["cause"])
+                    return Incident(facts.get("robot", ""), cause, facts.get("detail", ""), int(facts["stamp_ns"]))
+    except (OSError, McapError, ValueError, KeyError):  # removed meanwhile, damaged, or put there by somebody else
+        return None
+    return None
+
+
+# -- incident writer --------------------------------------------------------------------------------------------------
+
+BURST = 64  # messages, which take about half a millisecond
+
+
+class OutOfTime(Exception):
+    """The process ends, and waits no more for a file."""
+
+
+def write_incident(
+    folder: Folder,
+    incident: Incident,
+    channels: list[Channel],
+    entries: Iterable[Iterable[Entry]],
+    *,
+    before_s: float,
+    rest: Callable[[], None],
+) -> Path:
+    """Write an incident's file, in the order of arrival; returns where. It waits for the disk.
+
+    `rest` is called after every BURST messages: the loop would be half as fast without the interpreter for itself.
+    What it raises ends the work, and no file is left.
+
+    Raises:
+        OSError: of the disk.
+    """
+    from hostlink.recording.mcap_writer import McapWriter  # noqa: PLC0415 - most daemons never save one
+
+    folder.make_room(())
+    stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(incident.stamp_ns // 1_000_000_000))
+    name = re.sub(r"[^A-Za-z0-9_+-]", "-", f"{stamp}_{incident.robot}_{incident.cause}")[:90]
+    number = 0
+    while folder.file(name, number).exists():
+        number += 1
+    path = folder.file(name, number)
+    metadata = {
+        "robot": incident.robot,
+        "cause": incident.cause,
+        "detail": incident.detail,
+        "stamp_ns": str(incident.stamp_ns),
+    }
+    first_s = incident.at_s - before_s
+    beside = path.with_suffix(".part")
+    beside.unlink(missing_ok=True)
+    writer = McapWriter(beside, metadata=metadata)
+    try:
+        for channel in channels:
+            writer.announce(channel)
+        wanted = (entry for entry in itertools.chain(*entries) if entry.at_s >= first_s)
+        for number, entry in enumerate(sorted(wanted, key=lambda entry: entry.at_s)):
+            steady_ns = incident.stamp_ns + round((entry.at_s - incident.at_s) * NS_PER_S)
+            writer.write(entry.channel, entry.stamp_ns, entry.payload, steady_ns)
+            if number % BURST == BURST - 1:
+                rest()
+        writer.close()
+    except BaseException:
+        writer.abandon()
+        beside.unlink(missing_ok=True)
+        raise
+    beside.rename(path)
+    return path

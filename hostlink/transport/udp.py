@@ -11,8 +11,7 @@ import socket
 from collections import Counter
 from collections.abc import Callable
 
-from hostlink.transport.allowance import Allowance
-from hostlink.transport.base import READ_BYTES
+from hostlink.transport.base import READ_BYTES, Allowance
 from hostlink.transport.tcp import spelled
 from hostlink.transport.udp_port import Datagram, receive_from
 

@@ -12,7 +12,7 @@ from platformio.package.manifest.parser import ManifestParserFactory
 from platformio.package.manifest.schema import ManifestSchema
 from platformio.package.meta import PackageSpec
 
-from hostlink.board.selection import select
+from hostlink.board.library import select
 from hostlink.cli.arduino_library import command
 from hostlink.messages.catalog import Catalog
 from tests.support.board_codec import FIRMWARE, SOURCES, write_headers

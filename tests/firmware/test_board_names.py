@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.board.identifiers import identifier
-from hostlink.board.library import headers
-from hostlink.board.selection import select
+from hostlink.board.headers import identifier
+from hostlink.board.library import headers, select
 from hostlink.messages.catalog import Catalog
 from tests.firmware.due import ROSSERIAL
 from tests.firmware.families import AVR_CORE

@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 import roslibpy
 
 from hostlink.config import Config, LinkConfig, RobotConfig, SerialConfig
+from hostlink.diagnosis.evidence import HostClock
 from hostlink.diagnosis.finding import words
-from hostlink.diagnosis.host_clock import HostClock
 from hostlink.hub.diagnostic_status import STALE_AFTER_S, WARNINGS, Level
 from hostlink.hub.diagnostics_topic import ARRAY_STATUSES, INTERVAL_S, TOPIC, TYPE
 from hostlink.hub.hub import Hub

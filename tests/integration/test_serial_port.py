@@ -14,11 +14,10 @@ from structlog.testing import capture_logs
 
 from hostlink.config import SerialConfig
 from hostlink.hub.hub import Hub
-from hostlink.listeners.serial_ports import serve_serial
+from hostlink.listeners.accepting import serve_serial
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode
-from hostlink.transport.ports import choose_by_serial, find_port
-from hostlink.transport.serial import DTR_PULSE_S, open_serial, pulse
+from hostlink.transport.serial import DTR_PULSE_S, choose_by_serial, find_port, open_serial, pulse
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import robot_topics
 from tests.support.pty_pair import pty_pair

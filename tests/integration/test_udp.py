@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config, LinkConfig, UdpConfig
 from hostlink.errors import ConfigError
-from hostlink.listeners.udp_acceptor import OPENED_A_SECOND
+from hostlink.listeners.accepting import OPENED_A_SECOND
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
 from hostlink.robot.velocity import Velocity

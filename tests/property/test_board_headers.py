@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from hostlink.board.selection import Selection, select
+from hostlink.board.library import Selection, select
 from hostlink.errors import BadPayload
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.fields import COUNT_BYTES, SCALAR, SIZES, VARIABLE, Field, Layout

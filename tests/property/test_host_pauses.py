@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hostlink.config import Config
-from hostlink.diagnosis.host_clock import HostClock
+from hostlink.diagnosis.evidence import HostClock
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.messages.catalog import Catalog

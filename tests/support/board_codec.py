@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from hostlink.board.identifiers import class_name
-from hostlink.board.library import headers
-from hostlink.board.selection import Selection
+from hostlink.board.headers import class_name
+from hostlink.board.library import Selection, headers
 from tests.support import compilers
 from tests.support.compilers import CORE, SANITIZERS
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from random import Random
 
-from hostlink.board.selection import select
+from hostlink.board.library import select
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from tests.support.board_codec import FIRMWARE, SOURCES, write_headers

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.transport.stall import STALL_S, Stall
+from hostlink.transport.base import STALL_S, Stall
 
 
 def test_an_idle_connection_does_not_stall() -> None:

@@ -5,7 +5,7 @@ import time
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import Participant
-from hostlink.messages.clock import CLOCK, CLOCK_TYPE, decode_clock
+from hostlink.messages.catalog import CLOCK, CLOCK_TYPE, decode_clock
 
 
 class SimTime:

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.board.archive import pack
-from hostlink.board.library import headers, library, sources, types_needed
-from hostlink.board.selection import select
+from hostlink.board.library import headers, library, pack, select, sources, types_needed
 from hostlink.errors import ConfigError
 from hostlink.messages.catalog import Catalog
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hostlink.board.selection import known_names, select
+from hostlink.board.library import known_names, select
 from hostlink.errors import ConfigError
 from hostlink.messages.catalog import Catalog
 

@@ -7,8 +7,7 @@ from typing import TypeVar
 
 import pytest
 
-from hostlink.board.settings import request_line
-from hostlink.board.settings_port import STORE_TRIES, BoardSettings
+from hostlink.board.settings import STORE_TRIES, BoardSettings, request_line
 from hostlink.errors import HostlinkError
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.virtual_loop import run_virtual

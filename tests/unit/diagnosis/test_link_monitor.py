@@ -5,10 +5,8 @@ import struct
 
 import pytest
 
-from hostlink.diagnosis.evidence import Complaint
-from hostlink.diagnosis.host_clock import MIN_WALL_NS, HostClock
+from hostlink.diagnosis.evidence import MIN_WALL_NS, Complaint, HostClock, port_finding
 from hostlink.diagnosis.link_monitor import LinkMonitor
-from hostlink.diagnosis.ports import port_finding
 from hostlink.diagnosis.rules import diagnose
 from hostlink.errors import FrameTooLarge
 from hostlink.protocol.control import TopicInfo, encode_topic_info

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.link.greeting import INVITATION, MAX_HEADS, has_frame
+from hostlink.link.link import INVITATION, MAX_HEADS, has_frame
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 

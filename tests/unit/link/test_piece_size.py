@@ -4,14 +4,14 @@ import asyncio
 
 from hostlink.config import LinkConfig
 from hostlink.link.fair_share import FairShare
-from hostlink.link.link import Link
-from hostlink.link.piece_size import (
+from hostlink.link.link import (
     FIRST_BYTES,
     LARGE_PIECE_S,
     LEAST_BYTES,
     MOST_BYTES,
     MOST_FRAMES,
     PIECE_S,
+    Link,
     PieceSize,
 )
 from hostlink.protocol.events import Event

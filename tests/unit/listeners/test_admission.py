@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.config import TcpConfig
-from hostlink.listeners.admission import Admission, OpenConnection, Verdict
+from hostlink.listeners.accepting import Admission, OpenConnection, Verdict
 
 ROBOT, OTHER, CROWD = "192.168.4.2", "192.168.4.3", "10.0.0.1"
 

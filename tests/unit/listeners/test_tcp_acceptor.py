@@ -6,8 +6,7 @@ from structlog.testing import capture_logs
 
 from hostlink.config import Config
 from hostlink.hub.hub import Hub
-from hostlink.listeners.refusals import PAUSE_S
-from hostlink.listeners.tcp_acceptor import TcpAcceptor
+from hostlink.listeners.accepting import PAUSE_S, TcpAcceptor
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Id, encode

@@ -7,9 +7,8 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import ConfigError, WrongType
-from hostlink.messages.catalog import Catalog
+from hostlink.messages.catalog import Catalog, read_full_definition
 from hostlink.messages.fields import Constant
-from hostlink.messages.full_definition import read_full_definition
 from hostlink.messages.message_type import MessageType, ServiceType
 
 AN_EMPTY_ONE = re.compile(r"(^MSG: \S+\n)(?==|\Z)", re.MULTILINE)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hostlink.messages.clock import decode_clock
+from hostlink.messages.catalog import decode_clock
 
 
 def test_clock_message_is_its_time_in_nanoseconds() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hostlink.errors import ConfigError
-from hostlink.messages.folders import check_not_empty, find_definitions
+from hostlink.messages.catalog import check_not_empty, find_definitions
 
 
 def put(file: Path) -> None:

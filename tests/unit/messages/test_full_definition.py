@@ -4,8 +4,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from hostlink.errors import ConfigError
-from hostlink.messages.catalog import Catalog
-from hostlink.messages.full_definition import read_full_definition
+from hostlink.messages.catalog import Catalog, read_full_definition
 
 CATALOG = Catalog()
 NAMES = sorted(

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hostlink.recording.disk_budget import StoredFile, over_budget
+from hostlink.recording.folder import StoredFile, over_budget
 
 FILES = st.lists(
     st.builds(

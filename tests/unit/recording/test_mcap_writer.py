@@ -15,7 +15,7 @@ from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import EVENTS, Channel, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.reader import Reader, StoredMessage
-from hostlink.recording.repair import Repaired, repair
+from hostlink.recording.salvage import Repaired, repair
 
 CATALOG = Catalog()
 POSE, TEXT = (CATALOG.message(name) for name in ("geometry_msgs/Pose2D", "std_msgs/String"))

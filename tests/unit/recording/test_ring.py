@@ -8,8 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hostlink.recording.channel import EVENTS, LOG, Channel
-from hostlink.recording.ring import HEADER_BYTES, MAX_MESSAGES, Entry, Rings, read_blocks, read_entries
-from hostlink.recording.ring_memory import BLOCK_BYTES, RingMemory
+from hostlink.recording.ring import (
+    BLOCK_BYTES,
+    HEADER_BYTES,
+    MAX_MESSAGES,
+    Entry,
+    RingMemory,
+    Rings,
+    read_blocks,
+    read_entries,
+)
 
 SECOND_NS = 1_000_000_000
 KEEP_S = 10.0

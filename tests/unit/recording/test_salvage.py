@@ -9,13 +9,11 @@ import pytest
 
 from hostlink import remains
 from hostlink.recording.channel import EVENTS, Channel, as_text
-from hostlink.recording.drive_file import DIED, append_drives, read_drives
+from hostlink.recording.drive_log import DIED, append_drives, read_drives
 from hostlink.recording.drives import Drive
-from hostlink.recording.incident import Incident
-from hostlink.recording.incident_writer import OutOfTime
+from hostlink.recording.incident import Incident, OutOfTime
 from hostlink.recording.reader import Reader
-from hostlink.recording.ring import Rings
-from hostlink.recording.ring_memory import BLOCK_BYTES, RING, RingMemory
+from hostlink.recording.ring import BLOCK_BYTES, RING, RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, main, pending_name, salvage
 from hostlink.robot.velocity import ZERO, Velocity
 

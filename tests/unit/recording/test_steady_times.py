@@ -19,8 +19,8 @@ from hostlink.recording.incident import Incident
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.recording.playing import schedule
 from hostlink.recording.reader import Reader
-from hostlink.recording.repair import repair
 from hostlink.recording.ring import Entry
+from hostlink.recording.salvage import repair
 from hostlink.recording.tables import read
 
 DAY_S = 86_400

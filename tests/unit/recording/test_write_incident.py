@@ -6,8 +6,7 @@ import pytest
 
 from hostlink.recording.channel import EVENTS, LOG
 from hostlink.recording.folder import Folder
-from hostlink.recording.incident import Incident
-from hostlink.recording.incident_writer import BURST, write_incident
+from hostlink.recording.incident import BURST, Incident, write_incident
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import Entry
 

@@ -1,0 +1,386 @@
+"""Accepting devices on TCP, UDP and serial ports, and refusing them."""
+
+import asyncio
+import dataclasses
+import errno
+import ipaddress
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import structlog
+
+from hostlink.config import LinkConfig, SerialConfig, TcpConfig, UdpConfig
+from hostlink.hub.hub import Hub
+from hostlink.link.link import INVITATION, Authenticate, Link, LinkEnd, has_frame, trust
+from hostlink.logs import printable
+from hostlink.transport.base import Transport
+from hostlink.transport.keyed import HELLO, KeyProof, read_key
+from hostlink.transport.serial import SerialTransport, open_serial
+from hostlink.transport.tcp import spelled
+from hostlink.transport.udp import UdpTransport
+from hostlink.transport.udp_port import Datagram, UdpPort
+
+# -- refusals ---------------------------------------------------------------------------------------------------------
+
+log = structlog.get_logger()
+
+PAUSE_S = 5.0  # a device for which there is no room comes again at once, and nothing will have changed
+LOG_INTERVAL_S = 10.0  # whoever is refused comes again at once
+
+
+class Refusals:
+    """What one acceptor has refused."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._paused_until_s: dict[str, float] = {}
+        self._log_at_s = float("-inf")
+        self._unlogged: Counter[str] = Counter()
+
+    def pause(self, address: str) -> None:
+        """Refuse this address for PAUSE_S."""
+        self._paused_until_s[address] = _now_s() + PAUSE_S
+
+    def is_paused(self, address: str) -> bool:
+        """Whether its pause is not over."""
+        now_s = _now_s()
+        self._paused_until_s = {each: until_s for each, until_s in self._paused_until_s.items() if until_s > now_s}
+        return address in self._paused_until_s
+
+    def count(self, cause: str, peer: str) -> None:
+        """Count it; log the first, then at most one in LOG_INTERVAL_S, with what came since."""
+        self._hub.counts.refused[cause] += 1
+        self._unlogged[cause] += 1
+        now_s = _now_s()
+        if now_s >= self._log_at_s:
+            self._log_at_s = now_s + LOG_INTERVAL_S
+            log.warning("connection.refused", cause=cause, peer=printable(peer), **self._unlogged)
+            self._unlogged.clear()
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+# -- admission --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class OpenConnection:
+    """One connection that is served."""
+
+    number: int
+    address: str
+    is_identified: bool  # as every device does within a second; such a one is never evicted
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a connection may stay: why not, or who must go for it."""
+
+    refusal: str | None = None
+    evicts: int | None = None
+
+
+class Admission:
+    """
+    | a connection comes                | what happens                                                             |
+    |-----------------------------------|--------------------------------------------------------------------------|
+    | from outside the allowed networks | refused: not_allowed                                                     |
+    | over the bound of its address     | refused: too_many_of_address                                             |
+    | over the bound of all             | of the unidentified, without topics, the oldest of the address that has  |
+    |                                   | most of them is evicted, if its own has none, or at least two fewer;     |
+    |                                   | else it is refused: too_many                                             |
+    """
+
+    def __init__(self, config: TcpConfig | UdpConfig) -> None:
+        self._config = config
+        self._allowed = [ipaddress.ip_network(network) for network in config.allow]
+        self._keyless = [ipaddress.ip_network(network) for network in config.keyless]
+
+    def judge(self, address: str, connections: Sequence[OpenConnection], *, room: int | None = None) -> Verdict:
+        """`connections`: those that are there, oldest first; `room`: for how many, if not the bound of all."""
+        most = self._config.max_connections if room is None else room
+        if self._allowed and not is_within(address, self._allowed):
+            return Verdict(refusal="not_allowed")
+        if sum(connection.address == address for connection in connections) >= self._config.max_connections_per_address:
+            return Verdict(refusal="too_many_of_address")
+        if len(connections) < most:
+            return Verdict()
+        unidentified = [connection for connection in connections if not connection.is_identified]
+        counts = Counter(connection.address for connection in unidentified)
+        oldest = max(
+            unidentified, key=lambda connection: counts[connection.address], default=None
+        )  # the first of equals
+        if oldest is None or 0 < counts[address] >= counts[oldest.address] - 1:  # else crowds take turns without end
+            return Verdict(refusal="too_many")
+        return Verdict(evicts=oldest.number)
+
+    def needs_key(self, address: str) -> bool:
+        """If there is a key: whether this one must prove it."""
+        return not is_within(address, self._keyless)
+
+
+def is_within(address: str, networks: Sequence[ipaddress.IPv4Network | ipaddress.IPv6Network]) -> bool:
+    """Whether one of the networks has the address."""
+    found = ipaddress.ip_address(address)
+    return any(found in network for network in networks)
+
+
+# -- tcp acceptor -----------------------------------------------------------------------------------------------------
+
+
+class TcpAcceptor:
+    """Owns the connections that came over TCP."""
+
+    def __init__(self, hub: Hub, config: TcpConfig) -> None:
+        """Starts without connections.
+
+        Raises:
+            ConfigError: the key file cannot be used.
+        """
+        self._hub = hub
+        self._admission = Admission(config)
+        self._key = None if config.key_file is None else read_key(config.key_file, "tcp.key_file")
+        self._links: dict[int, Link] = {}  # oldest first
+        self._refusals = Refusals(hub)
+
+    def accept(self, transport: Transport) -> None:
+        """A device has connected."""
+        connections = [
+            OpenConnection(link.number, link.address, is_identified=link.session.counts.negotiations > 0)
+            for link in self._links.values()
+        ]
+        verdict = self._admission.judge(transport.address, connections)
+        refusal = "too_many_robots" if self._refusals.is_paused(transport.address) else verdict.refusal
+        if refusal is not None:
+            self._refusals.count(refusal, transport.peer)
+            self._hub.spawn(transport.aclose(), name=f"refusal of {transport.peer}")
+            return
+        if verdict.evicts is not None:
+            leaving = self._links.pop(verdict.evicts)
+            self._refusals.count(LinkEnd.EVICTED.value, leaving.peer)
+            leaving.end(LinkEnd.EVICTED)
+        link = self._hub.links.open(transport)
+        self._links[link.number] = link
+        self._hub.spawn(self._serve(link, self._authentication(transport)), name=f"link to {transport.peer}")
+
+    def _authentication(self, transport: Transport) -> Authenticate:
+        if self._key is None or not self._admission.needs_key(transport.address):
+            return trust
+        proof = KeyProof(transport, self._key, on_refused=lambda cause: self._refusals.count(cause, transport.peer))
+        return proof.authenticate
+
+    async def _serve(self, link: Link, authenticate: Authenticate) -> None:
+        try:
+            if await self._hub.links.serve(link, authenticate) is LinkEnd.REFUSED:
+                self._refusals.pause(link.address)
+        finally:
+            self._links.pop(link.number, None)
+
+
+# -- udp acceptor -----------------------------------------------------------------------------------------------------
+
+OPENED_A_SECOND = 20.0  # sessions of each kind, and as many at once: each costs about a millisecond
+INVITE_S = 2.0  # as often as a link requests the topics of a device that does not answer
+_NO_DESCRIPTOR = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+
+
+@dataclass(frozen=True, slots=True)
+class _Session:
+    link: Link
+    transport: UdpTransport
+
+    def as_connection(self) -> OpenConnection:
+        """As Admission has it: who is verified is not evicted."""
+        is_identified = self.transport.is_verified or self.link.session.counts.negotiations > 0
+        return OpenConnection(self.link.number, self.link.address, is_identified=is_identified)
+
+
+class UdpAcceptor:
+    """Owns the sessions that began over UDP."""
+
+    def __init__(self, hub: Hub, config: UdpConfig) -> None:
+        """Starts without sessions.
+
+        Raises:
+            ConfigError: the key file cannot be used.
+        """
+        self._hub, self._config = hub, config
+        self._admission = Admission(config)
+        self._key = None if config.key_file is None else read_key(config.key_file, "udp.key_file")
+        self._trusted = [ipaddress.ip_network(network) for network in config.trusted]
+        self._devices = config.device_addresses()
+        self._sessions: dict[tuple[str, int], _Session] = {}  # by where their datagrams come from, oldest first
+        self._refusals = Refusals(hub)
+        self._rates = {is_verified: _Rate() for is_verified in (False, True)}
+
+    def receive(self, port: UdpPort, datagram: Datagram) -> bool:
+        """A datagram came that no session's own socket received; returns whether it has opened one."""
+        session = self._sessions.get(datagram.source[:2])
+        if session is not None:
+            session.transport.feed(datagram.data)
+            return False
+        if self._is_greeting(datagram):
+            return self._open(port, datagram)
+        self._hub.counts.datagrams_dropped["not_rosserial"] += 1
+        return False
+
+    async def invite(self, ports: Sequence[UdpPort]) -> None:
+        """Send something to each device that waits for it and has no session, again and again, until cancelled."""
+        while True:
+            for address in self._devices:
+                is_ipv6 = ":" in address[0]
+                port = next((each for each in ports if (":" in each.address[0]) == is_ipv6), None)
+                if port is not None and address not in self._sessions:
+                    port.send(INVITATION, address)
+            await asyncio.sleep(INVITE_S)
+
+    def _is_greeting(self, datagram: Datagram) -> bool:
+        return datagram.data == HELLO if self._needs_key(datagram.source[0]) else has_frame(datagram.data)
+
+    def _needs_key(self, address: str) -> bool:
+        return self._key is not None and self._admission.needs_key(address)
+
+    def _open(self, port: UdpPort, datagram: Datagram) -> bool:
+        address, peer = datagram.source[0], spelled(*datagram.source[:2])
+        is_verified = not self._needs_key(address) and self._is_trusted(datagram.source[:2])
+        refusal = self._refusal(address, peer, is_verified=is_verified)
+        if refusal is not None:
+            self._refusals.count(refusal, peer)
+            return False
+        try:
+            connection = port.connect(datagram)
+        except OSError as error:
+            self._refusals.count("no_descriptor" if error.errno in _NO_DESCRIPTOR else "unreachable", peer)
+            return False
+        transport = UdpTransport(
+            connection,
+            datagram,
+            is_verified=is_verified,
+            dropped=self._hub.counts.datagrams_dropped,
+            on_other=lambda other: self.receive(port, other),
+            on_limited=lambda: self._refusals.count("unverified", peer),
+        )
+        session = _Session(self._hub.links.open(transport), transport)
+        self._sessions[datagram.source[:2]] = session
+        self._hub.spawn(self._serve(session, datagram.source[:2]), name=f"link to {peer}")
+        return True
+
+    def _is_trusted(self, source: tuple[str, int]) -> bool:
+        return source in self._devices or is_within(source[0], self._trusted)
+
+    def _refusal(self, address: str, peer: str, *, is_verified: bool) -> str | None:
+        """Why it gets no session; another may be ended for it."""
+        if self._refusals.is_paused(peer):
+            return "too_many_robots"
+        if not self._rates[is_verified].allows(asyncio.get_running_loop().time()):
+            return "too_fast"
+        verified = [each for each in self._sessions.values() if each.transport.is_verified]
+        others = [each for each in self._sessions.values() if not each.transport.is_verified]
+        most = self._config.max_connections
+        room = most if is_verified else min(most // 2, most - len(verified))
+        beside = [*verified, *others] if is_verified else others
+        verdict = self._admission.judge(address, [each.as_connection() for each in beside], room=room)
+        if verdict.evicts is not None:
+            self._evict(next(each for each in beside if each.link.number == verdict.evicts))
+        return verdict.refusal
+
+    def _evict(self, session: _Session) -> None:
+        self._refusals.count(LinkEnd.EVICTED.value, session.link.peer)
+        session.link.end(LinkEnd.EVICTED)
+
+    def _authentication(self, transport: UdpTransport) -> Authenticate:
+        if self._key is None or not self._needs_key(transport.address):
+            return trust
+        proof = KeyProof(
+            transport,
+            self._key,
+            on_refused=lambda cause: self._refusals.count(cause, transport.peer),
+            on_proven=transport.verify,
+        )
+        return proof.authenticate
+
+    async def _serve(self, session: _Session, source: tuple[str, int]) -> None:
+        try:
+            if await self._hub.links.serve(session.link, self._authentication(session.transport)) is LinkEnd.REFUSED:
+                self._refusals.pause(session.link.peer)
+        finally:
+            if self._sessions.get(source) is session:
+                del self._sessions[source]
+
+
+class _Rate:
+    """At most OPENED_A_SECOND, and as many at once."""
+
+    def __init__(self) -> None:
+        self._left = OPENED_A_SECOND
+        self._at_s = 0.0
+
+    def allows(self, now_s: float) -> bool:
+        self._left = min(OPENED_A_SECOND, self._left + (now_s - self._at_s) * OPENED_A_SECOND)
+        self._at_s = now_s
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
+
+
+# -- serial ports -----------------------------------------------------------------------------------------------------
+
+BITS_A_BYTE = 10  # 8N1
+RETRY_S = 1.0  # a port that vanished is searched this often
+
+
+async def serve_serial(hub: Hub, config: SerialConfig, *, retry_s: float = RETRY_S) -> None:
+    """Serve until cancelled."""
+    logged = ""
+    while True:
+        with hub.isolation.around("task", task=f"serial port {config.name}"):
+            reason = await _serve_once(hub, config)
+            if reason and reason != logged:
+                log.warning("serial.waiting", port=config.name, reason=reason)
+            logged = reason
+        await asyncio.sleep(retry_s)
+
+
+async def _serve_once(hub: Hub, config: SerialConfig) -> str:
+    """Serve the port to the end of its link; the reason when it cannot be opened."""
+    try:
+        transport = await open_serial(config)
+    except OSError as error:
+        hub.diagnoses.observe_port(config.name, error)
+        return error.strerror or str(error)
+    hub.diagnoses.observe_port(config.name, None)
+    link = hub.links.open(transport, _link_config(hub, config))
+    hub.diagnoses.observe_baud(link, config.bauds[0])
+    async with asyncio.TaskGroup() as tasks:
+        trying = tasks.create_task(_try_bauds(hub, transport, link, config), name=f"baud rate of {config.name}")
+        await hub.links.serve(link)
+        trying.cancel()
+    return ""
+
+
+def _link_config(hub: Hub, config: SerialConfig) -> LinkConfig:
+    """Silence ends no link here: a port that is gone raises an error, and opening one may reset a board."""
+    uart_bytes_s = hub.config.link.uart_bytes_s or min(config.bauds) // BITS_A_BYTE
+    return dataclasses.replace(hub.config.link, idle_timeout_s=None, silence_timeout_s=None, uart_bytes_s=uart_bytes_s)
+
+
+async def _try_bauds(hub: Hub, transport: SerialTransport, link: Link, config: SerialConfig) -> None:
+    """One rate after the other, until a frame has come whole."""
+    if len(config.bauds) == 1:
+        return
+    for baud in itertools.cycle(config.bauds):
+        log.debug("serial.baud_tried", port=config.name, baud=baud)
+        try:
+            transport.set_baud(baud)
+        except OSError:  # the port has vanished; the link finds that by itself
+            return
+        hub.diagnoses.observe_baud(link, baud)
+        await asyncio.sleep(config.baud_try_s)
+        if link.session.counts.frames_from_device:
+            log.info("serial.baud_found", port=config.name, baud=baud)
+            return
