@@ -85,8 +85,8 @@ async def test_a_daemon_killed_while_driving_leaves_an_incident_with_its_last_se
     async with serve(*words) as daemon:
         await kill_while_driving(daemon)
     if has_guardian:
-        await expect(lambda: incident_files(tmp_path), timeout_s=20)
-        await expect(lambda: not remains.of_process(daemon.pid), timeout_s=20)
+        await expect(lambda: incident_files(tmp_path), timeout_s=60)  # whoever writes it lets all others go first
+        await expect(lambda: not remains.of_process(daemon.pid), timeout_s=60)
         await check_incident(tmp_path)
     else:
         assert remains.of_process(daemon.pid)
@@ -116,8 +116,8 @@ async def test_a_daemon_killed_while_nobody_drives_leaves_what_was_pending_and_n
         await asyncio.sleep(0.5)
         await post(session, daemon, "/api/robots/robot_0/lock", {"reason": "a hand in the wheel"})
         os.kill(daemon.pid, signal.SIGKILL)
-        await expect(lambda: incident_files(tmp_path), timeout_s=20)
-        await expect(lambda: not remains.of_process(daemon.pid), timeout_s=20)
+        await expect(lambda: incident_files(tmp_path), timeout_s=60)  # whoever writes it lets all others go first
+        await expect(lambda: not remains.of_process(daemon.pid), timeout_s=60)
     (file,) = incident_files(tmp_path)
     reader = Reader(file)
     assert [message.channel.topic for message in reader.messages()].count("/robot_0/odometry") >= 5
