@@ -34,10 +34,10 @@ class GraphServiceView(TypedDict):
 
 
 class GraphRobotView(TypedDict):
-    """A robot whose device is connected, and the topics that drive it."""
+    """A robot of this daemon, and the topics that drive it; `link` is null while its device is not connected."""
 
     name: str
-    link: int
+    link: int | None
     velocity_topics: dict[str, str]  # types by name
 
 
@@ -67,9 +67,12 @@ class ClientGraph:
     def _robot_views(self, graph: Graph) -> list[GraphRobotView]:
         gated = {topic.name for topic in graph.topics if topic.is_velocity}
         return [
-            {"name": robot.name, "link": robot.link.number, "velocity_topics": _velocity_topics(robot, gated)}
+            {
+                "name": robot.name,
+                "link": None if robot.link is None else robot.link.number,
+                "velocity_topics": _velocity_topics(robot, gated),
+            }
             for robot in self._robots.here()
-            if robot.link is not None
         ]
 
 

@@ -106,8 +106,9 @@ class Drive:
         robot = self._robots.find(wanted.robot)
         velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
         epoch = wanted.stops if wanted.epoch is None else wanted.epoch
-        if wanted.link is not None and robot.link is not None and robot.link.number != wanted.link:
-            epoch = EARLIER_EPOCH
+        if wanted.link is not None and robot.link is not None:
+            is_same = robot.resumed_link <= wanted.link <= robot.link.number
+            epoch = epoch if is_same else EARLIER_EPOCH
         limited = self._participant.drive(
             robot, velocity, priority=wanted.priority, received_s=request.came_s, sent_s=wanted.sent_s, epoch=epoch
         )

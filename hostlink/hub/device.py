@@ -88,6 +88,8 @@ class Device:
         self.is_played = is_played([(info.name, info.type, info.is_to_device) for info in infos])
         if robot is not None:
             robot.is_played = self.is_played
+            robot.velocities = {shown.of(info.name): info.name for info in infos if is_velocity(info)}
+            robot.velocities[robot.shown.velocity] = robot.topics.velocity
         self.names = frozenset(shown.of(info.name) for info in infos if info.kind in (Id.PUBLISHER, Id.SUBSCRIBER))
         own = {} if robot is None else robot.shown.own
         for info in sorted(infos, key=lambda info: own.get(shown.of(info.name)) != info.type):  # its own types first
@@ -226,6 +228,8 @@ class Device:
         topic = self._parts.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
             drivable.echoes[topic.name] = topic
+            if robot is None:  # nothing of it is known from before
+                self._parts.gates.join(drivable, topic)
 
     def _drivable(self, info: TopicInfo, robot: Robot | None) -> Drivable:
         """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose."""

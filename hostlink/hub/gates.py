@@ -18,6 +18,7 @@ from hostlink.hub.remote_robot import Elsewhere, RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvents
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
+from hostlink.hub.topic import Topic
 from hostlink.link.link import Link, LinkEnd
 from hostlink.robot.admission import LEASE_S, Admission, Command
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
@@ -54,7 +55,8 @@ class Gates:
     def attach(self, drivable: Drivable, link: Link) -> None:
         """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
         drivable.link, drivable.last_frame = link, b""
-        drivable.gate.admission.connect(_now_s())
+        if drivable.gate.admission.connect(_now_s()) and isinstance(drivable, Robot):
+            drivable.resumed_link = link.number
         drivable.gate.restart()
         if link not in self._of_link:
             self._of_link[link], self._topic_ids[link] = [], []
@@ -95,6 +97,10 @@ class Gates:
         self._wake.set()
 
     # -- driving ------------------------------------------------------------------------------------------------------
+
+    def join(self, drivable: Drivable | RemoteRobot, topic: Topic) -> None:
+        """Note that a gate subscribes to a topic which others may be publishing already."""
+        drivable.gate.admission.join(topic.publishers, _now_s())
 
     def receive(self, drivable: Drivable, message: Message) -> None:
         """The gate's end of a velocity topic: a Twist is a command of its publisher.

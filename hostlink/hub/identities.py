@@ -76,6 +76,7 @@ class Identities:
     def forget_robot(self, robot: Robot) -> None:
         """It has been away for long."""
         self._directory.forget(robot.name)
+        self._affected.robot_topics.forget(robot)
         self._affected.emergency_stop.withdraw(robot.name)
 
     def check_places(self, places: Places) -> None:

@@ -128,6 +128,11 @@ class RemoteRobot:
     def __post_init__(self) -> None:
         self.gate = RemoteGate(Admission(self.name, epoch=secrets.randbits(EPOCH_BITS)))
 
+    @property
+    def resumed_link(self) -> int:
+        """The link since which no reconnection was an interruption."""
+        return 0 if self.link is None else self.link.number
+
     def command(self, command: Command, velocity: Velocity, now_s: float) -> Velocity:
         """Send a command to the daemon that has the robot, if it is admitted here; returns it as it was sent.
 

@@ -69,15 +69,18 @@ class RemoteRobots:
         wanted = frozenset(velocities)
         if self._velocities.get(robot.name, frozenset()) == wanted:
             return
-        node = self._nodes[robot.name]
+        node, before = self._nodes[robot.name], self._velocities.get(robot.name, frozenset())
         self._topics.leave(node)
         self._velocities[robot.name] = wanted
         for name, type_name in wanted:
             subscription = DeviceSubscription(functools.partial(self._receive, robot), is_gate=True)
             try:
-                self._topics.subscribe_device(name, node, subscription, type_name=type_name)
+                topic = self._topics.subscribe_device(name, node, subscription, type_name=type_name)
             except HostlinkError as error:
                 log.warning("topic.refused", topic=name, reason=str(error))
+            else:
+                if (name, type_name) not in before:
+                    self._gates.join(robot, topic)
 
     def is_read(self, topic: str) -> bool:
         """Whether anybody here subscribes to one of their velocity topics."""
@@ -96,7 +99,7 @@ class RemoteRobots:
         Raises:
             HostlinkError: as `Gates.command`; also where a device here has the same topic.
         """
-        if len(self._topics.find(message.topic).devices) > 1:
+        if sum(not device.is_away for device in self._topics.find(message.topic).devices.values()) > 1:
             raise DeviceGone(robot.name, f"{message.topic} is a topic here and at {robot.host}")
         if message.type_name == TWIST_TYPE:
             velocity = Velocity.decode(message.payload)

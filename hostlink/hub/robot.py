@@ -30,6 +30,9 @@ class Robot(Drivable):
     host: None = None  # it is here
     also_at: tuple[str, ...] = ()  # other daemons that have a robot of this name
     unreadable: int = 0  # messages of its odometry that are none
+    velocities: dict[str, str] = field(default_factory=dict)  # its device's velocity topics as shown, and as named
+    heard: frozenset[str] = frozenset()  # topics that its gate subscribes to, also while its device is away
+    resumed_link: int = 0  # the link since which no reconnection was an interruption
     followers: dict[Hashable, Callable[[Message | None], None]] = field(
         default_factory=dict
     )  # receive what were new poses

@@ -3,7 +3,7 @@
 import functools
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,10 +31,15 @@ _NS_PER_S = 1_000_000_000
 
 @dataclass(slots=True)
 class _Offer:
-    """What one connected robot has by the names of ROS; None: not offered, or a device's own."""
+    """What one robot has by the names of ROS; None: not offered, or a device's own.
+
+    While its device is away, a robot has its velocity topics alone: what is published there is refused, and the
+    admission knows who was publishing when the device connects.
+    """
 
     robot: Robot
     frames: FrameIds
+    is_away: bool
     odom: Topic | None = None
     publishes_tf: bool = False
     commands: list[str] = field(default_factory=list)  # topics of its gate
@@ -42,7 +47,9 @@ class _Offer:
 
 
 class RobotTopicPublisher:
-    """Offered while a robot is connected; a name that a device uses for the same is the device's.
+    """Offered while a robot is known; a name that a device uses for the same is the device's.
+
+    A robot whose device is away gives a name up to a device and to a robot that is connected.
 
     Frame ids have the robot's name in front, unless its configuration chooses others. They never depend on which robot
     connects first.
@@ -68,6 +75,8 @@ class RobotTopicPublisher:
         lost = [self._offers[name] for name in changed if name in self._offers]
         freed = touched.union(*(offer.wanted for offer in lost))
         names = changed.keys() | {name for topic in freed for name in self._candidates.get(topic, ())}
+        for topic in {resolve(name) for robot in changed.values() if robot.link for name in own_topics(robot)}:
+            names |= {name for name in self._candidates.get(topic, ()) if self._offers[name].is_away}
         for name in names:
             offer = self._offers.pop(name, None)
             if offer is not None:
@@ -75,11 +84,17 @@ class RobotTopicPublisher:
                 self._close(offer)
         if TF_TOPIC in touched:
             self._reopen_tf()
-        for name in sorted(changed):
-            if changed[name].link is not None:
-                self._open(changed[name])
-        if not self._offers:
+        for name in sorted(changed, key=lambda name: (changed[name].link is None, name)):
+            self._open(changed[name])
+        if not any(offer.publishes_tf for offer in self._offers.values()):
             self._close_tf()
+
+    def forget(self, robot: Robot) -> None:
+        """It is not known any more."""
+        offer = self._offers.pop(robot.name, None)
+        if offer is not None:
+            self._close(offer)
+            self.update((), offer.wanted)
 
     def _relay(self, offer: _Offer, message: Message | None) -> None:
         """Publish what a pose of the robot means, where anybody subscribes."""
@@ -103,19 +118,40 @@ class RobotTopicPublisher:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
     def _open(self, robot: Robot) -> None:
-        offer = self._offers[robot.name] = _Offer(robot, frames_of(robot.name, robot.config))
-        offer.wanted = frozenset(map(resolve, own_topics(robot)))
+        is_away = robot.link is None
+        offer = self._offers[robot.name] = _Offer(robot, frames_of(robot.name, robot.config), is_away)
+        commands = (dict.fromkeys(robot.velocities, TWIST_TYPE) if is_away else {}) | command_topics(robot)
+        offer.wanted = frozenset(map(resolve, filter(None, commands if is_away else own_topics(robot))))
         for name in offer.wanted:
             self._candidates[name][robot.name] = None
+        if not is_away:
+            self._advertise_poses(offer)
+        for topic, type_name in commands.items():
+            if self._subscribe(robot, topic, type_name):
+                offer.commands.append(resolve(topic))
+                self._commands.add(resolve(topic))
+        self._note_heard(offer)
+
+    def _advertise_poses(self, offer: _Offer) -> None:
+        robot = offer.robot
         offer.odom = self._advertise(_odom(robot), ODOMETRY_TYPE, robot.shown.odometry)
         offer.publishes_tf = robot.config.publish_tf and not self._publishes(robot, TF_TOPIC)
         if offer.publishes_tf and self._tf is None:
             self._tf = self._advertise(TF_TOPIC, TF_TYPE)
         robot.followers[self] = functools.partial(self._relay, offer)
-        for topic, type_name in command_topics(robot).items():
-            if self._subscribe(robot, topic, type_name):
-                offer.commands.append(resolve(topic))
-                self._commands.add(resolve(topic))
+
+    def _note_heard(self, offer: _Offer) -> None:
+        """Who publishes to a topic that the robot's gates have not subscribed to until now has begun before."""
+        robot = offer.robot
+        heard = frozenset(offer.commands)
+        heard |= {name for name in robot.velocities if self._is_gate_of(robot, name)}
+        for name in heard - robot.heard:
+            self._gates.join(robot, self._graph.find(name))
+        robot.heard = heard
+
+    def _is_gate_of(self, robot: Robot, name: str) -> bool:
+        topic = self._graph.find_or_none(name)
+        return topic is not None and robot.link in topic.devices
 
     def _close(self, offer: _Offer) -> None:
         for name in offer.wanted:
@@ -127,7 +163,8 @@ class RobotTopicPublisher:
             self._graph.unadvertise(offer.odom.name, self._node)
         for name in offer.commands:
             self._graph.unsubscribe_device(name, self._node)
-            offer.robot.echoes.pop(name, None)
+            if not offer.is_away:  # else a device that has come has the name by now
+                offer.robot.echoes.pop(name, None)
             self._commands.discard(name)
 
     def _reopen_tf(self) -> None:
@@ -158,16 +195,29 @@ class RobotTopicPublisher:
         known = self._graph.find_or_none(name)
         if not name or resolve(name) in self._commands or (known is not None and known.devices):
             return False
+        is_away = robot.link is None
+        receive: Callable[[Robot, Message], None]
         receive = self._gates.receive if type_name == TWIST_TYPE else self._receive_stamped
-        subscription = DeviceSubscription(functools.partial(receive, robot), is_gate=True)
+        if is_away:
+            receive = self._yielding(receive)
+        subscription = DeviceSubscription(functools.partial(receive, robot), is_gate=True, is_away=is_away)
         try:
             topic = self._graph.subscribe_device(name, self._node, subscription, type_name=type_name)
         except HostlinkError as error:
             log.warning("topic.refused", topic=name, reason=str(error))
             return False
-        if type_name == TWIST_TYPE:
+        if type_name == TWIST_TYPE and not is_away:
             robot.echoes[topic.name] = topic
         return True
+
+    def _yielding(self, receive: Callable[[Robot, Message], None]) -> Callable[[Robot, Message], None]:
+        """Leave a message to another gate of the topic: the device may be connected to another daemon now."""
+
+        def receive_alone(robot: Robot, message: Message) -> None:
+            if len(self._graph.find(message.topic).devices) == 1:
+                receive(robot, message)
+
+        return receive_alone
 
     def _receive_stamped(self, robot: Robot, message: Message) -> None:
         """Pass a TwistStamped on as a command of its publisher. A stamp of 0 is none.

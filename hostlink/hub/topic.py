@@ -37,6 +37,7 @@ class DeviceSubscription(NamedTuple):
     receive: Receive
     is_gate: bool
     is_command: bool = False  # each message is acted on once, as a reset of the odometry
+    is_away: bool = False  # the gate of a robot whose device is not connected
 
     @property
     def takes_latched(self) -> bool:

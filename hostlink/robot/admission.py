@@ -38,13 +38,16 @@ source of the same priority takes the robot over. The lease of a command that wa
 and a lock do not shorten the time for which the robot is held.
 
 An interruption increments the epoch. Answers to commands carry the epoch, so that a program can say that it has seen
-the interruption. A reconnection disarms whoever was driving when the device left, too: a publisher goes on without an
-answer, and is not seen here meanwhile. A reconnection within `resume_after_reconnect_s` is not an interruption.
+the interruption. A reconnection disarms the sources that were driving when the device left, too. A reconnection within
+`resume_after_reconnect_s` is not an interruption.
+
+A publisher that was there before the robot may be in the middle of a motion: `join` names it. Its first non-zero
+command within a lease counts as one with an earlier epoch.
 """
 
 import math
 import shlex
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, Self
 
@@ -166,6 +169,7 @@ class Admission:
     refused: dict[RefusalKind, int] = field(default_factory=dict)
     _sources: dict[Hashable, _Source] = field(default_factory=dict)  # the one that commanded last is the last one
     _drivers: dict[Hashable, Driver] = field(default_factory=dict)  # by velocity topic
+    _joined: dict[Hashable, EarlierMotion] = field(default_factory=dict)
     _disconnected_s: float = float("-inf")
 
     # -- commands -----------------------------------------------------------------------------------------------------
@@ -188,6 +192,9 @@ class Admission:
         if now_s >= source.commanded_s + self.lease_s:
             source.is_armed = True  # it let go
         source.commanded_s = now_s
+        joined = self._joined.pop(owner, None)
+        if joined is not None and command.epoch is None:
+            command = command._replace(epoch=joined.pop_epoch(command.received_s))
         if command.epoch not in (None, self.epoch):
             source.is_armed = False  # whatever refuses this command: the next one continues its motion
         if not velocity.is_finite:
@@ -219,8 +226,11 @@ class Admission:
         """A zero is admitted at any age, but one that may be from before an interruption arms nothing."""
         owner = command.source
         source = self._sources.get(owner)
-        if source is not None and not self._late_text(command, source.waited_s(command, now_s)):
-            source.is_armed, source.commanded_s, source.has_lost_device = True, float("-inf"), False
+        waited_s = now_s - command.received_s if source is None else source.waited_s(command, now_s)
+        if not self._late_text(command, waited_s):
+            self._joined.pop(owner, None)
+            if source is not None:
+                source.is_armed, source.commanded_s, source.has_lost_device = True, float("-inf"), False
         if not self.is_connected:
             return self._refuse(RefusalKind.NOT_CONNECTED, "its device is not connected")
         driver = self.driver(topic, now_s)
@@ -300,6 +310,7 @@ class Admission:
     def withdraw(self, owner: Hashable) -> None:
         """Forget a source that has left, or whose command does not fit the device; what it drove stops."""
         self._sources.pop(owner, None)
+        self._joined.pop(owner, None)
         self._drivers = {topic: driver for topic, driver in self._drivers.items() if driver.source != owner}
 
     # -- interruptions ------------------------------------------------------------------------------------------------
@@ -325,17 +336,24 @@ class Admission:
             self.lock_reason = None
             self.interrupt(now_s)
 
-    def connect(self, now_s: float) -> None:
-        """The device is connected, or has other topics. No earlier command is valid."""
-        if now_s >= self._disconnected_s + self.resume_after_reconnect_s:
+    def join(self, sources: Iterable[Hashable], now_s: float) -> None:
+        """Note sources that have published to the robot since before it was subscribed."""
+        self._joined = {owner: motion for owner, motion in self._joined.items() if now_s < motion.until_s}
+        self._joined |= {owner: EarlierMotion.within_a_lease(now_s) for owner in sources}
+
+    def connect(self, now_s: float) -> bool:
+        """The device is connected, or has other topics; returns whether that is an interruption."""
+        is_interruption = now_s >= self._disconnected_s + self.resume_after_reconnect_s
+        if is_interruption:
             self.interrupt(now_s)
         self.is_connected = True
         self._drop_holds()
         for source in self._sources.values():
             source.has_lost_device = False
+        return is_interruption
 
     def disconnect(self, now_s: float) -> None:
-        """The device is gone. What is published to a device that is away is not seen here."""
+        """The device is gone."""
         self.is_connected, self._disconnected_s = False, now_s
         for source in self._sources.values():
             source.has_lost_device |= now_s < source.commanded_s + self.lease_s

@@ -216,9 +216,34 @@ async def not_connected(way: EntryPoint, robot: Robot) -> None:
     await asyncio.sleep(0.1)
     await way.start()
     await asyncio.sleep(2 * LEASE_S)
-    assert robot.refused <= {RefusalKind.NOT_CONNECTED}
+    assert robot.refused == {RefusalKind.NOT_CONNECTED}
     await robot.connect_again()
     await robot.stands(1.0)
+
+
+async def new_robot(way: EntryPoint, robot: Robot) -> None:
+    """The robot of before is forgotten: nothing of the new one was known when the stream began."""
+    await robot.made.robot.aclose()
+    await asyncio.sleep(0.1)
+    robot.made.hub.robots.forget(ROBOT)
+    await way.start()
+    await asyncio.sleep(2 * LEASE_S)
+    await robot.connect_again()
+    await robot.stands(1.0)
+    assert robot.refused == {RefusalKind.DISARMED}
+    await way.zero()
+    await way.start()
+    await robot.moves()
+
+
+async def resumes(way: EntryPoint, robot: Robot) -> None:
+    robot.admission.resume_after_reconnect_s = 5.0
+    await way.start()
+    await robot.moves()
+    for _ in range(2):
+        await come_back_after_a_while(robot)
+        await robot.moves(0.5)
+    assert robot.refused == {RefusalKind.NOT_CONNECTED}
 
 
 async def held(way: EntryPoint, robot: Robot) -> None:
@@ -307,6 +332,8 @@ ROWS: dict[str, Row] = {
     "a velocity that is not finite": not_finite,
     "a command while locked is refused": locked,
     "a command without device is refused": not_connected,
+    "a stream from before a new robot is disarmed": new_robot,
+    "a stream goes on after a reconnection within resume_after_reconnect_s": resumes,
     "a command that is late is refused": late_is_refused,
     "a command is refused while a higher priority holds": held,
     "a lower priority goes on afterwards": goes_on_afterwards,

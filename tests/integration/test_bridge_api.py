@@ -31,14 +31,16 @@ def by_name(graph: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     return {each["name"]: each for each in graph["topics"]}
 
 
-async def test_a_robot_that_comes_is_in_the_graph_with_the_topics_that_drive_it_and_is_gone_with_its_device() -> None:
+async def test_a_robot_is_in_the_graph_with_the_topics_that_drive_it_also_while_its_device_is_away() -> None:
     async with daemon() as server, connect(server.url, group="other") as me:
         graphs = await me.watch_graph()
         async with fake_device(server.tcp, robot_topics()):
             graph = await until(graphs, lambda graph: graph["robots"])
             robot = graph["robots"][0]
             assert robot["name"] == "robot_0"
-            assert robot["velocity_topics"] == {
+            assert robot["link"] == 1
+            velocities = robot["velocity_topics"]
+            assert velocities == {
                 "/robot_0/velocity_commands": "geometry_msgs/Twist",
                 "/robot_0/cmd_vel": "geometry_msgs/Twist",
                 "/robot_0/cmd_vel_stamped": "geometry_msgs/TwistStamped",
@@ -48,8 +50,9 @@ async def test_a_robot_that_comes_is_in_the_graph_with_the_topics_that_drive_it_
             assert topics["/robot_0/odom"]["type"] == "nav_msgs/Odometry"
             assert topics["/robot_0/cmd_vel"]["velocity"]
             assert {"name": "/robot_0/lock", "type": "std_srvs/Trigger"} in graph["services"]
-        left = by_name(await until(graphs, lambda graph: not graph["robots"]))
-        assert [name for name in left if "robot_0" in name] == []
+        left = await until(graphs, lambda graph: graph["robots"][0]["link"] is None)
+        assert left["robots"][0]["velocity_topics"] == velocities
+        assert {name for name in by_name(left) if "robot_0" in name} == velocities.keys()
 
 
 async def test_what_the_group_itself_has_is_not_in_its_graph() -> None:

@@ -174,11 +174,11 @@ def test_a_robot_that_comes_or_leaves_is_noticed() -> None:
         _, graphs = counting(made, "outwards")
         third = ScriptedDevice(made.hub, robot_topics("robot_2"), address="10.0.0.3")
         await asyncio.sleep(0.5)
-        velocity = made.hub.robots.find("robot_2").shown.velocity
-        assert topic_of(graphs[-1], velocity) is not None
+        odometry = made.hub.robots.find("robot_2").shown.odometry
+        assert topic_of(graphs[-1], odometry) is not None
         await third.aclose()
         await settle()
-        assert topic_of(graphs[-1], velocity) is None
+        assert topic_of(graphs[-1], odometry) is None
 
     play(test)
 

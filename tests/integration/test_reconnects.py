@@ -61,7 +61,8 @@ async def test_a_thousand_reconnects_leave_nothing_behind() -> None:
                 samples.append((in_use(), resident_bytes()))
         await expect(lambda: not host.hub.links.all())
         assert not host.hub.isolation.crashes
-        assert [topic.name for topic in host.hub.topics.all()] == ["/diagnostics", "/rosout"]
+        velocities = [f"/robot_0/{leaf}" for leaf in ("cmd_vel", "cmd_vel_stamped", "velocity_commands")]
+        assert [topic.name for topic in host.hub.topics.all()] == ["/diagnostics", *velocities, "/rosout"]
         assert not [task for task in asyncio.all_tasks() if task.get_name().startswith("link")]
     steady = samples[WARM_UP // SAMPLE_EVERY :]
     for counts in zip(*(counts for counts, _ in steady), strict=True):

@@ -7,6 +7,7 @@ import pytest
 
 from hostlink.config import Config, RobotConfig
 from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
@@ -206,8 +207,26 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> 
     assert odometry["twist"]["covariance"][35] == 0.01
 
 
-async def test_a_robot_that_leaves_removes_its_topics() -> None:
+async def test_a_robot_that_is_away_gives_its_names_up_to_one_that_is_connected() -> None:
+    config = Config(robots={"b": RobotConfig(cmd_vel_topic="/robot_0/cmd_vel")})
+    async with daemon(config) as host:
+        async with fake_device(host.tcp, robot_topics()):
+            pass
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
+        assert host.hub.topics.find("/robot_0/cmd_vel").is_gated
+        async with fake_device(host.tcp, robot_topics("b")) as device:
+            await device.velocity_of((0.0, 0.0))
+            publish(host.hub, "/robot_0/cmd_vel", Velocity(0.1).encode())
+            await device.velocity_of((0.1, 0.0))
+        await expect(lambda: host.hub.robots.find("b").link is None)
+        assert host.hub.robots.find("b").heard >= {"/robot_0/cmd_vel"}
+
+
+async def test_a_robot_that_leaves_keeps_its_velocity_topics_alone_until_it_is_forgotten() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics()):
             assert "/robot_0/odom" in types(host)
-        await expect(lambda: types(host).keys() == {"/diagnostics", "/rosout"})
+        velocities = {f"/robot_0/{leaf}" for leaf in ("cmd_vel", "cmd_vel_stamped", "velocity_commands")}
+        await expect(lambda: types(host).keys() == {"/diagnostics", "/rosout", *velocities})
+        host.hub.robots.forget("robot_0")
+        assert types(host).keys() == {"/diagnostics", "/rosout"}

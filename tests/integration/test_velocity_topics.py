@@ -1,6 +1,7 @@
 """A device that subscribes to a Twist and publishes no pose, or a second Twist of a robot: each has a gate, too."""
 
 import asyncio
+import contextlib
 import struct
 from collections.abc import Awaitable, Callable
 from typing import NamedTuple
@@ -391,3 +392,37 @@ class TestOneRobot:
             await asyncio.sleep(0.5)
 
         play(test)
+
+
+@pytest.mark.parametrize("infos", [NO_POSE, SECOND], ids=["no pose", "second topic"])
+@pytest.mark.parametrize("is_known", [False, True])
+def test_stream_that_begins_without_the_device_drives_after_a_lease_of_silence(
+    infos: list[TopicInfo], *, is_known: bool
+) -> None:
+    async def test(made: Scene) -> None:
+        name, topic_id = infos[-1].name, infos[-1].topic_id
+        await made.robot.aclose()
+        if is_known:
+            before = ScriptedDevice(made.hub, infos, address="10.0.0.1")
+            await asyncio.sleep(0.5)
+            await before.aclose()
+        source_of(made.hub, "test").advertise(name, "geometry_msgs/Twist")
+
+        async def stream() -> None:
+            while True:
+                with contextlib.suppress(CommandRefused):
+                    publish(made.hub, name, twist(0.3))
+                await asyncio.sleep(0.1)
+
+        streaming = made.tasks.create_task(stream())
+        await asyncio.sleep(2 * LEASE_S)
+        device = made.robot = ScriptedDevice(made.hub, infos, address="10.0.0.1")
+        await asyncio.sleep(2.0)
+        assert not any(map(any, device.payloads(topic_id)))
+        streaming.cancel()
+        await asyncio.sleep(LEASE_S + 0.1)
+        publish(made.hub, name, twist(0.3))
+        await asyncio.sleep(0.1)
+        assert device.payloads(topic_id)[-1] == twist(0.3)
+
+    play(test)

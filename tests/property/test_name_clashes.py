@@ -22,6 +22,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import MAX_PRIORITY
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
+from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import Velocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
@@ -196,6 +197,7 @@ class Clashes(RuleBasedStateMachine):
         async def act() -> None:
             robot, velocity = self.hub.robots.find(self.names[number]), Velocity(linear_x_m_s=speed)
             self.hub.emergency_stop.release(robot)
+            await asyncio.sleep(LEASE_S + 0.1)  # the driver lets go of what was interrupted
             if by == "name":
                 drive_gate(self.hub.gates, robot, velocity, owner="driver", priority=MAX_PRIORITY)
             else:

@@ -37,7 +37,7 @@ from hostlink.hub.node import Role
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host
@@ -46,12 +46,14 @@ from tests.support.scripted_device import ScriptedDevice
 
 SPEED_M_S = 0.2
 CMD_VEL, CMD_VEL_STAMPED = f"/{ROBOT}/cmd_vel", f"/{ROBOT}/cmd_vel_stamped"
+VELOCITY_COMMANDS = f"/{ROBOT}/velocity_commands"  # as the device itself names it
 _NO_NAN = "its JSON has no number for it, and the request is refused as wrong"
-_NOT_HEARD = {
-    "a command without device is refused": "nobody subscribes to the topic of a device that is away, as in ROS",
-}
 _EPOCHS = ("the current epoch arms", "an earlier epoch is refused")
-_PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch") | _NOT_HEARD
+_PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
+_IS_TOLD = {"a stream from before a new robot is disarmed": "it names the robot, and is told that there is none"}
+_IS_DROPPED = {
+    "a stream goes on after a reconnection within resume_after_reconnect_s": "what is refused meanwhile is dropped"
+}
 
 
 class EntryPoint:
@@ -128,7 +130,7 @@ class RosbridgePublish(_Rosbridge):
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
-        self.send(op="publish", topic=CMD_VEL, msg={"linear": {"x": _number(speed_m_s)}})
+        self.send(op="publish", topic=CMD_VEL, type=TWIST_TYPE, msg={"linear": {"x": _number(speed_m_s)}})
 
 
 class RosbridgeRaw(RosbridgePublish):
@@ -136,19 +138,23 @@ class RosbridgeRaw(RosbridgePublish):
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
-        name = self.made.hub.robots.find(ROBOT).shown.velocity
         raw = base64.b64encode(Velocity(speed_m_s).encode()).decode()
-        self.send(op="publish", topic=name, type=TWIST_TYPE, raw=raw)
+        self.send(op="publish", topic=VELOCITY_COMMANDS, type=TWIST_TYPE, raw=raw)
 
 
 class TwistStamped(RosbridgePublish):
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
-        self.send(op="publish", topic=CMD_VEL_STAMPED, msg={"twist": {"linear": {"x": _number(speed_m_s)}}})
+        self.send(
+            op="publish",
+            topic=CMD_VEL_STAMPED,
+            type=TWIST_STAMPED_TYPE,
+            msg={"twist": {"linear": {"x": _number(speed_m_s)}}},
+        )
 
 
 class RosbridgeDrive(_Rosbridge):
-    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         sent_s = 1000.0 + _now_s() - self.late_s
@@ -167,6 +173,7 @@ class Page(_Rosbridge):
 
     period_s: ClassVar = 0.08
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "it sends the number of the device's connection instead") | {
+        "a stream from before a new robot is disarmed": "it shows no robot that is not there",
         "a velocity that is not finite": _NO_NAN,
     }
     link: int | None = None
@@ -190,7 +197,7 @@ class Page(_Rosbridge):
 
 
 class RestPut(EntryPoint):
-    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
 
     def __init__(self, made: Scene) -> None:
         super().__init__(made)
@@ -263,6 +270,8 @@ class _Program(EntryPoint):
 
 
 class ClientCommand(_Program):
+    cannot: ClassVar = _IS_TOLD
+
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         await self.robot.command(speed_m_s, 0.0, epoch=epoch)
 
@@ -271,9 +280,14 @@ class ClientDrive(_Program):
     """A velocity that is held: the client repeats it until it is refused."""
 
     goes_on: ClassVar = False
-    cannot: ClassVar = dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/integration/test_client.py") | {
-        "a lower priority goes on afterwards": "what is refused is dropped, and the program is told",
-    }
+    cannot: ClassVar = (
+        _IS_TOLD
+        | _IS_DROPPED
+        | {
+            **dict.fromkeys(_EPOCHS, "drive() sends the epoch by itself: tests/integration/test_client.py"),
+            "a lower priority goes on afterwards": "what is refused is dropped, and the program is told",
+        }
+    )
 
     async def start(self) -> None:
         with contextlib.suppress(HostlinkError):
@@ -293,9 +307,14 @@ class Teleop(_Program):
 
     period_s: ClassVar = 0.02
     goes_on: ClassVar = False  # what is refused must be released, but for one who is more important
-    cannot: ClassVar = dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it") | {
-        "a velocity that is not finite": "its speeds are steps from a finite one",
-    }
+    cannot: ClassVar = (
+        _IS_TOLD
+        | _IS_DROPPED
+        | {
+            **dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it"),
+            "a velocity that is not finite": "its speeds are steps from a finite one",
+        }
+    )
 
     def _begin(self) -> None:
         super()._begin()
@@ -321,6 +340,8 @@ class Play(_Program):
     cannot: ClassVar = dict.fromkeys(
         (
             *_EPOCHS,
+            *_IS_TOLD,
+            *_IS_DROPPED,
             "a zero arms",
             "a zero of another changes nothing",
             "a velocity that is not finite",
@@ -372,6 +393,7 @@ class RclpyBridge(EntryPoint):
         self._route = VelocityInput(CMD_VEL, ROBOT, TWIST)
         self._running = self.made.tasks.create_task(self._run())
         await asyncio.sleep(0)
+        self._update()
 
     def _report(self, line: str) -> None:
         self._reported = line
@@ -390,9 +412,10 @@ class RclpyBridge(EntryPoint):
         assert epoch is None
         for host in self.hosts:
             host.connection_.delay_s = self.late_s
-        self._driver.receive(self._route, (speed_m_s, 0.0), b"publisher")
-        await asyncio.sleep(0.01)
         self._update(b"publisher")
+        if self.made.hub.robots.get_here(ROBOT) is not None:  # else the bridge subscribes to no topic of it
+            self._driver.receive(self._route, (speed_m_s, 0.0), b"publisher")
+        await asyncio.sleep(0.01)
         if "finite" in self._reported:
             raise CommandRefused(ROBOT, RefusalKind.NOT_FINITE, self._reported)
 
@@ -406,8 +429,8 @@ class RclpyBridge(EntryPoint):
         self._running.cancel()
 
     def _update(self, *publishers: bytes) -> None:
-        link = self.made.hub.robots.find(ROBOT).link
-        self._driver.update({} if link is None else {ROBOT: link.number}, frozenset(publishers))
+        robots = [robot.name for robot in self.made.hub.robots.here()]
+        self._driver.update(robots, frozenset(publishers))
 
 
 # -- graphs -----------------------------------------------------------------------------------------------------------
@@ -450,7 +473,7 @@ class RmwPublisher(EntryPoint):
 class Fleet(EntryPoint):
     """A program at another daemon."""
 
-    cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
+    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
 
     async def begin(self) -> None:
         self._driver = FleetDriver(self.made)
@@ -467,6 +490,7 @@ class FleetPublisher(Fleet):
 
     cannot: ClassVar = _PUBLISHED | {
         "a command that is late is refused": "a message of the fleet that is published has no time",
+        "a stream from before a new robot is disarmed": "what is published to a robot of another daemon is commanded",
     }
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
@@ -529,6 +553,8 @@ class Demo(EntryPoint):
                 )
             ),
             "a command without device is refused",
+            *_IS_TOLD,
+            *_IS_DROPPED,
         ),
         "it gives no command after an interruption, until it is told",
     )

@@ -94,7 +94,9 @@ class Member:
     def _name_map(self) -> NameMap:
         hub = self._parts.hub
         links = hub.links
-        announced = [(info.name, links.shown_name(link, info.name)) for link in links.all() for info in link.topics]
+        away = (robot for robot in hub.robots.here() if robot.link is None)
+        announced = [(name, shown) for robot in away for shown, name in robot.velocities.items()]
+        announced += [(info.name, links.shown_name(link, info.name)) for link in links.all() for info in link.topics]
         return NameMap(self._names, announced, _own_names(hub))
 
     def _follow_parameters(self) -> None:

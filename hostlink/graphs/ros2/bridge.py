@@ -101,7 +101,7 @@ class Bridge:
     async def _update(self, graph: Mapping[str, Any], tasks: asyncio.TaskGroup) -> None:
         ros2 = await self._node.graph(watched_topics(graph))
         self._sim_time.update()
-        self._velocity.update({robot["name"]: robot["link"] for robot in graph["robots"]}, publisher_keys(ros2))
+        self._velocity.update((robot["name"] for robot in graph["robots"]), publisher_keys(ros2))
         self._apply(planned(graph, ros2), tasks)
 
     def _apply(self, plan: Plan, tasks: asyncio.TaskGroup) -> None:

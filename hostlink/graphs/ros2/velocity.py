@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections import defaultdict
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from hostlink.client import Host
@@ -34,7 +34,7 @@ class VelocityDriver:
     def __init__(self, connect: Connect, priority: int, report: Report, warn: Report) -> None:
         """`warn` is called with a line for each kind of refusal, at a limited rate."""
         self._connect, self._priority, self._report, self._warn = connect, priority, report, warn
-        self._links: Mapping[str, int] = {}
+        self._robots: frozenset[str] = frozenset()
         self._owners: dict[Key, _Owner] = {}
         self._older: dict[str, _Older] = {}  # by robot
         self._tasks: asyncio.TaskGroup | None = None
@@ -70,13 +70,15 @@ class VelocityDriver:
             is_older = older is not None and not is_first and key in older.keys
             owner.receive(route, velocity, older.until_s if older is not None and is_older else None)
 
-    def update(self, links: Mapping[str, int], publishers: frozenset[Key]) -> None:
-        """The connections of the robots' devices, and the publishers that ROS 2 has now: who is gone drives no more."""
-        until_s = asyncio.get_running_loop().time() + MATCH_S
-        come = [robot for robot, link in links.items() if self._links.get(robot) != link]
-        self._older.update(dict.fromkeys(come, _Older(publishers, until_s)))
-        self._older = {robot: older for robot, older in self._older.items() if robot in links}
-        self._links = links
+    def update(self, robots: Iterable[str], publishers: frozenset[Key]) -> None:
+        """The robots that the daemon knows, and the publishers that ROS 2 has now: who is gone drives no more.
+
+        A robot whose device is away is still subscribed to, so the daemon knows who drives it when the device is back.
+        """
+        until_s, before = asyncio.get_running_loop().time() + MATCH_S, self._robots
+        self._robots = frozenset(robots)
+        self._older.update(dict.fromkeys(self._robots - before, _Older(publishers, until_s)))
+        self._older = {robot: older for robot, older in self._older.items() if robot in self._robots}
         for key, owner in list(self._owners.items()):
             if owner.is_gone(is_there=key in publishers):
                 del self._owners[key]
@@ -106,7 +108,7 @@ class VelocityDriver:
 
 
 class _Older(NamedTuple):
-    """The publishers that were there before the device or the bridge, and until when a stream of them may come."""
+    """The publishers that were there before the robot or the bridge, and until when a stream of them may come."""
 
     keys: frozenset[Key]
     until_s: float

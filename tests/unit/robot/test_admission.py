@@ -540,3 +540,47 @@ def test_publisher_that_was_silent_for_a_lease_begins_anew() -> None:
     joined = EarlierMotion.within_a_lease(10.0)
     assert joined.pop_epoch(10.0 + LEASE_S) is None
     assert EarlierMotion().pop_epoch(0.0) is None
+
+
+def test_source_that_published_before_the_robot_drives_after_a_lease_of_silence(robot: Timeline) -> None:
+    robot.admission.join(["ann"], robot.now_s)
+    for _ in range(5):
+        robot.wait(LEASE_S - 0.1)
+        assert robot.command().kind is RefusalKind.DISARMED
+    robot.wait(LEASE_S)
+    assert robot.command().is_admitted
+
+
+@pytest.mark.parametrize("how", ["zero", "silent", "epoch", "left", "another"])
+def test_source_that_published_before_the_robot_drives_where_its_motion_is_a_new_one(how: str) -> None:
+    robot = Timeline()
+    robot.admission.join(["ann"], robot.now_s)
+    if how == "zero":
+        assert robot.command(ZERO).is_admitted
+    elif how == "silent":
+        robot.wait(LEASE_S)
+    elif how == "left":
+        robot.admission.withdraw("ann")
+    epoch = robot.admission.epoch if how == "epoch" else None
+    assert robot.command(source="bob" if how == "another" else "ann", epoch=epoch).is_admitted
+
+
+def test_zero_of_before_the_robot_that_is_late_arms_nothing(robot: Timeline) -> None:
+    robot.admission.join(["ann"], robot.now_s)
+    assert robot.command(ZERO, waited_s=LEASE_S).is_admitted
+    assert robot.command().kind is RefusalKind.DISARMED
+
+
+def test_sources_that_published_before_the_robot_are_kept_for_a_lease(robot: Timeline) -> None:
+    robot.admission.join(["ann"], robot.now_s)
+    robot.wait(LEASE_S)
+    robot.admission.join(["bob"], robot.now_s)
+    assert robot.admission._joined.keys() == {"bob"}
+
+
+@pytest.mark.parametrize(("away_s", "is_interruption"), [(0.9, False), (1.0, True)])
+def test_reconnection_within_the_time_to_resume_is_no_interruption(away_s: float, *, is_interruption: bool) -> None:
+    robot = Timeline(resume_after_reconnect_s=1.0)
+    robot.admission.disconnect(robot.now_s)
+    robot.wait(away_s)
+    assert robot.admission.connect(robot.now_s) is is_interruption

@@ -90,7 +90,7 @@ class World:
         self.daemon, self.reports, self.warnings = FakeDaemon(), list[str](), list[str]()
         self.driver = VelocityDriver(self.daemon.connect, 50, self.reports.append, self.warnings.append)
         if is_updated:
-            self.driver.update({"robot_0": 1}, frozenset())
+            self.driver.update(["robot_0"], frozenset())
 
     def epochs(self, begin: int = 0) -> list[int | None]:
         """Those of the commands from this one on."""
@@ -119,8 +119,8 @@ def test_a_publisher_that_leaves_ends_its_connection_and_no_other() -> None:
             for key in (b"a", b"b"):
                 world.driver.receive(ROUTE, FORWARD, key)
             await asyncio.sleep(0.1)
-            world.driver.update({"robot_0": 1}, frozenset({b"a", b"b"}))
-            world.driver.update({"robot_0": 1}, frozenset({b"a"}))
+            world.driver.update(["robot_0"], frozenset({b"a", b"b"}))
+            world.driver.update(["robot_0"], frozenset({b"a"}))
             await asyncio.sleep(0.1)
             assert (len(world.daemon.hosts), world.daemon.ended) == (2, 1)
         assert world.daemon.ended == 2
@@ -134,11 +134,11 @@ def test_a_publisher_that_ros_2_never_showed_is_forgotten_after_a_while_and_not_
         async with world.driver.running():
             world.driver.receive(ROUTE, FORWARD, b"a")
             await asyncio.sleep(0.5)
-            world.driver.update({"robot_0": 1}, frozenset())
+            world.driver.update(["robot_0"], frozenset())
             await asyncio.sleep(0.1)
             assert world.daemon.ended == 0
             await asyncio.sleep(1.0)
-            world.driver.update({"robot_0": 1}, frozenset())
+            world.driver.update(["robot_0"], frozenset())
             await asyncio.sleep(0.1)
             assert world.daemon.ended == 1
 
@@ -188,8 +188,8 @@ def test_first_velocity_on_a_new_connection_has_an_earlier_epoch_before_its_news
 def test_velocity_without_a_connection_keeps_its_earlier_epoch_until_it_is_sent() -> None:
     async def check() -> None:
         world = World()
-        world.driver.update({}, frozenset({b"a"}))
-        world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+        world.driver.update([], frozenset({b"a"}))
+        world.driver.update(["robot_0"], frozenset({b"a"}))
         world.daemon.connecting_s = 1.0
         async with world.driver.running():
             await world.stream(FORWARD, for_s=1.3)
@@ -201,8 +201,8 @@ def test_velocity_without_a_connection_keeps_its_earlier_epoch_until_it_is_sent(
 def test_zero_in_the_place_of_an_earlier_velocity_ends_the_earlier_motion() -> None:
     async def check() -> None:
         world = World()
-        world.driver.update({}, frozenset({b"a"}))
-        world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+        world.driver.update([], frozenset({b"a"}))
+        world.driver.update(["robot_0"], frozenset({b"a"}))
         async with world.driver.running():
             for velocity in (FORWARD, ZERO, FORWARD):
                 world.driver.receive(ROUTE, velocity, b"a")
@@ -221,8 +221,8 @@ def test_stream_of_before_begins_with_an_earlier_epoch_however_late_ros_2_connec
         world = World(is_updated=not is_restart)
         async with world.driver.running():
             if not is_restart:
-                world.driver.update({}, frozenset({b"a"}))
-            world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+                world.driver.update([], frozenset({b"a"}))
+            world.driver.update(["robot_0"], frozenset({b"a"}))
             await asyncio.sleep(late_s)
             await world.stream(FORWARD, for_s=0.3)
             assert world.epochs() == [EARLIER_EPOCH, None, None]
@@ -239,8 +239,8 @@ def test_publisher_of_before_whose_motion_begins_now_has_no_earlier_epoch(*, is_
     async def check() -> None:
         world = World()
         async with world.driver.running():
-            world.driver.update({}, frozenset({b"a"}))
-            world.driver.update({"robot_0": 2}, frozenset({b"a"}))
+            world.driver.update([], frozenset({b"a"}))
+            world.driver.update(["robot_0"], frozenset({b"a"}))
             if not is_first:
                 await asyncio.sleep(MATCH_S + 1.0)
             world.driver.receive(ROUTE, FORWARD, b"a", is_first=is_first)
