@@ -110,6 +110,48 @@ def test_a_driver_that_drew_its_gid_stops_with_any_of_its_kind() -> None:
     play(test)
 
 
+@pytest.mark.parametrize("away_s", [0.0, 5.0])
+def test_stream_through_the_loss_of_its_token_drives_after_a_zero(away_s: float) -> None:
+    """As in a cut of the network."""
+
+    async def test(scene: Scene) -> None:
+        remote = Remote(scene.hub)
+        await asyncio.sleep(rmw_publishers.MATCH_S)
+        key = remote.come("aa")
+        remote.drive(gid_of(key), 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
+        remote.go(key)
+        await asyncio.sleep(away_s)
+        remote.come("aa")
+        for _ in range(20):
+            remote.drive(gid_of(key), 0.3)
+            assert remote.owner() is None
+            await asyncio.sleep(0.1)
+        remote.drive(gid_of(key), 0.0)
+        remote.drive(gid_of(key), 0.3)
+        assert remote.owner() == "ros2 /driver_aa"
+
+    play(test)
+
+
+def test_tokens_that_are_gone_are_remembered_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test(scene: Scene) -> None:
+        monkeypatch.setattr(rmw_publishers, "MAX_GONE", 2)
+        remote = Remote(scene.hub)
+        await asyncio.sleep(rmw_publishers.MATCH_S)
+        keys = [remote.come(session) for session in ("aa", "bb", "cc")]
+        for key in keys:
+            remote.go(key)
+        for session in ("aa", "bb", "cc"):
+            remote.come(session)
+        remote.sent = 100
+        for key, owner in zip(keys[::-1], (None, None, "ros2 /driver_aa"), strict=True):
+            remote.drive(gid_of(key), 0.3)
+            assert remote.owner() == owner
+
+    play(test)
+
+
 def test_what_waited_for_a_lease_moves_nothing() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
@@ -183,11 +225,13 @@ def test_a_clock_that_is_set_back_by_an_hour_drives_on() -> None:
     play(test)
 
 
-def test_a_refused_velocity_is_counted_and_logged_now_and_then() -> None:
+def test_a_refused_velocity_is_counted_and_in_both_logs_now_and_then() -> None:
     async def test(scene: Scene) -> None:
         remote = Remote(scene.hub)
         gid = gid_of(remote.come("aa"))
         teleop = scene.hub.join("teleop", priority=60)
+        lines: list[dict[str, object]] = []
+        scene.neighbour.subscribe("/rosout", lambda message: lines.append(message.decoded))
         with capture_logs() as logs:
             for _ in range(150):
                 teleop.drive(scene.hub.robots.find(ROBOT), Velocity(0.1))
@@ -200,6 +244,10 @@ def test_a_refused_velocity_is_counted_and_logged_now_and_then() -> None:
         assert 99 <= refused[1]["count"] <= 101
         assert refused[0]["kind"] == "held"
         assert "teleop" in refused[0]["reason"]
+        assert [(line["name"], line["level"]) for line in lines] == [("/hostlink", 4)] * 2
+        assert str(lines[0]["msg"]).startswith(
+            f"{CMD_VEL} of ros2 /driver_aa is refused (held): {ROBOT}: teleop drives"
+        )
 
     play(test)
 

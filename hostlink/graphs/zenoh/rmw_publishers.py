@@ -22,6 +22,7 @@ from hostlink.robot.admission import EarlierMotion
 
 MAX_PUBLISHERS = 1024  # participants
 MAX_PUBLISHERS_OF_SESSION = 128  # of one process
+MAX_GONE = MAX_PUBLISHERS  # tokens that are remembered; the one that left first is forgotten first
 MATCH_S = 3.0  # until Zenoh has connected a publisher and a subscription that know of each other
 FIRST_NUMBER = 1  # of the messages of a publisher
 OWN_TOPICS = frozenset({"/rosout", "/parameter_events"})  # that every node of ROS 2 publishes, for its own tools
@@ -55,7 +56,7 @@ class Publisher:
             self._is_advertised = True
 
     def publish(self, topic: str, payload: bytes, *, received_s: float, epoch: int | None = None) -> None:
-        """Pass a payload on; what the hub refuses is counted, and logged now and then."""
+        """Pass a payload on; what the hub refuses is counted, and now and then in both logs: here and in ROS 2."""
         try:
             self.participant.publish(topic, payload, at_s=received_s, epoch=epoch)
             self._node.counts["from_ros2"] += 1
@@ -66,6 +67,8 @@ class Publisher:
             if count:
                 by, reason = printable(self.participant.name), printable(str(error), 200)
                 log.warning("ros2.refused", topic=topic, by=by, kind=error.kind, reason=reason, count=count)
+                node = self._node.token.full_name
+                self._node.hub.rosout.warn(node, f"{topic} of {by} is refused ({error.kind}): {reason}")
 
 
 class Publishers:
@@ -75,6 +78,7 @@ class Publishers:
         self._node, self._remote, self._once = node, remote, once
         self._publishers: dict[str, Publisher] = {}
         self._of_session: Counter[str] = Counter()
+        self._gone: dict[str, None] = {}  # tokens that may be back after a cut
         self._began_s = asyncio.get_running_loop().time()
 
     def add(self, token: EndpointToken, key: str) -> None:
@@ -87,7 +91,9 @@ class Publishers:
             return
         self._of_session[token.node.session] += 1
         made = self._publishers[key] = Publisher(self._node, token, lambda: self._drop(key))
-        if asyncio.get_running_loop().time() < self._began_s + MATCH_S:  # it was there before this daemon
+        is_back = key in self._gone
+        self._gone.pop(key, None)
+        if is_back or asyncio.get_running_loop().time() < self._began_s + MATCH_S:  # it was there before this daemon
             self._expect_earlier(made)
         self._advertise(made)
 
@@ -96,6 +102,9 @@ class Publishers:
         if removed.publisher is None:
             return
         self._drop(removed.publisher.key)
+        self._gone[removed.publisher.key] = None
+        if len(self._gone) > MAX_GONE:
+            del self._gone[next(iter(self._gone))]
         for each in removed.unsure:
             self._drop(each.key)
             if each.key != removed.publisher.key:
