@@ -197,6 +197,7 @@ class _Owner:
                 self.interrupt()
             while self._waiting:
                 waiting = self._waiting.pop(next(iter(self._waiting)))
+                # A first command is fresh to the daemon: without this, one that waited 2 s for its connection drives.
                 if loop.time() < waiting.at_s + LEASE_S:
                     await self._send(host, waiting)
 

@@ -198,6 +198,19 @@ def test_velocity_without_a_connection_keeps_its_earlier_epoch_until_it_is_sent(
     run_virtual(check())
 
 
+@pytest.mark.parametrize(("connecting_s", "count"), [(0.4, 1), (2.0, 0)])
+def test_velocity_that_waited_a_lease_for_its_connection_is_not_sent(connecting_s: float, count: int) -> None:
+    async def check() -> None:
+        world = World()
+        world.daemon.connecting_s = connecting_s
+        async with world.driver.running():
+            world.driver.receive(ROUTE, FORWARD, b"a")
+            await asyncio.sleep(connecting_s + 0.5)
+            assert len(world.daemon.commands) == count
+
+    run_virtual(check())
+
+
 def test_zero_in_the_place_of_an_earlier_velocity_ends_the_earlier_motion() -> None:
     async def check() -> None:
         world = World()
