@@ -106,6 +106,8 @@ class BlockingRobot:
     def unlock(self) -> None:
         """Let it be driven again; nothing that was held before drives it.
 
+        This script knows of the lock: its next `drive()` drives, unless the robot was interrupted again meanwhile.
+
         Raises:
             HostlinkError: hostlink was not reached.
         """

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from hostlink.client.connection import Connection, Message
 from hostlink.client.views import Driven, Refusal
@@ -40,6 +40,13 @@ class _Stream:
     epoch: int | None = None
 
 
+class _Told(NamedTuple):
+    """The epoch of an interruption that the program knows of, and until when it needs it to drive again."""
+
+    epoch: int
+    until_s: float = math.inf
+
+
 @dataclass(slots=True)
 class _Repeated:
     number: int
@@ -65,7 +72,7 @@ class Driver:
         self._numbers = itertools.count(1)
         self._repeated: dict[str, _Repeated] = {}
         self._broken: dict[str, str] = {}
-        self._told: dict[str, int] = {}  # by robot: the epoch of an interruption that the program was told of
+        self._told: dict[str, _Told] = {}  # by robot
         self._streams: dict[str, _Stream] = {}
         self._sent_s: dict[str, float] = {}  # by robot: the newest command that was sent
         connection.handlers["drive_result"].append(self._receive_answer)
@@ -120,7 +127,9 @@ class Driver:
         """
         robot = str(repeated.request["robot"])
         self._sent_s[robot] = repeated.sent_s
-        epoch = self._told.pop(robot, None) if before is None else before.epoch
+        told = self._told.pop(robot, None)
+        epoch = told.epoch if told is not None and repeated.sent_s < told.until_s else None
+        epoch = epoch if before is None else before.epoch
         request = {**repeated.request, "sent_s": repeated.sent_s, "epoch": epoch}
         answer = await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S)
         if not answer["result"]:
@@ -141,7 +150,16 @@ class Driver:
     def _note_told(self, robot: str, answer: Message) -> None:
         """The program learns of an interruption, by an error: when it drives again, it means it."""
         if (epoch := answer.get("epoch")) is not None:
-            self._told[robot] = int(epoch)
+            self._told[robot] = _Told(int(epoch))
+
+    def note_own_unlock(self, robot: str, answer: Message) -> None:
+        """The program has seen the interruption that it ends: when it drives again, it means it.
+
+        After a lease it has let go, and drives without the epoch.
+        """
+        self._broken.pop(robot, None)
+        if (epoch := answer.get("epoch")) is not None:
+            self._told[robot] = _Told(int(epoch), self._now_s() + LEASE_S)
 
     async def command(
         self, robot: str, velocity: tuple[float, float], priority: int, *, epoch: int | None = None
@@ -163,6 +181,13 @@ class Driver:
         epoch = stream.epoch if epoch is None else epoch
         request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
         await self._connection.send(_request(robot, *velocity, priority) | request)
+
+    def stop_repeating_all(self) -> tuple[str, ...]:
+        """Repeat nothing more; returns the robots that were driven."""
+        driven = self.robots
+        self._repeated.clear()
+        self._broken.clear()
+        return driven
 
     def stop_repeating(self, robot: str) -> None:
         """Repeat it no more; the end of it is known to the caller."""

@@ -101,7 +101,13 @@ class Host:
         Raises:
             HostlinkError: hostlink was not reached, or another daemon of the fleet has not answered.
         """
-        return await self._measured("POST", "/api/stop", wait_s)
+        driven = self._driver.stop_repeating_all()
+        try:
+            answer = await self._http.request("POST", "/api/stop?wait_s=0")
+        finally:
+            for name in driven:
+                await self._driver.send_zero(name, PRIORITY)
+        return await self.standstill(wait_s=wait_s) if wait_s > 0 else _measured(answer)
 
     async def standstill(self, *, wait_s: float = WAIT_S) -> dict[str, Standstill]:
         """Whether each robot stands, by odometry that comes from now on, for `wait_s` seconds at most.
@@ -109,11 +115,8 @@ class Host:
         Raises:
             HostlinkError: hostlink was not reached.
         """
-        return await self._measured("GET", "/api/standstill", wait_s)
-
-    async def _measured(self, method: str, path: str, wait_s: float) -> dict[str, Standstill]:
-        answer = await self._http.request(method, f"{path}?wait_s={wait_s:g}", timeout_s=wait_s + REQUEST_TIMEOUT_S)
-        return {robot["name"]: measured(robot) for robot in answer["robots"]}
+        path = f"/api/standstill?wait_s={wait_s:g}"
+        return _measured(await self._http.request("GET", path, timeout_s=wait_s + REQUEST_TIMEOUT_S))
 
     # -- topics and services ------------------------------------------------------------------------------------------
 
@@ -319,3 +322,7 @@ class Host:
                     with contextlib.suppress(HostlinkError):  # the connection is gone
                         await self._round_trip()
                 await self._connection.aclose()
+
+
+def _measured(answer: Mapping[str, Any]) -> dict[str, Standstill]:
+    return {robot["name"]: measured(robot) for robot in answer["robots"]}

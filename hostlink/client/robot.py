@@ -112,10 +112,13 @@ class Robot:
     async def unlock(self) -> None:
         """Let it be driven again; nothing that was held before drives it.
 
+        This script knows of the lock: its next `drive()` drives, unless the robot was interrupted again meanwhile.
+
         Raises:
             HostlinkError: hostlink was not reached.
         """
-        await self._http.request("POST", f"{self._path}/unlock")
+        answer = await self._http.request("POST", f"{self._path}/unlock")
+        self._driver.note_own_unlock(self.name, answer)
 
     async def reset_odometry(self) -> None:
         """Make the present place the origin.

@@ -46,6 +46,19 @@ def threads() -> list[threading.Thread]:
     return [each for each in threading.enumerate() if each.name == "hostlink"]
 
 
+async def test_a_script_drives_at_once_after_its_own_unlock_and_its_own_stop() -> None:
+    def script(me: BlockingHost) -> None:
+        robot = me.robot("robot_0")
+        for interrupt in (lambda: robot.lock("smoke", wait_s=0), lambda: robot.stop(wait_s=0), me.stop_all):
+            robot.drive(0.2, 0.0)
+            interrupt()
+            robot.unlock()
+            robot.drive(0.2, 0.0)
+
+    async with world() as (host, _):
+        await run(script, host)
+
+
 async def test_a_robot_is_driven_while_the_program_computes_and_stops_at_the_end_of_the_block() -> None:
     def script(me: BlockingHost) -> None:
         accepted = me.robot("robot_0").drive(0.2, 0.5)

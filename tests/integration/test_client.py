@@ -18,6 +18,7 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.remote_robot import Elsewhere
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
+from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import Velocity
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
@@ -275,6 +276,53 @@ async def test_a_lock_drops_what_another_script_repeats_and_the_unlock_moves_not
         assert "somebody stands there" in await refused(me)
         assert host.hub.robots.find("robot_0").gate.owner_name is None
         await robot.drive(0.2, 0.0)
+
+
+async def test_script_drives_at_once_after_its_own_unlock() -> None:
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()),
+        connect(host.url) as me,
+        connect(host.url) as he,
+    ):
+        robot = me.robot("robot_0")
+        for locker in (robot, he.robot("robot_0")):
+            await robot.drive(0.2, 0.0)
+            await locker.lock("somebody stands there", wait_s=0)
+            await expect(lambda: not robot.is_driven)
+            await robot.unlock()
+            assert host.hub.robots.find("robot_0").gate.owner_name is None
+            await robot.drive(0.2, 0.0)
+        await robot.lock("somebody stands there", wait_s=0)
+        await robot.unlock()
+        await he.robot("robot_0").stop(wait_s=0)
+        assert INTERRUPTED in await refused(me)
+
+
+async def test_epoch_of_an_unlock_is_of_no_use_after_a_lease() -> None:
+    """By then the script has let go, and later interruptions are nothing to it."""
+    async with (
+        daemon() as host,
+        fake_device(host.tcp, robot_topics()),
+        connect(host.url) as me,
+        connect(host.url) as he,
+    ):
+        robot = me.robot("robot_0")
+        await robot.lock("somebody stands there", wait_s=0)
+        await robot.unlock()
+        await he.robot("robot_0").stop(wait_s=0)
+        await asyncio.sleep(LEASE_S + 0.1)
+        await robot.drive(0.2, 0.0)
+
+
+async def test_script_drives_at_once_after_its_own_stop_of_all() -> None:
+    async with daemon() as host, fake_device(host.tcp, robot_topics()), connect(host.url) as me:
+        robot = me.robot("robot_0")
+        for wait_s in (0.0, 0.1):
+            await robot.drive(0.2, 0.0)
+            assert (await me.stop_all(wait_s=wait_s)).keys() == {"robot_0"}
+            assert not robot.is_driven
+            await robot.drive(0.2, 0.0)
 
 
 async def test_single_commands_that_went_on_through_a_lock_move_nothing_after_the_unlock() -> None:
