@@ -46,7 +46,7 @@ class OwnState(NamedTuple):
 def screen(state: RobotState, driving: Driving, now_s: float, own: OwnState, *, layout: str, width: int) -> list[Line]:
     """Every line, none wider than the terminal."""
     lines = [*_facts(state, driving, now_s, own), Line(""), *_keys(layout, width)]
-    lines.append(Line("arrows drive too; space, k or s stops; any other key stops; Ctrl-C ends"))
+    lines.append(Line("arrows drive too; space, k or s stops whoever drives; any other key lets go; Ctrl-C ends"))
     return [Line(part, line.colour) for line in lines for part in folded(line.text, width)]
 
 

@@ -247,7 +247,7 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
     async with connected(scene) as tab:
         stop = tab.page.get_by_role("button", name="Stop")
         keys = tab.page.keyboard
-        for press in (stop.click, lambda: keys.press("Space"), lambda: keys.press("Escape")):
+        for press in (stop.click, lambda: keys.press("KeyL"), lambda: keys.press("Escape")):
             await keys.down("KeyW")
             await scene.drives()
             await press()
@@ -261,6 +261,34 @@ async def test_stop_locks_until_unlocked(scene: Scene) -> None:
             await tab.shows("#drive-state", "nobody drives")
         await keys.down("KeyW")
         await scene.drives()
+
+
+@pytest.mark.parametrize("way", ["space", "gamepad"])
+async def test_stop_without_a_lock_must_be_let_go_and_drives_again(scene: Scene, way: str) -> None:
+    async with connected(scene, script=GAMEPAD) as tab:
+        keys = tab.page.keyboard
+        await keys.down("KeyW")
+        await scene.drives()
+        if way == "space":
+            await keys.press("Space")
+        else:
+            await tab.page.evaluate("pad.buttons[1].pressed = true")
+        await scene.stands(within_s=1.0)
+        await tab.shows("#notice", "robot_0 is stopped.")
+        assert scene.host.hub.robots.find("robot_0").gate.lock_reason is None
+        await scene.stays_still(LEASE_S)
+        await keys.up("KeyW")
+        await keys.down("KeyW")
+        await scene.drives()
+        await keys.up("KeyW")
+
+
+async def test_space_stops_what_a_program_drives_until_it_lets_go(scene: Scene) -> None:
+    async with connected(scene) as tab, driven_by_a_program(scene, priority=90):
+        await scene.drives()
+        await tab.page.keyboard.press("Space")
+        await scene.stands(within_s=1.0)
+        await scene.stays_still(LEASE_S)
 
 
 async def test_stop_works_without_the_websocket(scene: Scene) -> None:

@@ -88,7 +88,6 @@ async def test_the_stop_stops_what_another_drives(scene: Scene) -> None:
     await tab.release(SPACE)
     assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
     await stands(host)
-    await host.rest("POST", "/api/robots/robot_0/unlock")
     await tab.shows("#drive-state", "nobody drives")
 
 

@@ -206,7 +206,7 @@ async def test_a_gamepad_beside_another_one_drives_and_stops(scene: Scene) -> No
     await page.evaluate("other.buttons[5].pressed = true")
     await scene.drives()
     await page.evaluate("other.buttons[1].pressed = true")
-    await expect(lambda: scene.server.requests == [("POST", "/api/robots/robot_0/lock")])
+    await expect(lambda: scene.server.requests == [("POST", "/api/robots/robot_0/stop")])
     await scene.stands()
     await page.evaluate("navigator.getGamepads = () => [pad]")
 
@@ -288,7 +288,7 @@ async def test_a_later_stop_takes_nothing_from_an_earlier_one(scene: Scene) -> N
     scene.server.show(state)
     await page.get_by_role("button", name="Lock all").click()
     await scene.tab.shows("#notice", "has not arrived yet")
-    await page.keyboard.press("Space")
+    await page.keyboard.press("KeyL")
     await asyncio.sleep(0.1)
     scene.server.show(fleet("robot_0", "robot_1", "robot_2"))
     names = {f"/api/robots/robot_{number}/lock" for number in range(3)}

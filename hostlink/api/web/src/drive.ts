@@ -45,10 +45,10 @@ export class Drive {
     document.addEventListener("visibilitychange", () => document.hidden && this.driving.releaseAll());
   }
 
-  /** `stop` is what space, escape and the gamepad's button do. */
-  connectInputs(stop: () => void): void {
+  /** `stop` is what Space and the gamepad's button do, `lock` what L and Escape do. */
+  connectInputs(stop: () => void, lock: () => void): void {
     connectJoystick(find("#joystick"), this.driving);
-    connectKeys(this.driving, stop);
+    connectKeys(this.driving, stop, lock);
     connectGamepad(find("#gamepad"), this.driving, stop);
   }
 

@@ -18,7 +18,8 @@ export const LOST = ["blur", "contextmenu", "dragstart"] as const;
 
 const TEXTS = new Set(["text", "password", "number", "search", "email", "url", "tel"]);
 
-export function connectKeys(driving: Driving, stop: () => void): void {
+/** Space stops; L and Escape lock. */
+export function connectKeys(driving: Driving, stop: () => void, lock: () => void): void {
   const held = new Set<string>();
   const hold = () => {
     let [forward, turn] = [0, 0];
@@ -32,12 +33,16 @@ export function connectKeys(driving: Driving, stop: () => void): void {
   addEventListener(
     "keydown",
     (event) => {
-      if (event.ctrlKey || event.altKey || event.metaKey) lose(); // beside these a release may not be reported
-      if (event.code === "Escape" || (event.code === "Space" && !isTyping(event.target))) {
+      const isModified = event.ctrlKey || event.altKey || event.metaKey;
+      if (isModified) lose(); // beside these a release may not be reported
+      const isLock = event.code === "Escape" || (event.code === "KeyL" && !isModified && !isTyping(event.target));
+      if (isLock || (event.code === "Space" && !isTyping(event.target))) {
         event.preventDefault();
         event.stopPropagation(); // a space stops, also when a button has the focus
-        if (!event.repeat) stop();
-      } else if (event.code in WAYS && !event.ctrlKey && !event.altKey && !event.metaKey && !isTaken(event)) {
+        if (event.repeat) return;
+        if (isLock) lock();
+        else stop();
+      } else if (event.code in WAYS && !isModified && !isTaken(event)) {
         event.preventDefault();
         if (event.repeat) return; // one that was released, for example by leaving the window, must be pressed again
         held.add(event.code);

@@ -156,7 +156,10 @@ connectTheme(() => {
   map.redraw();
   plots.recolour();
 });
-drive.connectInputs(() => stop.press());
+drive.connectInputs(
+  () => stop.stop(),
+  () => stop.lock(),
+);
 find("#other-token").addEventListener("click", () => access.show("Another token", "One that may drive.", true));
 fleet.daemonHeardAt_ms = () => events.heardAt;
 connection.start();

@@ -1,4 +1,4 @@
-/** The stop: over REST, tried until it has arrived; a daemon that can locks the robot too, until it is unlocked. */
+/** The stop, and the lock, which holds until it is unlocked: over REST, tried until they have arrived. */
 
 import { confirmed, digits, find, setText } from "./dom";
 import type { Driving } from "./driving";
@@ -30,7 +30,7 @@ export class Stop {
     private readonly fleet: Fleet,
     private readonly driving: Driving,
   ) {
-    onPress(this.button, () => this.press());
+    onPress(this.button, () => this.lock());
     onPress(find("#stop-all"), () => this.stopAll());
     find("#lock-all").addEventListener("click", () => this.lockAll());
     find("#unlock").addEventListener("click", () => void this.unlock());
@@ -40,10 +40,20 @@ export class Stop {
     });
   }
 
-  press(): void {
+  /** The robot that is chosen: zero at once, and no command until it is unlocked. */
+  lock(): void {
+    this.interrupt(lockOf);
+  }
+
+  /** The robot that is chosen: what drives it must let go first, and may drive again. */
+  stop(): void {
+    this.interrupt(({ name }) => ({ path: ofRobot(name, "stop") }));
+  }
+
+  private interrupt(requestOf: (robot: RobotView) => StopRequest): void {
     const { robot, isKnown, missed } = this.fleet;
     this.flash();
-    if (robot !== undefined) void this.deliver(robot.name, [lockOf(robot)], new Set([robot.name]));
+    if (robot !== undefined) void this.deliver(robot.name, [requestOf(robot)], new Set([robot.name]));
     else if (!isKnown || missed !== null) this.stopAll();
     else notice("done", "There is no robot to stop.", 3000);
   }
