@@ -2,6 +2,7 @@
 
 import asyncio
 import functools
+import math
 from collections.abc import Callable, Iterable
 
 import structlog
@@ -52,8 +53,11 @@ class RemoteRobots:
             self._velocities.pop(name, None)
             self._emergency_stop.withdraw(name)
 
-    def connect(self, robot: RemoteRobot, own_number: int | None) -> None:
-        """Its device has this connection over there; None: none."""
+    def connect(self, robot: RemoteRobot, own_number: int | None, epoch: int | None) -> None:
+        """Its device has this connection over there; None: none. `epoch`: of its admission there.
+
+        Whether a reconnection is an interruption is decided there: then the epoch is another.
+        """
         now_s = asyncio.get_running_loop().time()
         if own_number is None:
             if robot.link is not None:
@@ -61,8 +65,10 @@ class RemoteRobots:
             robot.link = None
         elif robot.link is None or robot.link.own_number != own_number:
             robot.link = RemoteLink(self._new_number(), own_number)
+            is_resumed = epoch is not None and epoch == robot.gate.epoch
+            robot.gate.admission.resume_after_reconnect_s = math.inf if is_resumed else 0.0
             robot.gate.admission.connect(now_s)
-            robot.gate.epoch = None  # it may have another beginning
+            robot.gate.epoch = epoch  # it may have another beginning
 
     def offer(self, robot: RemoteRobot, velocities: Iterable[tuple[str, str]]) -> None:
         """It is driven by these topics, by name and type, while no device here has them."""

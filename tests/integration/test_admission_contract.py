@@ -43,6 +43,8 @@ ENTRY_POINTS: list[type[EntryPoint]] = [
     entry_points.RmwPublisher,
     entry_points.Fleet,
     entry_points.FleetPublisher,
+    entry_points.FleetSender,
+    entry_points.FleetSenderPublish,
     entry_points.DevicePublisher,
     entry_points.Demo,
 ]
@@ -51,8 +53,8 @@ ENTRY_POINTS: list[type[EntryPoint]] = [
 class Robot:
     """The robot that is driven, as its device and its admission show it."""
 
-    def __init__(self, made: Scene) -> None:
-        self.made, self.refused_before = made, Counter[RefusalKind]()
+    def __init__(self, made: Scene, way: EntryPoint) -> None:
+        self.made, self.way, self.refused_before = made, way, Counter[RefusalKind]()
 
     @property
     def admission(self) -> Admission:
@@ -61,10 +63,10 @@ class Robot:
     @property
     def refused(self) -> set[RefusalKind]:
         """The kinds of what was refused since `forget`."""
-        return set(Counter(self.admission.refused) - self.refused_before)
+        return set(self.way.refused() - self.refused_before)
 
     def forget(self) -> None:
-        self.refused_before = Counter(self.admission.refused)
+        self.refused_before = self.way.refused()
 
     @property
     def speed_m_s(self) -> float:
@@ -177,15 +179,16 @@ async def silence_arms(way: EntryPoint, robot: Robot) -> None:
 
 async def current_epoch_arms(way: EntryPoint, robot: Robot) -> None:
     await way.start()
-    await robot.moves()
+    await robot.moves(0.35)  # no command is on its way
     way.silence()
     await stop(robot)
-    await way.give(entry_points.SPEED_M_S, epoch=robot.admission.epoch)
+    await asyncio.sleep(0.2)  # another daemon reports the interruption
+    await way.give(entry_points.SPEED_M_S, epoch=way.epoch)
     await robot.moves(0.1)
 
 
 async def earlier_epoch_is_refused(way: EntryPoint, robot: Robot) -> None:
-    before = robot.admission.epoch
+    before = way.epoch
     await stop(robot)
     for _ in range(8):
         with contextlib.suppress(HostlinkError):
@@ -206,6 +209,7 @@ async def late_is_refused(way: EntryPoint, robot: Robot) -> None:
 
 async def locked(way: EntryPoint, robot: Robot) -> None:
     robot.made.hub.emergency_stop.stop(robot.made.hub.robots.find(ROBOT), "smoke")
+    await asyncio.sleep(0.2)  # another daemon reports the lock
     await way.start()
     await robot.stands(1.0)
     assert robot.refused == {RefusalKind.LOCKED}
@@ -381,13 +385,10 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
     "hub/participant.py: self._parts.gates.command": (entry_points.RosbridgeDrive,),
     "hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
+    "hub/gates.py: drivable.command": (entry_points.FleetSender,),
+    "hub/remote_robot.py: self.elsewhere.drive": (entry_points.FleetSender,),
+    "hub/remote_robots.py: self._gates.follow": (entry_points.FleetSenderPublish,),
 }  # fmt: skip
-#: To robots of other daemons: their own admission decides, as for Fleet.
-ELSEWHERE = {
-    "hub/gates.py: drivable.command",
-    "hub/remote_robot.py: self.elsewhere.drive",
-    "hub/remote_robots.py: self._gates.follow",
-}
 #: What has the same name, and gives no velocity.
 OTHERS = {
     "api/events.py: participant.follow": "poses",
@@ -433,7 +434,7 @@ def calls_that_may_drive() -> set[str]:
 
 def test_every_way_by_which_a_velocity_comes_is_tested() -> None:
     """A new one needs an entry point in tests/support/entry_points.py; what gives no velocity is noted in OTHERS."""
-    assert calls_that_may_drive() == SITES.keys() | ELSEWHERE | OTHERS.keys()
+    assert calls_that_may_drive() == SITES.keys() | OTHERS.keys()
     assert {each for ways in SITES.values() for each in ways} == set(ENTRY_POINTS)
 
 
@@ -459,7 +460,8 @@ def test_row_holds_for_entry_point(entry_point: type[EntryPoint], row: str) -> N
         return
 
     async def test(made: Scene) -> None:
-        way, robot = entry_point(made), Robot(made)
+        way = entry_point(made)
+        robot = Robot(made, way)
         await way.begin()
         robot.forget()
         try:

@@ -240,7 +240,7 @@ async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
             elsewhere: Any = other
             hub.gates.reach(elsewhere)
             hub.remote_robots.add(other.robot)
-            hub.remote_robots.connect(other.robot, 1)
+            hub.remote_robots.connect(other.robot, 1, None)
             hub.remote_robots.offer(other.robot, [("/far/cmd_vel", TWIST_TYPE)])
             await asyncio.sleep(60.0)
             yield hub, other

@@ -10,6 +10,7 @@ import json
 import math
 import struct
 import tempfile
+from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -38,6 +39,7 @@ from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
 from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
+from tests.support import foreign_drivers
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host
@@ -74,6 +76,15 @@ class EntryPoint:
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         """One command."""
         raise NotImplementedError
+
+    @property
+    def epoch(self) -> int:
+        """The robot's, as this source can know it."""
+        return self.made.hub.robots.find(ROBOT).gate.admission.epoch
+
+    def refused(self) -> Counter[RefusalKind]:
+        """How often what it gave was refused."""
+        return Counter(self.made.hub.robots.find(ROBOT).gate.admission.refused)
 
     async def vanish(self) -> None:
         """Leave, as its graph or its connection reports it, in the middle of all."""
@@ -496,6 +507,43 @@ class FleetPublisher(Fleet):
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
         self._driver.publish(self.made.hub.robots.find(ROBOT).shown.velocity, Velocity(speed_m_s).encode())
+
+
+class FleetSender(EntryPoint):
+    """A program of this daemon that drives a robot of another one, with both daemons."""
+
+    cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
+
+    async def begin(self) -> None:
+        self._sender = foreign_drivers.FleetSender(self.made)
+        await self._sender.begin()
+
+    @property
+    def epoch(self) -> int:
+        return self._sender.robot.gate.admission.epoch
+
+    def refused(self) -> Counter[RefusalKind]:
+        return super().refused() + Counter(self._sender.robot.gate.admission.refused)
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        await self._sender.drive(speed_m_s, late_s=self.late_s, epoch=epoch)
+
+    async def vanish(self) -> None:
+        self._sender.vanish()
+
+    async def end(self) -> None:
+        self.silence()
+        await self._sender.end()
+
+
+class FleetSenderPublish(FleetSender):
+    """The same by a topic of the robot."""
+
+    cannot: ClassVar = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
+
+    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+        assert epoch is None
+        self._sender.publish(CMD_VEL, speed_m_s, late_s=self.late_s)
 
 
 class DevicePublisher(EntryPoint):

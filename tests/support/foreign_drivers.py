@@ -4,12 +4,14 @@ There is no network, so that they run in virtual time. `vanish` is what the grap
 """
 
 import asyncio
+import contextlib
 import itertools
 import socket
 from collections import Counter
 from collections.abc import Coroutine
 from typing import Any, cast
 
+from hostlink.config import Config, ZenohConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros1.counts import Counts
@@ -18,6 +20,7 @@ from hostlink.graphs.ros1.publisher import _Connection
 from hostlink.graphs.ros1.rpc import Master, Rpc
 from hostlink.graphs.ros1.tcpros import encode_header, encode_message
 from hostlink.graphs.ros2_types import Ros2Types
+from hostlink.graphs.zenoh.fleet import fleet_running
 from hostlink.graphs.zenoh.fleet_drivers import FleetDrivers
 from hostlink.graphs.zenoh.fleet_messages import Answer, Drive, Keys, Sender, State, decode, encode
 from hostlink.graphs.zenoh.fleet_post import Post
@@ -33,8 +36,11 @@ from hostlink.graphs.zenoh.session import Sample, Session
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
+from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import TWIST_TYPE, Velocity
 from tests.support.fake_device import CATALOG
+from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, Scene
 
 PRIORITY = 50
@@ -163,6 +169,45 @@ class FleetDriver:
     def vanish(self) -> None:
         """The token of its daemon is gone."""
         self._drivers.leave(self._there.zid)
+
+
+class FleetSender:
+    """Two daemons of a fleet, each with all of its parts. A program at the one here drives a robot of the scene's."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.hub = Hub(Config(), CATALOG)
+        self._scene, self._stack = scene, contextlib.AsyncExitStack()
+
+    async def begin(self) -> None:
+        self._running = self._scene.tasks.create_task(self.hub.run())
+        await self.hub.is_running.wait()
+        network = MemoryNetwork()
+        for hub, name, zid in ((self._scene.hub, "lab", "1a"), (self.hub, "desk", "2b")):
+            session = cast("Session", MemorySession(network, zid))
+            await self._stack.enter_async_context(fleet_running(hub, session, ZenohConfig(name=name)))
+        await asyncio.sleep(2.0)  # the second state of a robot has its topics
+        self.participant = self.hub.join("client 3")
+
+    @property
+    def robot(self) -> Robot | RemoteRobot:
+        return self.hub.robots.find(ROBOT)
+
+    async def drive(self, speed_m_s: float, *, late_s: float = 0.0, epoch: int | None = None) -> None:
+        participant, robot, velocity = self.participant, self.robot, Velocity(speed_m_s)
+        participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - late_s, epoch=epoch)
+        await participant.driven(robot, velocity)
+
+    def publish(self, topic: str, speed_m_s: float, *, late_s: float = 0.0) -> None:
+        self.participant.advertise(topic, TWIST_TYPE)
+        self.participant.publish(topic, Velocity(speed_m_s).encode(), at_s=_now_s() - late_s)
+
+    def vanish(self) -> None:
+        self.participant.leave()
+
+    async def end(self) -> None:
+        self.vanish()
+        await self._stack.aclose()
+        self._running.cancel()
 
 
 class RmwDriver:

@@ -90,7 +90,7 @@ class FleetExports:
         self._exports.clear()
 
     def _find(self, topics: tuple[GraphTopic, ...]) -> dict[str, tuple[TopicState, str]]:
-        robots = {robot.name: robot for robot in self._hub.robots.here() if robot.link and is_shareable(robot)}
+        robots = {robot.name: robot for robot in self._hub.robots.here() if is_shareable(robot)}
         own = {
             name: robot
             for robot in robots.values()
@@ -101,7 +101,8 @@ class FleetExports:
         for topic in topics:
             robot = robots.get(topic.name.split("/")[1]) if topic.name.count("/") > 1 else None
             robot = robot or own.get(topic.name)
-            if robot is not None and topic.type_name:
+            is_there = robot is not None and (robot.link is not None or topic.is_velocity)
+            if robot is not None and is_there and topic.type_name:
                 name = fleet_name(robot, topic.name)
                 state = TopicState(
                     robot=robot.name,

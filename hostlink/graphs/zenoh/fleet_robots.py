@@ -92,7 +92,7 @@ class FleetRobots:
 
     def _update(self, robot: RemoteRobot, place: Place) -> None:
         state = place.state
-        self._hub.remote_robots.connect(robot, state.link if place.is_connected else None)
+        self._hub.remote_robots.connect(robot, state.link if place.is_connected else None, state.epoch)
         robot.shown = _topics_of(state)
         gate = robot.gate
         holder = state.holder and state.holder.removesuffix(f" at {self._post.me.name}")  # one who is here
@@ -103,10 +103,12 @@ class FleetRobots:
         robot.is_played = state.is_played
         if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):
             robot.follow()
-        if place.is_connected and not robot.also_at and self._is_free(robot.name):
+        is_driven_here = not robot.also_at and self._is_free(robot.name)
+        if place.is_connected and is_driven_here:
             self._topics.show(robot, place.neighbour)
         else:
             self._topics.hide(robot.name)
+        if not is_driven_here:  # else its gates stay while its device is away, as those of a robot that is here
             self._hub.remote_robots.offer(robot, ())
 
     def _is_free(self, name: str) -> bool:
