@@ -20,6 +20,7 @@ from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.robot.admission import LEASE_S
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
+STANDING = (0.0, 0.0, 0.0)
 _COMMAND = "command:"
 
 ANSWER_TIMEOUT_S = 1.0
@@ -82,15 +83,15 @@ class Driver:
         threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
         return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
-    async def drive(self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> Driven:
-        """Command, and repeat it from now on; returns when the daemon has accepted it.
+    async def drive(self, robot: str, velocity: tuple[float, float, float], priority: int) -> Driven:
+        """Command (forward, left, turn), and repeat it from now on; returns when the daemon has accepted it.
 
         Raises:
             HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
         """
         before = self._repeated.get(robot)
         try:
-            request = _request(robot, linear_m_s, angular_rad_s, priority)
+            request = _request(robot, velocity, priority)
         except BaseException:  # what was held is not meant any more, and what is meant nobody knows
             self.stop_repeating(robot)
             raise
@@ -134,7 +135,7 @@ class Driver:
 
         The answer to a zero has it; the program has let go. Without a connection there is none to know.
         """
-        request = {**_request(robot, 0.0, 0.0, priority), "sent_s": self._now_s()}
+        request = {**_request(robot, STANDING, priority), "sent_s": self._now_s()}
         with contextlib.suppress(HostlinkError):
             self._note_told(robot, await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S))
 
@@ -144,7 +145,7 @@ class Driver:
             self._told[robot] = int(epoch)
 
     async def command(
-        self, robot: str, velocity: tuple[float, float], priority: int, *, epoch: int | None = None
+        self, robot: str, velocity: tuple[float, float, float], priority: int, *, epoch: int | None = None
     ) -> None:
         """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
 
@@ -156,13 +157,13 @@ class Driver:
         """
         now_s = self._now_s()
         stream = self._streams.get(robot)
-        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity == (0.0, 0.0)
+        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity == STANDING
         if stream is None or is_over or epoch is not None:
             stream = self._streams[robot] = _Stream(next(self._numbers))
         self._sent_s[robot] = now_s
         epoch = stream.epoch if epoch is None else epoch
         request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
-        await self._connection.send(_request(robot, *velocity, priority) | request)
+        await self._connection.send(_request(robot, velocity, priority) | request)
 
     def stop_repeating(self, robot: str) -> None:
         """Repeat it no more; the end of it is known to the caller."""
@@ -176,7 +177,7 @@ class Driver:
         """
         if self._now_s() <= self._sent_s.pop(robot, float("-inf")) + LEASE_S:
             with contextlib.suppress(HostlinkError):
-                await self._connection.send({**_request(robot, 0.0, 0.0, priority), "id": f"zero:{robot}"})
+                await self._connection.send({**_request(robot, STANDING, priority), "id": f"zero:{robot}"})
 
     def break_all(self, reason: str) -> tuple[str, ...]:
         """The connection is lost; returns the robots that were driven."""
@@ -240,13 +241,26 @@ def refused(robot: str, answer: Message) -> HostlinkError:
     return CommandRefused(robot, RefusalKind(kind), reason) if kind in set(RefusalKind) else Refused(kind, reason)
 
 
-def _request(robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> dict[str, Any]:
-    if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
+def _request(robot: str, velocity: tuple[float, float, float], priority: int) -> dict[str, Any]:
+    if not all(map(math.isfinite, velocity)):
         raise CommandRefused(robot, RefusalKind.NOT_FINITE, f"{robot}: a velocity must be made of finite numbers")
-    velocity = {"linear": float(linear_m_s), "angular": float(angular_rad_s)}
-    return {"op": "drive", "robot": robot, **velocity, "priority": priority}
+    linear, linear_y, angular = map(float, velocity)
+    return {
+        "op": "drive",
+        "robot": robot,
+        "linear": linear,
+        "linear_y": linear_y,
+        "angular": angular,
+        "priority": priority,
+    }
 
 
 def _driven(answer: Message) -> Driven:
     velocity = answer["velocity"]
-    return Driven(velocity["linear_m_s"], velocity["angular_rad_s"], answer["is_limited"], answer.get("limited_by"))
+    return Driven(
+        velocity["linear_m_s"],
+        velocity["angular_rad_s"],
+        answer["is_limited"],
+        answer.get("limited_by"),
+        velocity.get("linear_y_m_s", 0.0),  # an older daemon knows none
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
 from hostlink.recording.reader import StoredMessage
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
 
 _MOVING = ("Twist", "TwistStamped", "")  # the last part of a type's name; none: the topic's own, whatever that is
 
@@ -52,7 +52,7 @@ class DueVelocity:
     """A velocity, and when it is due after the beginning of the play."""
 
     at_s: float
-    velocity: Velocity
+    velocity: PlanarVelocity
 
 
 def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float = 1.0) -> Iterator[DueVelocity]:
@@ -66,15 +66,15 @@ def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float =
     end_s: float | None = None  # of the velocity that moves
     for due in due_messages:
         if end_s is not None and due.at_s >= end_s:
-            yield DueVelocity(end_s, Velocity())
+            yield DueVelocity(end_s, ZERO)
             end_s = None
         channel = due.message.channel
         if channel.topic == topic and channel.robot == robot and is_drive(channel):  # one that came later may have it
-            velocity = Velocity.decode(due.message.payload)
+            velocity = Twist.decode(due.message.payload).planar
             yield DueVelocity(due.at_s, velocity)
             end_s = None if velocity.is_zero else due.at_s + LEASE_S / rate
     if end_s is not None:
-        yield DueVelocity(end_s, Velocity())
+        yield DueVelocity(end_s, ZERO)
 
 
 def is_drive(channel: Channel) -> bool:

@@ -16,7 +16,7 @@ import pytest
 from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support import entry_points
 from tests.support.entry_points import EntryPoint
 from tests.support.fake_device import robot_topics, topic
@@ -224,7 +224,7 @@ async def not_connected(way: EntryPoint, robot: Robot) -> None:
 async def held(way: EntryPoint, robot: Robot) -> None:
     person = robot.made.hub.join("person", priority=100)
     for _ in range(3):
-        person.drive(robot.made.hub.robots.find(ROBOT), Velocity(0.4))
+        person.drive(robot.made.hub.robots.find(ROBOT), PlanarVelocity(0.4))
         await way.start()
         await asyncio.sleep(LEASE_S - 0.1)
         assert robot.speed_m_s == 0.4
@@ -236,7 +236,7 @@ async def goes_on_afterwards(way: EntryPoint, robot: Robot) -> None:
     await robot.moves()
     person = robot.made.hub.join("person", priority=100)
     for _ in range(5):
-        person.drive(robot.made.hub.robots.find(ROBOT), Velocity(0.4))
+        person.drive(robot.made.hub.robots.find(ROBOT), PlanarVelocity(0.4))
         await asyncio.sleep(0.1)
         assert robot.speed_m_s == 0.4
     person.leave()
@@ -250,7 +250,7 @@ async def zero_of_another(way: EntryPoint, robot: Robot) -> None:
 
     async def drive() -> None:
         while True:
-            other.drive(robot.made.hub.robots.find(ROBOT), Velocity(0.4))
+            other.drive(robot.made.hub.robots.find(ROBOT), PlanarVelocity(0.4))
             await asyncio.sleep(0.1)
 
     driving = robot.made.tasks.create_task(drive())

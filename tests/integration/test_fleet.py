@@ -14,7 +14,7 @@ from hostlink.hub.message import Message
 from hostlink.protocol.control import decode_parameter, encode_parameter_request
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.topic_table import MAX_MISSED
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
@@ -24,7 +24,7 @@ from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
 ONE, OTHER = "127.0.0.2", "127.0.0.3"
-SLOW, FAST = Velocity(linear_x_m_s=0.1), Velocity(linear_x_m_s=0.4)
+SLOW, FAST = PlanarVelocity(x_m_s=0.1), PlanarVelocity(x_m_s=0.4)
 CONFIGURED = Config(robots={"a": RobotConfig(address=ONE), "b": RobotConfig(address=OTHER)})
 MORE = [
     topic(Id.SUBSCRIBER, 102, "/robot_0/pid_tune_l", "geometry_msgs/Vector3"),

@@ -13,7 +13,7 @@ from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.participants import (
@@ -245,7 +245,7 @@ def test_what_a_device_commanded_before_it_was_known_who_it_is_is_not_obeyed_lat
         for _ in range(5):
             await made.robot.send(ODOMETRY_ID, bytes(24))
             await asyncio.sleep(0.1)
-        made.hub.join("driver").drive(made.hub.robots.find(ROBOT), Velocity(0.2))
+        made.hub.join("driver").drive(made.hub.robots.find(ROBOT), PlanarVelocity(0.2))
         device = ScriptedDevice(made.hub, [*robot_topics(ROBOT), drives], address="10.0.0.1")
         await asyncio.sleep(0.1)
         early = made.hub.links._identities.devices[device.link.number].early
@@ -373,7 +373,7 @@ class TestOneRobot:
         async def test(made: Arm) -> None:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             person.publish(ARM, twist(0.2))
-            script.drive(made.hub.robots.find(NEIGHBOUR), Velocity(0.3))
+            script.drive(made.hub.robots.find(NEIGHBOUR), PlanarVelocity(0.3))
 
         play_arm(test)
 

@@ -10,12 +10,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 OWNERS = st.sampled_from(["ann", "bob", "eve"])
 TOPICS = st.sampled_from(["cmd_vel", "arm_vel"])
 PRIORITIES = st.sampled_from([0, 50, 100])
-FORWARD = Velocity(0.2)
+FORWARD = PlanarVelocity(0.2)
 MAX_STAMP_AGE_S = 1.0
 TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
 

@@ -22,7 +22,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import MAX_PRIORITY
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.participants import publish
@@ -194,7 +194,7 @@ class Clashes(RuleBasedStateMachine):
         speed = self.speeds / 10_000
 
         async def act() -> None:
-            robot, velocity = self.hub.robots.find(self.names[number]), Velocity(linear_x_m_s=speed)
+            robot, velocity = self.hub.robots.find(self.names[number]), PlanarVelocity(x_m_s=speed)
             self.hub.emergency_stop.release(robot)
             if by == "name":
                 drive_gate(self.hub.gates, robot, velocity, owner="driver", priority=MAX_PRIORITY)

@@ -37,7 +37,7 @@ from hostlink.hub.node import Role
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host
@@ -137,7 +137,7 @@ class RosbridgeRaw(RosbridgePublish):
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
         name = self.made.hub.robots.find(ROBOT).shown.velocity
-        raw = base64.b64encode(Velocity(speed_m_s).encode()).decode()
+        raw = base64.b64encode(PlanarVelocity(speed_m_s).encode()).decode()
         self.send(op="publish", topic=name, type=TWIST_TYPE, raw=raw)
 
 
@@ -223,7 +223,7 @@ class FoxglovePublish(EntryPoint):
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
-        frame = struct.pack("<BI", 1, 1) + Velocity(speed_m_s).encode()
+        frame = struct.pack("<BI", 1, 1) + PlanarVelocity(speed_m_s).encode()
         self._client.do(self._client.read(frame, _now_s() - self.late_s))
         for _ in iter(self._queue.pop, None):
             continue
@@ -336,7 +336,7 @@ class Play(_Program):
         type_ = CATALOG.message(TWIST_TYPE)
         channel = ros_channel(CMD_VEL, TWIST_TYPE, type_, is_latched=False, robot=ROBOT, origin=VELOCITY)
         for number in range(100):
-            writer.write(channel, 10**18 + number * 10**8, Velocity(SPEED_M_S).encode())
+            writer.write(channel, 10**18 + number * 10**8, PlanarVelocity(SPEED_M_S).encode())
         writer.close()
 
     async def start(self) -> None:
@@ -471,7 +471,7 @@ class FleetPublisher(Fleet):
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
-        self._driver.publish(self.made.hub.robots.find(ROBOT).shown.velocity, Velocity(speed_m_s).encode())
+        self._driver.publish(self.made.hub.robots.find(ROBOT).shown.velocity, PlanarVelocity(speed_m_s).encode())
 
 
 class DevicePublisher(EntryPoint):
@@ -488,7 +488,7 @@ class DevicePublisher(EntryPoint):
 
     async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
         assert epoch is None
-        await self._device.send(126, Velocity(speed_m_s).encode())
+        await self._device.send(126, PlanarVelocity(speed_m_s).encode())
 
     async def vanish(self) -> None:
         self.silence()
@@ -535,7 +535,7 @@ class Demo(EntryPoint):
 
     async def begin(self) -> None:
         self._participant = self.made.hub.join("demo", priority=0)
-        self.made.neighbour.drive(self.made.hub.robots.find("robot_1"), Velocity(0.2))
+        self.made.neighbour.drive(self.made.hub.robots.find("robot_1"), PlanarVelocity(0.2))
 
     async def _repeat(self) -> None:
         await demo.DemoDriver(self.made.hub, self._participant).run()

@@ -33,7 +33,7 @@ from hostlink.graphs.zenoh.session import Sample, Session
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene
 
@@ -84,7 +84,7 @@ class Ros1Driver:
     def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
         assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
         before = self._parts.counts.refused_messages
-        self._connection.wire.data_received(encode_message(Velocity(speed_m_s).encode()))
+        self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s).encode()))
         if self._parts.counts.refused_messages > before:
             raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
@@ -185,7 +185,9 @@ class RmwDriver:
     def drive(self, speed_m_s: float, *, late_s: float = 0.0) -> None:
         self._sent += 1
         attachment = Attachment(self._sent, int((100.0 + _now_s() - late_s) * 1e9), self._gid)
-        self._publishers.publish(attachment, (self._topic, ROS2_TWIST), Velocity(speed_m_s).encode(), topic=self._topic)
+        self._publishers.publish(
+            attachment, (self._topic, ROS2_TWIST), PlanarVelocity(speed_m_s).encode(), topic=self._topic
+        )
 
     def vanish(self) -> None:
         """Its token is gone."""

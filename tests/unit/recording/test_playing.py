@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
 from hostlink.recording.playing import drives, robots_of, schedule
 from hostlink.recording.reader import StoredMessage
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 
 SECOND_NS = 1_000_000_000
 
@@ -53,7 +53,7 @@ def test_a_topic_that_was_recorded_twice_is_one() -> None:
 
 
 def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
-    forward, back = Velocity(linear_x_m_s=0.2), Velocity(linear_x_m_s=-0.2)
+    forward, back = PlanarVelocity(x_m_s=0.2), PlanarVelocity(x_m_s=-0.2)
     mine, others = (
         ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot=name, origin=VELOCITY) for name in ("a", "b")
     )

@@ -14,12 +14,12 @@ from hostlink.hub.robot_events import EventKind
 from hostlink.recording.channel import EVENTS, Channel, json_of
 from hostlink.recording.recorder import Recorder, Selection
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
 
 TYPE = "std_msgs/Bool"
-VELOCITY = Velocity(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+VELOCITY = PlanarVelocity(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 
 
 class Kept:
