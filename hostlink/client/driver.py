@@ -18,9 +18,9 @@ from hostlink.client.connection import Connection, Message
 from hostlink.client.views import Driven, Refusal
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.robot.admission import LEASE_S
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
-STANDING = (0.0, 0.0, 0.0)
 _COMMAND = "command:"
 
 ANSWER_TIMEOUT_S = 1.0
@@ -83,8 +83,8 @@ class Driver:
         threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
         return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
-    async def drive(self, robot: str, velocity: tuple[float, float, float], priority: int) -> Driven:
-        """Command (forward, left, turn), and repeat it from now on; returns when the daemon has accepted it.
+    async def drive(self, robot: str, velocity: PlanarVelocity, priority: int) -> Driven:
+        """Command, and repeat it from now on; returns when the daemon has accepted it.
 
         Raises:
             HostlinkError: it was refused, and nothing is repeated; or what was repeated before was broken off.
@@ -135,7 +135,7 @@ class Driver:
 
         The answer to a zero has it; the program has let go. Without a connection there is none to know.
         """
-        request = {**_request(robot, STANDING, priority), "sent_s": self._now_s()}
+        request = {**_request(robot, ZERO, priority), "sent_s": self._now_s()}
         with contextlib.suppress(HostlinkError):
             self._note_told(robot, await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S))
 
@@ -144,9 +144,7 @@ class Driver:
         if (epoch := answer.get("epoch")) is not None:
             self._told[robot] = int(epoch)
 
-    async def command(
-        self, robot: str, velocity: tuple[float, float, float], priority: int, *, epoch: int | None = None
-    ) -> None:
+    async def command(self, robot: str, velocity: PlanarVelocity, priority: int, *, epoch: int | None = None) -> None:
         """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
 
         Commands less than a lease apart are one stream, and carry the epoch of its beginning. A command with an epoch
@@ -157,7 +155,7 @@ class Driver:
         """
         now_s = self._now_s()
         stream = self._streams.get(robot)
-        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity == STANDING
+        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity.is_zero
         if stream is None or is_over or epoch is not None:
             stream = self._streams[robot] = _Stream(next(self._numbers))
         self._sent_s[robot] = now_s
@@ -177,7 +175,7 @@ class Driver:
         """
         if self._now_s() <= self._sent_s.pop(robot, float("-inf")) + LEASE_S:
             with contextlib.suppress(HostlinkError):
-                await self._connection.send({**_request(robot, STANDING, priority), "id": f"zero:{robot}"})
+                await self._connection.send({**_request(robot, ZERO, priority), "id": f"zero:{robot}"})
 
     def break_all(self, reason: str) -> tuple[str, ...]:
         """The connection is lost; returns the robots that were driven."""
@@ -241,18 +239,12 @@ def refused(robot: str, answer: Message) -> HostlinkError:
     return CommandRefused(robot, RefusalKind(kind), reason) if kind in set(RefusalKind) else Refused(kind, reason)
 
 
-def _request(robot: str, velocity: tuple[float, float, float], priority: int) -> dict[str, Any]:
-    if not all(map(math.isfinite, velocity)):
+def _request(robot: str, velocity: PlanarVelocity, priority: int) -> dict[str, Any]:
+    if not velocity.is_finite:
         raise CommandRefused(robot, RefusalKind.NOT_FINITE, f"{robot}: a velocity must be made of finite numbers")
-    linear, linear_y, angular = map(float, velocity)
-    return {
-        "op": "drive",
-        "robot": robot,
-        "linear": linear,
-        "linear_y": linear_y,
-        "angular": angular,
-        "priority": priority,
-    }
+    names = ("linear", "linear_y", "angular")
+    numbers = dict(zip(names, map(float, velocity), strict=True))
+    return {"op": "drive", "robot": robot, **numbers, "priority": priority}
 
 
 def _driven(answer: Message) -> Driven:

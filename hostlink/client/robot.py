@@ -9,6 +9,7 @@ from hostlink.client.driver import Driver
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
 from hostlink.client.views import Driven, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
+from hostlink.robot.velocity import PlanarVelocity
 
 PRIORITY = 50  # of a program; a person at the keys is 60
 WAIT_S = 1.5  # for the odometry of a robot that was stopped
@@ -59,7 +60,9 @@ class Robot:
                 program did not run for half a second. The `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
-        return await self._driver.drive(self.name, (linear_m_s, linear_y_m_s, angular_rad_s), self.priority)
+        return await self._driver.drive(
+            self.name, PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s), self.priority
+        )
 
     async def command(
         self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None
@@ -74,7 +77,8 @@ class Robot:
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
-        await self._driver.command(self.name, (linear_m_s, linear_y_m_s, angular_rad_s), self.priority, epoch=epoch)
+        velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
+        await self._driver.command(self.name, velocity, self.priority, epoch=epoch)
 
     @property
     def refusal(self) -> Refusal | None:

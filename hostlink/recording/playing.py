@@ -4,9 +4,10 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from hostlink.errors import BadPayload
 from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
 from hostlink.recording.reader import StoredMessage
-from hostlink.robot.admission import LEASE_S
+from hostlink.robot.admission import LEASE_S, NOT_PLANAR
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
 
 _MOVING = ("Twist", "TwistStamped", "")  # the last part of a type's name; none: the topic's own, whatever that is
@@ -61,7 +62,7 @@ def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float =
     A recording may lack the zero that ended a drive: the link was lost, the file is cut, a chunk of it is damaged.
 
     Raises:
-        BadPayload: a velocity is none.
+        BadPayload: a velocity is none, or has components that no robot has.
     """
     end_s: float | None = None  # of the velocity that moves
     for due in due_messages:
@@ -70,7 +71,10 @@ def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float =
             end_s = None
         channel = due.message.channel
         if channel.topic == topic and channel.robot == robot and is_drive(channel):  # one that came later may have it
-            velocity = Twist.decode(due.message.payload).planar
+            twist = Twist.decode(due.message.payload)
+            if not twist.is_planar:
+                raise BadPayload(TWIST_TYPE, NOT_PLANAR)
+            velocity = twist.planar
             yield DueVelocity(due.at_s, velocity)
             end_s = None if velocity.is_zero else due.at_s + LEASE_S / rate
     if end_s is not None:

@@ -57,6 +57,7 @@ LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own wa
 MAX_SOURCES = 64  # that one robot keeps apart
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
+NOT_PLANAR = "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
 
 V = TypeVar("V", bound=AnyVelocity)
 
@@ -281,7 +282,7 @@ class Admission:
     def _unsupported_text(self, command: Command[Any]) -> str:
         """Return why a robot of these kinematics cannot obey a command; empty: it can."""
         if not command.is_planar:
-            return "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
+            return NOT_PLANAR
         if self.kinematics is Kinematics.DIFFERENTIAL and command.velocity.y_m_s != 0:
             return (
                 "a differential drive cannot move sideways: send 0 as linear.y; if this robot can, remove "

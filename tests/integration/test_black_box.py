@@ -24,7 +24,7 @@ from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import expect
 
-FORWARD, STANDING = ({"linear_m_s": speed_m_s, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
+FORWARD, STANDING = ({"linear_m_s": speed_m_s, "linear_y_m_s": 0.0, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
 
 
 def config(folder: Path, *, free_mb: float = 0.0, **changes: Any) -> Config:

@@ -79,7 +79,7 @@ async def test_a_robot_is_driven_until_the_block_is_left() -> None:
             robot = me.robot("robot_0")
             await robot.drive(0.2, 0.5)
             assert robot.is_driven
-            assert (await robot.state())["velocity"] == {"linear_m_s": 0.2, "angular_rad_s": 0.5}
+            assert (await robot.state())["velocity"] == {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5}
             assert (await robot.state())["holder"] == robot.client_name
             for _ in range(10):  # at 10 Hz twice the length of a lease
                 assert await device.velocity_other_than(ZERO) == (0.2, 0.5)

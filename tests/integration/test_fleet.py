@@ -93,9 +93,9 @@ async def test_each_receives_its_own_commands(config: Config, second: str, names
         for device, name, velocity in zip(devices, names, (SLOW, FAST), strict=True):
             for by in ("velocity_commands", "cmd_vel"):
                 publish(host.hub, f"/{name}/{by}", velocity.encode(), source=by)
-                assert await device.velocity_other_than((0.0, 0.0)) == (velocity.linear_x_m_s, 0.0)
+                assert await device.velocity_other_than((0.0, 0.0)) == (velocity.x_m_s, 0.0)
                 host.hub.gates.stop(host.hub.robots.find(name))
-                assert await device.velocity_other_than((velocity.linear_x_m_s, 0.0)) == (0.0, 0.0)
+                assert await device.velocity_other_than((velocity.x_m_s, 0.0)) == (0.0, 0.0)
 
 
 async def test_their_topics_stand_under_their_names_and_what_is_not_theirs_is_shared() -> None:
@@ -168,7 +168,7 @@ async def test_limits_apply_to_every_robot_that_announces_the_name() -> None:
     async with daemon(config) as host, two_alike(host):
         for name in ("robot_0", "robot_0_2"):
             robot = host.hub.robots.find(name)
-            assert drive_gate(host.hub.gates, robot, FAST, owner="test").linear_x_m_s == 0.2
+            assert drive_gate(host.hub.gates, robot, FAST, owner="test").x_m_s == 0.2
         assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
 
 

@@ -23,7 +23,7 @@ async def test_a_robot_and_its_odometry() -> None:
     assert robot["connected"] is True
     assert robot["velocity_topic"] == "/robot_0/velocity_commands"
     assert odometry["pose"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
-    assert odometry["twist"] == {"linear_m_s": 0.0, "angular_rad_s": 0.0}
+    assert odometry["twist"] == {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
     assert 0 <= odometry["age_s"] < 5
     assert odometry["stamp_ns"] > 1_700_000_000_000_000_000
 
@@ -31,7 +31,7 @@ async def test_a_robot_and_its_odometry() -> None:
 async def test_velocity_stop_and_reset() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         status, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
-        assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "angular_rad_s": 0.5})
+        assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5})
         assert (body["is_limited"], body["limited_by"]) == (False, None)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
         status, stopped = await host.rest("POST", "/api/robots/robot_0/stop")

@@ -19,7 +19,7 @@ def test_one_that_leaves_does_not_end_the_others_lease() -> None:
         robot = made.hub.robots.find(ROBOT)
         first.drive(robot, PlanarVelocity(0.2))
         second.leave()
-        assert (robot.gate.owner_name, robot.gate.current.linear_x_m_s) == ("program", 0.2)
+        assert (robot.gate.owner_name, robot.gate.current.x_m_s) == ("program", 0.2)
         first.leave()
         assert (robot.gate.owner_name, robot.gate.current) == (None, ZERO)
 
@@ -63,7 +63,7 @@ def test_a_program_that_has_a_devices_name_does_not_end_its_lease() -> None:
         robot, driver = made.hub.robots.find(ROBOT), made.other.link
         made.hub.topics.find(VELOCITY).publish(TWIST.pack(0.2, 0, 0, 0, 0, 0), source=driver)
         made.hub.join(str(driver)).leave()
-        assert (robot.gate.owner_name, robot.gate.current.linear_x_m_s) == (str(driver), 0.2)
+        assert (robot.gate.owner_name, robot.gate.current.x_m_s) == (str(driver), 0.2)
         made.hub.gates.release(driver)
         assert robot.gate.owner_name is None
 

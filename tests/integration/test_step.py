@@ -60,7 +60,7 @@ async def stands(robot: SimulatedRobot) -> None:
 
 async def stepping(host: Daemon) -> None:
     """Until the step has begun."""
-    await expect(lambda: host.hub.robots.find("robot_0").gate.current.linear_x_m_s > 0.03)
+    await expect(lambda: host.hub.robots.find("robot_0").gate.current.x_m_s > 0.03)
 
 
 # -- a step -----------------------------------------------------------------------------------------------------------

@@ -92,7 +92,7 @@ async def test_interruption_where_the_robot_is_disarms_its_drivers_elsewhere(how
             with pytest.raises(HostlinkError, match="drive again if it is still meant"):
                 await driven.drive(0.3, 0.0)
             await driven.drive(0.2, 0.0)
-            assert gate.current.linear_x_m_s == 0.2
+            assert gate.current.x_m_s == 0.2
 
 
 async def test_interruption_here_is_known_elsewhere_by_the_epoch() -> None:
