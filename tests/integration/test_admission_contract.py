@@ -16,7 +16,7 @@ import pytest
 from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.robot.velocity import TWIST_TYPE, Kinematics, PlanarVelocity, Twist
 from tests.support import entry_points
 from tests.support.entry_points import EntryPoint
 from tests.support.fake_device import robot_topics, topic
@@ -273,6 +273,23 @@ async def not_finite(way: EntryPoint, robot: Robot) -> None:
     assert not any(robot.made.speeds())
 
 
+async def passed_and_limited(way: EntryPoint, robot: Robot) -> None:
+    await way.give(0.0, left_m_s=-3.0)
+    await asyncio.sleep(0.1)
+    assert robot.made.twists()[-1] == Twist(linear_y_m_s=-1.0)
+    assert robot.made.hub.robots.find(ROBOT).gate.current == PlanarVelocity(0.0, -1.0)
+    assert robot.refused == set()
+
+
+async def unsupported(way: EntryPoint, robot: Robot) -> None:
+    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    with contextlib.suppress(HostlinkError):
+        await way.give(entry_points.SPEED_M_S, left_m_s=0.1)
+    await asyncio.sleep(0.1)
+    assert robot.refused == {RefusalKind.UNSUPPORTED}
+    assert not any(map(any, robot.made.twists()))
+
+
 async def leaves(way: EntryPoint, robot: Robot) -> None:
     await way.start()
     await robot.moves()
@@ -305,6 +322,8 @@ ROWS: dict[str, Row] = {
     "the current epoch arms": current_epoch_arms,
     "an earlier epoch is refused": earlier_epoch_is_refused,
     "a velocity that is not finite": not_finite,
+    "y is passed and limited": passed_and_limited,
+    "y is refused for a differential drive": unsupported,
     "a command while locked is refused": locked,
     "a command without device is refused": not_connected,
     "a command that is late is refused": late_is_refused,

@@ -37,7 +37,7 @@ from hostlink.hub.node import Role
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
 from tests.support.memory_client import MemoryHost, memory_host
@@ -51,6 +51,7 @@ _NOT_HEARD = {
     "a command without device is refused": "nobody subscribes to the topic of a device that is away, as in ROS",
 }
 _EPOCHS = ("the current epoch arms", "an earlier epoch is refused")
+_SIDEWAYS = ("y is passed and limited", "y is refused for a differential drive")
 _PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch") | _NOT_HEARD
 
 
@@ -69,8 +70,8 @@ class EntryPoint:
     async def begin(self) -> None:
         """Come to the robot."""
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        """One command."""
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        """One command: forward, and to the left."""
         raise NotImplementedError
 
     async def vanish(self) -> None:
@@ -126,35 +127,38 @@ class _Rosbridge(EntryPoint):
 class RosbridgePublish(_Rosbridge):
     cannot: ClassVar = _PUBLISHED
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self.send(op="publish", topic=CMD_VEL, msg={"linear": {"x": _number(speed_m_s)}})
+        self.send(op="publish", topic=CMD_VEL, msg={"linear": {"x": _number(speed_m_s), "y": left_m_s}})
 
 
 class RosbridgeRaw(RosbridgePublish):
     """The robot's own velocity topic, as bytes."""
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         name = self.made.hub.robots.find(ROBOT).shown.velocity
-        raw = base64.b64encode(PlanarVelocity(speed_m_s).encode()).decode()
+        raw = base64.b64encode(PlanarVelocity(speed_m_s, left_m_s).encode()).decode()
         self.send(op="publish", topic=name, type=TWIST_TYPE, raw=raw)
 
 
 class TwistStamped(RosbridgePublish):
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self.send(op="publish", topic=CMD_VEL_STAMPED, msg={"twist": {"linear": {"x": _number(speed_m_s)}}})
+        self.send(
+            op="publish", topic=CMD_VEL_STAMPED, msg={"twist": {"linear": {"x": _number(speed_m_s), "y": left_m_s}}}
+        )
 
 
 class RosbridgeDrive(_Rosbridge):
     cannot: ClassVar = {"a velocity that is not finite": _NO_NAN}
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         sent_s = 1000.0 + _now_s() - self.late_s
         self.client.receive(
             json.dumps(
                 {"op": "drive", "id": 1, "robot": ROBOT, "linear": speed_m_s, "angular": 0.0, "sent_s": sent_s}
+                | ({"linear_y": left_m_s} if left_m_s else {})
                 | ({} if epoch is None else {"epoch": epoch})
             )
         )
@@ -168,6 +172,7 @@ class Page(_Rosbridge):
     period_s: ClassVar = 0.08
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "it sends the number of the device's connection instead") | {
         "a velocity that is not finite": _NO_NAN,
+        **dict.fromkeys(_SIDEWAYS, "its stick goes forward and turns"),
     }
     link: int | None = None
 
@@ -176,8 +181,9 @@ class Page(_Rosbridge):
         self.link = None if link is None else link.number
         await super().start()
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        assert not left_m_s
         came_s, link = _now_s(), self.link if speed_m_s else None
         command = {"robot": ROBOT, "linear": speed_m_s, "angular": 0, "priority": 60, "link": link}
         message = {"op": "drive", "id": "drive", **command, "sent_s": 5.5 + came_s - self.late_s}
@@ -198,9 +204,11 @@ class RestPut(EntryPoint):
         rest = Rest(made.hub, cast(Clients, None), self._owners)  # no request of a velocity asks for clients
         (self._route,) = (each for each in rest.routes() if each.path.endswith("/velocity"))
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         request = make_mocked_request("PUT", f"/api/robots/{ROBOT}/velocity", match_info={"name": ROBOT})
-        body = {"linear": speed_m_s, "angular": 0.0} | ({} if epoch is None else {"epoch": epoch})
+        body = {"linear": speed_m_s, "linear_y_m_s": left_m_s, "angular": 0.0} | (
+            {} if epoch is None else {"epoch": epoch}
+        )
         request[BODY], request[CAME] = json.dumps(body).encode(), _now_s() - self.late_s
         request[GRANT] = Grant("phone", Role.DRIVE)
         await self._route.handler(request)
@@ -221,9 +229,9 @@ class FoxglovePublish(EntryPoint):
         channel = {"id": 1, "topic": CMD_VEL, "encoding": "ros1", "schemaName": TWIST_TYPE}
         self._client.receive(json.dumps({"op": "advertise", "channels": [channel]}))
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        frame = struct.pack("<BI", 1, 1) + PlanarVelocity(speed_m_s).encode()
+        frame = struct.pack("<BI", 1, 1) + PlanarVelocity(speed_m_s, left_m_s).encode()
         self._client.do(self._client.read(frame, _now_s() - self.late_s))
         for _ in iter(self._queue.pop, None):
             continue
@@ -263,8 +271,8 @@ class _Program(EntryPoint):
 
 
 class ClientCommand(_Program):
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        await self.robot.command(speed_m_s, 0.0, epoch=epoch)
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        await self.robot.command(speed_m_s, 0.0, left_m_s, epoch=epoch)
 
 
 class ClientDrive(_Program):
@@ -279,9 +287,9 @@ class ClientDrive(_Program):
         with contextlib.suppress(HostlinkError):
             await self.give(SPEED_M_S)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        await self.robot.drive(speed_m_s, 0.0)
+        await self.robot.drive(speed_m_s, 0.0, left_m_s)
 
     def silence(self) -> None:
         """As a program that hangs."""
@@ -295,6 +303,7 @@ class Teleop(_Program):
     goes_on: ClassVar = False  # what is refused must be released, but for one who is more important
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it") | {
         "a velocity that is not finite": "its speeds are steps from a finite one",
+        **dict.fromkeys(_SIDEWAYS, "it has no keys for it"),
     }
 
     def _begin(self) -> None:
@@ -302,8 +311,9 @@ class Teleop(_Program):
         self._driving = Driving(layout="original", linear_m_s=SPEED_M_S, angular_rad_s=1.0)
         self._keys = KeyDriver(self.robot, self._driving, WatchedRobot(cast(RobotState, {})))
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        assert not left_m_s
         if speed_m_s:
             self._driving.receive(Key("w"), _now_s())
             await self._keys.send_what_is_due()
@@ -331,13 +341,21 @@ class Play(_Program):
 
     async def begin(self) -> None:
         self._folder = tempfile.TemporaryDirectory()
-        self._file = Path(self._folder.name) / "run.mcap"
+        self._write("run.mcap", PlanarVelocity(SPEED_M_S))
+
+    def _write(self, name: str, velocity: PlanarVelocity) -> None:
+        self._file = Path(self._folder.name) / name
         writer = McapWriter(self._file, metadata={})
         type_ = CATALOG.message(TWIST_TYPE)
         channel = ros_channel(CMD_VEL, TWIST_TYPE, type_, is_latched=False, robot=ROBOT, origin=VELOCITY)
         for number in range(100):
-            writer.write(channel, 10**18 + number * 10**8, PlanarVelocity(SPEED_M_S).encode())
+            writer.write(channel, 10**18 + number * 10**8, velocity.encode())
         writer.close()
+
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        assert epoch is None
+        self._write("other.mcap", PlanarVelocity(speed_m_s, left_m_s))
+        await self.start()
 
     async def start(self) -> None:
         self.silence()
@@ -386,11 +404,11 @@ class RclpyBridge(EntryPoint):
         async with self._driver.running():
             await asyncio.Event().wait()
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         for host in self.hosts:
             host.connection_.delay_s = self.late_s
-        self._driver.receive(self._route, (speed_m_s, 0.0), b"publisher")
+        self._driver.receive(self._route, Twist(speed_m_s, left_m_s), b"publisher")
         await asyncio.sleep(0.01)
         self._update(b"publisher")
         if "finite" in self._reported:
@@ -421,9 +439,9 @@ class Ros1Publisher(EntryPoint):
     async def begin(self) -> None:
         self._driver = Ros1Driver(self.made)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self._driver.drive(ROBOT, speed_m_s, self.made.hub)
+        self._driver.drive(ROBOT, speed_m_s, self.made.hub, left_m_s=left_m_s)
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -435,13 +453,15 @@ class RmwPublisher(EntryPoint):
     async def begin(self) -> None:
         self._driver = RmwDriver(self.made)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         if self.late_s:
             late_s = self.late_s
-            asyncio.get_running_loop().call_later(late_s, lambda: self._driver.drive(speed_m_s, late_s=late_s))
+            asyncio.get_running_loop().call_later(
+                late_s, lambda: self._driver.drive(speed_m_s, left_m_s=left_m_s, late_s=late_s)
+            )
         else:
-            self._driver.drive(speed_m_s)
+            self._driver.drive(speed_m_s, left_m_s=left_m_s)
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -455,8 +475,8 @@ class Fleet(EntryPoint):
     async def begin(self) -> None:
         self._driver = FleetDriver(self.made)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        self._driver.drive(ROBOT, speed_m_s, self.made.hub, late_s=self.late_s, epoch=epoch)
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        self._driver.drive(ROBOT, speed_m_s, self.made.hub, left_m_s=left_m_s, late_s=self.late_s, epoch=epoch)
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -469,9 +489,11 @@ class FleetPublisher(Fleet):
         "a command that is late is refused": "a message of the fleet that is published has no time",
     }
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self._driver.publish(self.made.hub.robots.find(ROBOT).shown.velocity, PlanarVelocity(speed_m_s).encode())
+        self._driver.publish(
+            self.made.hub.robots.find(ROBOT).shown.velocity, PlanarVelocity(speed_m_s, left_m_s).encode()
+        )
 
 
 class DevicePublisher(EntryPoint):
@@ -486,9 +508,9 @@ class DevicePublisher(EntryPoint):
         self._device = ScriptedDevice(self.made.hub, infos, address="10.0.0.3")
         await asyncio.sleep(0.5)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        await self._device.send(126, PlanarVelocity(speed_m_s).encode())
+        await self._device.send(126, PlanarVelocity(speed_m_s, left_m_s).encode())
 
     async def vanish(self) -> None:
         self.silence()
@@ -512,6 +534,7 @@ class Demo(EntryPoint):
             "a zero arms",
             "a zero of another changes nothing",
             "a velocity that is not finite",
+            *_SIDEWAYS,
         ),
         "it gives its curve, from inside of the daemon",
     ) | dict.fromkeys(

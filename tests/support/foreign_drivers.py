@@ -81,10 +81,10 @@ class Ros1Driver:
         assert self._connection._source is not None
         return self._connection._source.participant
 
-    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
+    def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
         assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
         before = self._parts.counts.refused_messages
-        self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s).encode()))
+        self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
         if self._parts.counts.refused_messages > before:
             raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
@@ -134,6 +134,7 @@ class FleetDriver:
         speed_m_s: float,
         hub: Hub,  # noqa: ARG002 - as the other kinds have it
         *,
+        left_m_s: float = 0.0,
         late_s: float = 0.0,
         epoch: int | None = None,
     ) -> None:
@@ -144,7 +145,7 @@ class FleetDriver:
             robot=robot,
             owner=1,
             owner_name="client 3",
-            velocity=(speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0),
+            velocity=(speed_m_s, left_m_s, 0.0, 0.0, 0.0, 0.0),
             priority=PRIORITY,
         )
         self._drivers.receive(Sample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
@@ -182,11 +183,11 @@ class RmwDriver:
         assert isinstance(token, EndpointToken)
         self._publishers.add(token, endpoint.encode())
 
-    def drive(self, speed_m_s: float, *, late_s: float = 0.0) -> None:
+    def drive(self, speed_m_s: float, *, left_m_s: float = 0.0, late_s: float = 0.0) -> None:
         self._sent += 1
         attachment = Attachment(self._sent, int((100.0 + _now_s() - late_s) * 1e9), self._gid)
         self._publishers.publish(
-            attachment, (self._topic, ROS2_TWIST), PlanarVelocity(speed_m_s).encode(), topic=self._topic
+            attachment, (self._topic, ROS2_TWIST), PlanarVelocity(speed_m_s, left_m_s).encode(), topic=self._topic
         )
 
     def vanish(self) -> None:

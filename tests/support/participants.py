@@ -26,7 +26,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.queue import Queue
 from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
-from hostlink.robot.velocity import PlanarVelocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -412,9 +412,13 @@ class Scene:
         assert len(self.hub.links.all()) == 2
         assert self.hub.isolation.crashes.keys() <= {"participant"}
 
+    def twists(self) -> list[Twist]:
+        """The velocities that the robot received."""
+        return [Twist.decode(payload) for payload in self.robot.payloads(VELOCITY_ID)]
+
     def speeds(self) -> list[float]:
-        """Of the velocities that the robot received."""
-        return [struct.unpack("<6d", payload)[0] for payload in self.robot.payloads(VELOCITY_ID)]
+        """Those forward of the velocities that the robot received."""
+        return [twist.linear_x_m_s for twist in self.twists()]
 
     def uses_of(self, participant: Participant) -> list[str]:
         """Whatever of a participant is in the hub."""
