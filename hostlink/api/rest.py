@@ -234,7 +234,7 @@ class Rest:
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "angular": rad/s}')
+        body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "linear_y_m_s": m/s, "angular": rad/s}')
         velocity = PlanarVelocity(body.linear, body.linear_y_m_s, body.angular)
         owner = self._owner(request)
         limited = owner.drive(robot, velocity, priority=body.priority, received_s=request[CAME], epoch=body.epoch)
