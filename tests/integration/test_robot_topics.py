@@ -191,7 +191,8 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> 
     type_ = CATALOG.message("nav_msgs/Odometry")
     assert type_ is not None
     covariance = [float(number) for number in range(36)]
-    message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}})
+    twist = {"twist": {"linear": {"x": 0.2, "y": -0.1}, "angular": {"z": 0.5}}}
+    message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}, "twist": twist})
     async with (
         daemon() as host,
         fake_device(host.tcp, [wheels, robot_topics()[1]]) as device,
@@ -201,7 +202,10 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> 
         await heard(host, "/robot_0/odom")
         await device.send(encode(125, message))
         odometry = (await program.receive())["msg"]
+        shown = await host.get("/api/robots/robot_0/odometry")
     assert odometry["pose"]["pose"]["position"]["x"] == 3.0
+    assert odometry["twist"]["twist"]["linear"] == {"x": 0.2, "y": -0.1, "z": 0.0}
+    assert shown["twist"] == {"linear_m_s": 0.2, "linear_y_m_s": -0.1, "angular_rad_s": 0.5}
     assert odometry["pose"]["covariance"] == covariance
     assert odometry["twist"]["covariance"][35] == 0.01
 
