@@ -201,6 +201,7 @@ class RobotConfig:
 
     address: str | None = None  # the peer address or serial port of its device
     uart_bytes_s: int | None = None
+    kinematics: Literal["", "differential"] = ""  # a differential drive refuses linear.y; "": it is limited and passed
     wheel_separation_m: float | None = None
     max_wheel_m_s: float | None = None
     max_linear_m_s: float = 1.0  # a small robot's; a faster one has its own setting

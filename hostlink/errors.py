@@ -129,6 +129,7 @@ class RefusalKind(StrEnum):
     """Why a velocity was refused. Public: REST, rosbridge, client, CLI, events and metrics use these names."""
 
     NOT_FINITE = "not_finite"
+    UNSUPPORTED = "unsupported"  # the robot's kinematics lack a component that is not zero
     LOCKED = "locked"
     NOT_CONNECTED = "not_connected"
     LATE = "late"

@@ -15,17 +15,21 @@ from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robots import Robots
 from hostlink.robot.admission import EARLIER_EPOCH
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 
 MAX_ANSWERS = 64  # that one client waits for
 
 
 class DriveRequest(msgspec.Struct):
-    """m/s, rad/s counter-clockwise. All from `link` on is for commands that a program sends by itself."""
+    """m/s, rad/s counter-clockwise; `linear_y`: to the left.
+
+    All from `link` on is for commands that a program sends by itself.
+    """
 
     robot: str
     linear: float
     angular: float
+    linear_y: float = 0.0
     priority: int = PROGRAM_PRIORITY
     sent_s: float | None = None  # when, by the client's own clock
     epoch: int | None = None  # of the robot, as the answer before gave it
@@ -65,7 +69,7 @@ class Drive:
         else:
             self._accept(request, robot, velocity, limited)
 
-    async def _wait(self, request: Request, robot: RemoteRobot, velocity: Velocity) -> None:
+    async def _wait(self, request: Request, robot: RemoteRobot, velocity: PlanarVelocity) -> None:
         try:
             self._accept(request, robot, velocity, await self._participant.driven(robot, velocity))
         except HostlinkError as error:
@@ -73,7 +77,9 @@ class Drive:
         finally:
             self._waiting -= 1
 
-    def _accept(self, request: Request, robot: Robot | RemoteRobot, velocity: Velocity, limited: Velocity) -> None:
+    def _accept(
+        self, request: Request, robot: Robot | RemoteRobot, velocity: PlanarVelocity, limited: PlanarVelocity
+    ) -> None:
         link = None if robot.link is None else robot.link.number
         answer = {
             "op": "drive_result",
@@ -96,7 +102,7 @@ class Drive:
             put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
         put_json(self._queue, answer | {"id": request.fields.get("id")})
 
-    def _command(self, request: Request) -> tuple[Robot | RemoteRobot, Velocity, Velocity]:
+    def _command(self, request: Request) -> tuple[Robot | RemoteRobot, PlanarVelocity, PlanarVelocity]:
         try:
             wanted = msgspec.convert(request.fields, DriveRequest)
         except msgspec.ValidationError as error:
@@ -104,7 +110,7 @@ class Drive:
         if not 0 <= wanted.priority <= MAX_PRIORITY:
             raise BadRequest(f"drive: priority must be a number from 0 to {MAX_PRIORITY}")
         robot = self._robots.find(wanted.robot)
-        velocity = Velocity(linear_x_m_s=wanted.linear, angular_z_rad_s=wanted.angular)
+        velocity = PlanarVelocity(wanted.linear, wanted.linear_y, wanted.angular)
         epoch = wanted.stops if wanted.epoch is None else wanted.epoch
         if wanted.link is not None and robot.link is not None:
             is_same = robot.resumed_link <= wanted.link <= robot.link.number

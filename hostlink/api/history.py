@@ -15,7 +15,7 @@ from aiohttp import web
 
 from hostlink.api.replies import reply, reply_encoded
 from hostlink.api.routes import Route
-from hostlink.api.views import PoseView, VelocityView
+from hostlink.api.views import PoseView, VelocityView, velocity_view
 from hostlink.hub.hub import Hub
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
@@ -25,7 +25,7 @@ from hostlink.recording.history import PastPose, Rest, RobotHistory
 from hostlink.recording.ring import Entry
 from hostlink.robot.kinematics import Pose
 from hostlink.robot.odometry_estimator import OdometryEstimator
-from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity, Twist
 
 WORK_S = 0.0005  # of a thread that reads, before the loop has the interpreter for REST_S
 REST_S = 0.001
@@ -166,9 +166,9 @@ def _pose_view(past: PastPose, now_s: float) -> PastPoseView:
     return {
         "age_s": _age(now_s, past.at_s),
         "pose": {"x_m": round(pose.x_m, 6), "y_m": round(pose.y_m, 6), "theta_rad": round(pose.theta_rad, 6)},
-        "twist": {"linear_m_s": round(twist.linear_m_s, 4), "angular_rad_s": round(twist.angular_rad_s, 4)},
+        "twist": velocity_view(PlanarVelocity(*(round(component, 4) for component in twist))),
     }
 
 
 def _command_view(twist: dict[str, Any]) -> VelocityView:
-    return {"linear_m_s": twist["linear"]["x"], "angular_rad_s": twist["angular"]["z"]}
+    return velocity_view(Twist.from_fields(twist).planar)

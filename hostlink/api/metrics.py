@@ -221,11 +221,13 @@ class _Graph(Collector):
             driven.add_metric([robot.name], robot.gate.owner is not None)
             odometry = robot.odometry.snapshot(now_s)
             sent = robot.gate.current
-            commanded.add_metric([robot.name, "linear"], sent.linear_x_m_s)
-            commanded.add_metric([robot.name, "angular"], sent.angular_z_rad_s)
+            commanded.add_metric([robot.name, "linear"], sent.x_m_s)
+            commanded.add_metric([robot.name, "linear_y"], sent.y_m_s)
+            commanded.add_metric([robot.name, "angular"], sent.yaw_rad_s)
             if odometry is not None:
-                measured.add_metric([robot.name, "linear"], odometry.twist.linear_m_s)
-                measured.add_metric([robot.name, "angular"], odometry.twist.angular_rad_s)
+                measured.add_metric([robot.name, "linear"], odometry.twist.x_m_s)
+                measured.add_metric([robot.name, "linear_y"], odometry.twist.y_m_s)
+                measured.add_metric([robot.name, "angular"], odometry.twist.yaw_rad_s)
         yield from (locked, driven, commanded, measured, battery)
 
     def _links(self) -> Iterator[Metric]:

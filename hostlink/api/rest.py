@@ -36,7 +36,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 
 Body = TypeVar("Body")
 
@@ -48,10 +48,11 @@ TOO_LARGE, BAD_REQUEST = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, HTTPStatus.BAD_REQ
 
 
 class VelocityRequest(msgspec.Struct, forbid_unknown_fields=True):
-    """The body of PUT velocity: m/s and rad/s, counter-clockwise positive."""
+    """The body of PUT velocity: m/s and rad/s, counter-clockwise positive; `linear_y_m_s`: to the left."""
 
     linear: float
     angular: float
+    linear_y_m_s: float = 0.0
     priority: Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)] = PROGRAM_PRIORITY
     epoch: int | None = None  # of the robot, as its state or an answer gave it
 
@@ -233,8 +234,8 @@ class Rest:
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "angular": rad/s}')
-        velocity = Velocity(linear_x_m_s=body.linear, angular_z_rad_s=body.angular)
+        body = decode_body(request[BODY], VelocityRequest, '{"linear": m/s, "linear_y_m_s": m/s, "angular": rad/s}')
+        velocity = PlanarVelocity(body.linear, body.linear_y_m_s, body.angular)
         owner = self._owner(request)
         limited = owner.drive(robot, velocity, priority=body.priority, received_s=request[CAME], epoch=body.epoch)
         limited = await owner.driven(robot, limited)

@@ -8,7 +8,7 @@ from typing import Any
 from hostlink.api.request import Request
 from hostlink.errors import BadPayload
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import Twist
 
 _NONE = (None, False)  # no velocity, or one that is wrong: that is refused, and not replaced
 
@@ -20,10 +20,10 @@ def velocity_of_request(request: Request, topics: TopicGraph) -> tuple[Hashable,
     if not isinstance(priority, int | None):
         return _NONE
     if request.op == "drive":
-        robot, linear, angular = fields.get("robot"), fields.get("linear"), fields.get("angular")
-        if not (isinstance(robot, str) and _is_number(linear) and _is_number(angular)):
+        robot, velocity = fields.get("robot"), (fields.get("linear"), fields.get("angular"), fields.get("linear_y", 0))
+        if not (isinstance(robot, str) and all(map(_is_number, velocity))):
             return _NONE
-        return ("drive", robot, priority), not (linear or angular)
+        return ("drive", robot, priority), not any(velocity)
     name = fields.get("topic")
     topic = topics.find_or_none(name) if request.op == "publish" and isinstance(name, str) else None
     if topic is None or not topic.is_gated:
@@ -64,7 +64,7 @@ def _is_zero_message(fields: dict[str, Any]) -> bool | None:
 def _is_zero_payload(payload: bytes) -> bool | None:
     """Of a serialised Twist; of a TwistStamped the Twist is its end."""
     try:
-        return Velocity.decode(payload[-len(Velocity().encode()) :]).is_zero
+        return Twist.decode(payload[-len(Twist().encode()) :]).is_zero
     except BadPayload:
         return None
 

@@ -15,13 +15,14 @@ from hostlink.hub.node import address_of
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.robot.standstill import Standstill
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 
 
 class VelocityView(TypedDict):
-    """Forwards, and counter-clockwise."""
+    """Forwards, to the left, and counter-clockwise."""
 
     linear_m_s: float
+    linear_y_m_s: float
     angular_rad_s: float
 
 
@@ -273,12 +274,16 @@ def _frames(robot: Robot | RemoteRobot) -> int | None:
     return robot.link.session.counts.frames_from_device
 
 
-def velocity_view(velocity: Velocity) -> VelocityView:
-    """The two numbers of a robot on a floor."""
-    return {"linear_m_s": velocity.linear_x_m_s, "angular_rad_s": velocity.angular_z_rad_s}
+def velocity_view(velocity: PlanarVelocity) -> VelocityView:
+    """The three numbers of a robot on a floor."""
+    return {
+        "linear_m_s": velocity.x_m_s,
+        "linear_y_m_s": velocity.y_m_s,
+        "angular_rad_s": velocity.yaw_rad_s,
+    }
 
 
-def velocity_answer(robot: Robot | RemoteRobot, requested: Velocity, limited: Velocity) -> VelocityAnswer:
+def velocity_answer(robot: Robot | RemoteRobot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
     """The velocity after the limits, beside the requested one."""
     return {
         "velocity": velocity_view(limited),
@@ -295,7 +300,7 @@ def odometry_view(robot: Robot | RemoteRobot) -> OdometryView | None:
         return None
     return {
         "pose": {"x_m": known.pose.x_m, "y_m": known.pose.y_m, "theta_rad": known.pose.theta_rad},
-        "twist": {"linear_m_s": known.twist.linear_m_s, "angular_rad_s": known.twist.angular_rad_s},
+        "twist": velocity_view(known.twist),
         "stamp_ns": known.stamp_ns,
         "age_s": round(known.age_s, 6),
         "rate_hz": round(known.rate_hz, 2),

@@ -264,7 +264,8 @@ def _settings(
             "nominal_separation_m": f"{correction.nominal_separation_m:.6g}",
             "separation_m": f"{correction.separation_m:.6f}",
         }
-        return {f"robots.{_key(robot)}.calibration": values}
+        table = f"robots.{_key(robot)}"
+        return {table: {"kinematics": '"differential"'}, f"{table}.calibration": values}
     radii = f"[{geometry.left_radius_m:.7f}, {geometry.right_radius_m:.7f}]"
     own = {"wheel_radius": radii, "wheel_separation": f"{geometry.separation_m:.6f}"}
     known = _parameters_of(file)

@@ -19,19 +19,20 @@ from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.controller import RobotKind
 from hostlink.sim.run import run_fleet
 
 OWNER = "demo"
 DEMO_PRIORITY = 0  # whoever comes is more important
-CURVE = Velocity(linear_x_m_s=0.15, angular_z_rad_s=0.3)  # a circle of a metre across
+CURVE = PlanarVelocity(0.15, yaw_rad_s=0.3)  # a circle of a metre across
 COMMAND_INTERVAL_S = 0.2  # well within the lease
 PAUSE_S = 5.0  # somebody who drove may want to watch before the demo continues
 LINE_INTERVAL_S = 0.2
 DRIVE = "/demo/drive"
 START_AGAIN = f"; it was interrupted, start the demo's driver again: hostlink call {DRIVE}"
-PAPER_ROBOT = RobotConfig(wheel_separation_m=0.210, max_wheel_m_s=0.3436)  # docs/robot.md#numbers
+# docs/robot.md#numbers
+PAPER_ROBOT = RobotConfig(kinematics="differential", wheel_separation_m=0.210, max_wheel_m_s=0.3436)
 
 
 def command(
@@ -164,7 +165,7 @@ def _describe(robot: Robot, *, is_stopped: bool) -> str:
     pose, twist = estimate.pose, estimate.twist
     return (
         f"{robot.name}  x {pose.x_m:+6.2f} m  y {pose.y_m:+6.2f} m  "
-        f"heading {math.degrees(pose.theta_rad):+6.1f}°  {twist.linear_m_s:+5.2f} m/s  "
+        f"heading {math.degrees(pose.theta_rad):+6.1f}°  {twist.x_m_s:+5.2f} m/s  "
         f"driven by {robot.gate.owner_name or 'nobody'}"
         f"{START_AGAIN if is_stopped and robot.gate.owner is None else ''}"
     )

@@ -1,5 +1,6 @@
 """The figures of `hostlink top`: two looks at a daemon make rates. Pure."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from hostlink.cli.drivers import driver
@@ -83,7 +84,7 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
         robot["name"],
         link,
         who,
-        f"{twist['linear_m_s']:+.2f}",
+        speed_text(twist),
         f"{twist['angular_rad_s']:+.2f}",
         f"{pose['x_m']:+.2f}",
         f"{pose['y_m']:+.2f}",
@@ -91,6 +92,12 @@ def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:
         f"{odometry['rate_hz']:.1f}",
         f"{odometry['age_s']:.1f}",
     )
+
+
+def speed_text(twist: Mapping[str, Any]) -> str:
+    """m/s forward, and to the left where that is not 0."""
+    left_m_s = f"{twist.get('linear_y_m_s', 0.0):+.2f}"  # an older daemon sends none
+    return f"{twist['linear_m_s']:+.2f}{'' if float(left_m_s) == 0 else f' y {left_m_s}'}"
 
 
 def advice(shown: dict[str, Any]) -> list[str]:

@@ -208,7 +208,7 @@ async def drive_as_recorded(driven: Robot, file: Path, pace: Pace, recorded: str
         clock = Clock(pace, "velocities")
         for due in drives(due_messages, recorded, topic, rate=pace.rate):
             await clock.reach(due.at_s)
-            await driven.drive(due.velocity.linear_x_m_s, due.velocity.angular_z_rad_s)
+            await driven.drive(due.velocity.x_m_s, due.velocity.yaw_rad_s, due.velocity.y_m_s)
             clock.count += 1
         count += clock.done()
         if not pace.is_looped:

@@ -63,7 +63,11 @@ def questions(serial_ports: Sequence[str]) -> list[Question]:
                 "" if answer == "-" or _is_name(answer) else "letters, digits and _, a letter first"
             ),
         ),
-        _number("separation_m", "Distance between its wheels in m? Empty: unknown", most=10.0),
+        _number(
+            "separation_m",
+            "Distance between its two driven wheels in m? Empty: unknown, or another drive",
+            most=10.0,
+        ),
         _number("speed_m_s", "The fastest that it may drive, in m/s?", most=20.0, default="0.5"),
         _number("deceleration_m_s2", "How hard it may brake, in m/s2? Empty: at once", most=100.0),
         Question(
@@ -123,6 +127,8 @@ def _robot(answers: Answers) -> list[str]:
         "wheel_separation_m": answers["separation_m"],
         "max_linear_deceleration_m_s2": answers["deceleration_m_s2"],
     }
+    if answers["separation_m"]:
+        settings = {"kinematics": _toml("differential"), **settings}
     if answers["way"] == "usb":
         settings = {"address": _toml(answers["serial"]), **settings}
     lines = [f"{key} = {_toml_number(value)}" for key, value in settings.items() if value]

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import os
 import signal
 from typing import Annotated
@@ -108,7 +109,7 @@ def _observe(watch: DriveWatch, state: RobotState) -> None:
 
 
 def _speeds(twist: Twist) -> Speeds:
-    return Speeds(twist["linear_m_s"], twist["angular_rad_s"])
+    return Speeds(math.hypot(twist["linear_m_s"], twist.get("linear_y_m_s", 0.0)), twist["angular_rad_s"])
 
 
 async def _obey(keyboard: "_Keyboard", driver: KeyDriver) -> None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from hostlink.cli.drivers import driver
 from hostlink.cli.driving import Driving
+from hostlink.cli.figures import speed_text
 from hostlink.client import RobotState
 
 GAP = 3  # spaces between two facts of a line, where it may be broken
@@ -79,7 +80,7 @@ def _odometry(state: RobotState) -> Iterator[Line]:
         return
     pose, twist = odometry["pose"], odometry["twist"]
     yield Line(
-        f"odometry  {twist['linear_m_s']:+5.2f} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
+        f"odometry  {speed_text(twist)} m/s  {twist['angular_rad_s']:+5.2f} rad/s   "
         f"x {pose['x_m']:+7.3f} m  y {pose['y_m']:+7.3f} m   heading {math.degrees(pose['theta_rad']):+.1f}°"
     )
     yield Line(f"age       {odometry['age_s']:5.2f} s  at {odometry['rate_hz']:4.1f} Hz")

@@ -47,24 +47,26 @@ class BlockingRobot:
         """
         return self._loop.run(self._robot.state())
 
-    def drive(self, linear_m_s: float, angular_rad_s: float) -> Driven:
+    def drive(self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0) -> Driven:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
 
-        m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command, with what the robot's
-        limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and goes on driving;
-        `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+        m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
+        what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
+        goes on driving; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
-                with a higher priority drives it or it is locked, the numbers are not finite, there is no connection to
-                hostlink. Also once after the velocity that was held before was dropped: by a cut of the connection, by
-                such a refusal, by a stop, because the robot's device connected again or this program did not run for
-                half a second. The `drive()` after that one drives again.
+                with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
+                there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
+                cut of the connection, by such a refusal, by a stop, because the robot's device connected again or this
+                program did not run for half a second. The `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
-        return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s))
+        return self._loop.run(self._robot.drive(linear_m_s, angular_rad_s, linear_y_m_s))
 
-    def command(self, linear_m_s: float, angular_rad_s: float, *, epoch: int | None = None) -> None:
+    def command(
+        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None
+    ) -> None:
         """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
 
         It does not wait for the answer; `refusal` has it. Commands less than half a second apart are one motion: after
@@ -75,7 +77,7 @@ class BlockingRobot:
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
-        return self._loop.run(self._robot.command(linear_m_s, angular_rad_s, epoch=epoch))
+        return self._loop.run(self._robot.command(linear_m_s, angular_rad_s, linear_y_m_s, epoch=epoch))
 
     @property
     def refusal(self) -> Refusal | None:

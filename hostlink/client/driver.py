@@ -18,6 +18,7 @@ from hostlink.client.connection import Connection, Message
 from hostlink.client.views import Driven, Refusal
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind, Refused
 from hostlink.robot.admission import LEASE_S
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 REPEAT_INTERVAL_S = 0.1  # a fifth of the lease that a command has
 _COMMAND = "command:"
@@ -89,7 +90,7 @@ class Driver:
         threads = {robot: repeated.thread for robot, repeated in self._repeated.items()}
         return tuple(robot for robot, thread in threads.items() if thread is not None and not thread.is_alive())
 
-    async def drive(self, robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> Driven:
+    async def drive(self, robot: str, velocity: PlanarVelocity, priority: int) -> Driven:
         """Command, and repeat it from now on; returns when the daemon has accepted it.
 
         Raises:
@@ -97,7 +98,7 @@ class Driver:
         """
         before = self._repeated.get(robot)
         try:
-            request = _request(robot, linear_m_s, angular_rad_s, priority)
+            request = _request(robot, velocity, priority)
         except BaseException:  # what was held is not meant any more, and what is meant nobody knows
             self.stop_repeating(robot)
             raise
@@ -143,7 +144,7 @@ class Driver:
 
         The answer to a zero has it; the program has let go. Without a connection there is none to know.
         """
-        request = {**_request(robot, 0.0, 0.0, priority), "sent_s": self._now_s()}
+        request = {**_request(robot, ZERO, priority), "sent_s": self._now_s()}
         with contextlib.suppress(HostlinkError):
             self._note_told(robot, await self._connection.request(request, timeout_s=ANSWER_TIMEOUT_S))
 
@@ -161,9 +162,7 @@ class Driver:
         if (epoch := answer.get("epoch")) is not None:
             self._told[robot] = _Told(int(epoch), self._now_s() + LEASE_S)
 
-    async def command(
-        self, robot: str, velocity: tuple[float, float], priority: int, *, epoch: int | None = None
-    ) -> None:
+    async def command(self, robot: str, velocity: PlanarVelocity, priority: int, *, epoch: int | None = None) -> None:
         """Send one command, which is not repeated; its answer is not waited for, and is in `refusals` if it is one.
 
         Commands less than a lease apart are one stream, and carry the epoch of its beginning. A command with an epoch
@@ -174,13 +173,13 @@ class Driver:
         """
         now_s = self._now_s()
         stream = self._streams.get(robot)
-        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity == (0.0, 0.0)
+        is_over = now_s > self._sent_s.get(robot, -math.inf) + LEASE_S or velocity.is_zero
         if stream is None or is_over or epoch is not None:
             stream = self._streams[robot] = _Stream(next(self._numbers))
         self._sent_s[robot] = now_s
         epoch = stream.epoch if epoch is None else epoch
         request = {"id": f"{_COMMAND}{stream.number}:{robot}", "sent_s": now_s, "epoch": epoch}
-        await self._connection.send(_request(robot, *velocity, priority) | request)
+        await self._connection.send(_request(robot, velocity, priority) | request)
 
     def stop_repeating_all(self) -> tuple[str, ...]:
         """Repeat nothing more; returns the robots that were driven."""
@@ -201,7 +200,7 @@ class Driver:
         """
         if self._now_s() <= self._sent_s.pop(robot, float("-inf")) + LEASE_S:
             with contextlib.suppress(HostlinkError):
-                await self._connection.send({**_request(robot, 0.0, 0.0, priority), "id": f"zero:{robot}"})
+                await self._connection.send({**_request(robot, ZERO, priority), "id": f"zero:{robot}"})
 
     def break_all(self, reason: str) -> tuple[str, ...]:
         """The connection is lost; returns the robots that were driven."""
@@ -265,13 +264,20 @@ def refused(robot: str, answer: Message) -> HostlinkError:
     return CommandRefused(robot, RefusalKind(kind), reason) if kind in set(RefusalKind) else Refused(kind, reason)
 
 
-def _request(robot: str, linear_m_s: float, angular_rad_s: float, priority: int) -> dict[str, Any]:
-    if not (math.isfinite(linear_m_s) and math.isfinite(angular_rad_s)):
+def _request(robot: str, velocity: PlanarVelocity, priority: int) -> dict[str, Any]:
+    if not velocity.is_finite:
         raise CommandRefused(robot, RefusalKind.NOT_FINITE, f"{robot}: a velocity must be made of finite numbers")
-    velocity = {"linear": float(linear_m_s), "angular": float(angular_rad_s)}
-    return {"op": "drive", "robot": robot, **velocity, "priority": priority}
+    names = ("linear", "linear_y", "angular")
+    numbers = dict(zip(names, map(float, velocity), strict=True))
+    return {"op": "drive", "robot": robot, **numbers, "priority": priority}
 
 
 def _driven(answer: Message) -> Driven:
     velocity = answer["velocity"]
-    return Driven(velocity["linear_m_s"], velocity["angular_rad_s"], answer["is_limited"], answer.get("limited_by"))
+    return Driven(
+        velocity["linear_m_s"],
+        velocity["angular_rad_s"],
+        answer["is_limited"],
+        answer.get("limited_by"),
+        velocity.get("linear_y_m_s", 0.0),  # an older daemon knows none
+    )

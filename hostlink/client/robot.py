@@ -9,6 +9,7 @@ from hostlink.client.driver import Driver
 from hostlink.client.http_client import CLOSE_TIMEOUT_S, HttpClient, measured
 from hostlink.client.views import Driven, Odometry, Refusal, RobotState
 from hostlink.robot.standstill import Standstill
+from hostlink.robot.velocity import PlanarVelocity
 
 PRIORITY = 50  # of a program; a person at the keys is 60
 WAIT_S = 1.5  # for the odometry of a robot that was stopped
@@ -44,24 +45,28 @@ class Robot:
         """
         return cast(RobotState, await self._http.request("GET", self._path))
 
-    async def drive(self, linear_m_s: float, angular_rad_s: float) -> Driven:
+    async def drive(self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0) -> Driven:
         """Drive until the next `drive` or `stop`, or until the connection's block is left.
 
-        m/s forward, rad/s counter-clockwise. Returns when the daemon has accepted the command, with what the robot's
-        limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and goes on driving;
-        `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
+        m/s forward, rad/s counter-clockwise, m/s to the left. Returns when the daemon has accepted the command, with
+        what the robot's limits have made of it; it is then repeated ten times a second. `drive(0, 0)` slows down and
+        goes on driving; `stop()` stops and lets go. A stop or a lock by any program ends it as a refusal does.
 
         Raises:
             HostlinkError: and the robot is not driven: no robot of that name, its device is not connected, somebody
-                with a higher priority drives it or it is locked, the numbers are not finite, there is no connection to
-                hostlink. Also once after the velocity that was held before was dropped: by a cut of the connection, by
-                such a refusal, by a stop, because the robot's device connected again or this program did not run for
-                half a second. The `drive()` after that one drives again.
+                with a higher priority drives it or it is locked, the numbers are not finite, it cannot move sideways,
+                there is no connection to hostlink. Also once after the velocity that was held before was dropped: by a
+                cut of the connection, by such a refusal, by a stop, because the robot's device connected again or this
+                program did not run for half a second. The `drive()` after that one drives again.
             CommandRefused: one of these, with `kind` for programs.
         """
-        return await self._driver.drive(self.name, linear_m_s, angular_rad_s, self.priority)
+        return await self._driver.drive(
+            self.name, PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s), self.priority
+        )
 
-    async def command(self, linear_m_s: float, angular_rad_s: float, *, epoch: int | None = None) -> None:
+    async def command(
+        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None
+    ) -> None:
         """Send one velocity, which lasts for half a second and is not repeated: for programs that decide each time.
 
         It does not wait for the answer; `refusal` has it. Commands less than half a second apart are one motion: after
@@ -72,7 +77,8 @@ class Robot:
         Raises:
             HostlinkError: the numbers are not finite, or there is no connection to hostlink.
         """
-        await self._driver.command(self.name, (linear_m_s, angular_rad_s), self.priority, epoch=epoch)
+        velocity = PlanarVelocity(linear_m_s, linear_y_m_s, angular_rad_s)
+        await self._driver.command(self.name, velocity, self.priority, epoch=epoch)
 
     @property
     def refusal(self) -> Refusal | None:

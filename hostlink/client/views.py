@@ -13,10 +13,11 @@ class Pose(TypedDict):
 
 
 class Twist(TypedDict):
-    """How the robot moves: forward, and counter-clockwise."""
+    """How the robot moves: forward, counter-clockwise, and to the left."""
 
     linear_m_s: float
     angular_rad_s: float
+    linear_y_m_s: NotRequired[float]  # an older daemon sends none
 
 
 class Odometry(TypedDict):
@@ -77,6 +78,7 @@ class Driven(NamedTuple):
     angular_rad_s: float
     is_limited: bool  # it is slower than what was commanded
     limited_by: str | None  # the robot's setting that slows it down most; None: none, or its daemon is another
+    linear_y_m_s: float = 0.0
 
 
 class Refusal(NamedTuple):

@@ -27,8 +27,8 @@ from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
 from hostlink.robot.directory import is_played
-from hostlink.robot.velocity import TWIST_TYPE
-from hostlink.robot.velocity_gate import Limits, VelocityGate
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
+from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
 log = structlog.get_logger()
 
@@ -38,7 +38,6 @@ _NS_PER_S = 1_000_000_000
 EARLY_MESSAGES, EARLY_BYTES = 128, 65536  # three seconds of the project's robot
 MAX_PARAMETERS = 64  # whose answers are remembered; a name can be as long as a frame
 COMMAND_DEPTH = 16  # messages of one topic that may wait for a slow device; a velocity has one slot of its own
-UNLIMITED = Limits(max_linear_m_s=None, max_angular_rad_s=None)  # nothing is configured for what is no robot
 
 
 def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
@@ -232,11 +231,16 @@ class Device:
                 self._parts.gates.join(drivable, topic)
 
     def _drivable(self, info: TopicInfo, robot: Robot | None) -> Drivable:
-        """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose."""
+        """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose.
+
+        Nothing is configured for the second: its six numbers stay as they are.
+        """
         if robot is None:
             shown = self.shown.of(info.name)
-            return Drivable(name=shown, velocity_topic=info.name, gate=VelocityGate(Admission(shown), UNLIMITED))
-        gate = VelocityGate(robot.gate.admission, limits_of(robot.config))
+            admission = Admission(shown, kinematics=Kinematics.SPATIAL)
+            spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
+            return Drivable(name=shown, velocity_topic=info.name, gate=spatial)
+        gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)
         return Drivable(name=robot.name, velocity_topic=info.name, gate=gate)
 
     def _sender(self, info: TopicInfo, robot: Robot | None) -> Receive:

@@ -1,13 +1,14 @@
 """Drivable: a velocity topic of a device, behind the gate that is its only subscriber in the graph."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from hostlink.hub.refusals import Refusals
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, AnyVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 
@@ -17,11 +18,11 @@ class Drivable:
 
     name: str  # of the robot, or of the topic in the graph
     velocity_topic: str  # as the device names it
-    gate: VelocityGate
+    gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
     link: Link | None = None
     echoes: dict[str, Topic] = field(default_factory=dict)  # topics of its gate, where all receive what it sent
     last_frame: bytes = b""  # its zero, as the device receives it
-    sent: Velocity = ZERO
+    sent: AnyVelocity = ZERO
     sent_at_s: float = 0.0
     refusals: Refusals = field(default_factory=Refusals)
 

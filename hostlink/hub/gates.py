@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import weakref
 from collections.abc import Callable, Hashable, Iterable
+from typing import Any
 
 import structlog
 
@@ -21,8 +22,8 @@ from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link, LinkEnd
 from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
-from hostlink.robot.velocity_gate import VelocityGate
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.velocity_gate import V, VelocityGate
 
 log = structlog.get_logger()
 
@@ -111,28 +112,33 @@ class Gates:
         """
         if message.type_name != TWIST_TYPE:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        self.follow(drivable, Velocity.decode(message.payload), message)
+        self.follow(drivable, Twist.decode(message.payload), message)
 
     def follow(
         self,
         drivable: Drivable | RemoteRobot,
-        velocity: Velocity,
+        twist: Twist,
         message: Message,
         *,
         stamp_age_s: float | None = None,
     ) -> None:
         """Obey a velocity that was published. A joystick at rest publishes zeros beside the driver: that is no error.
 
+        A robot has three of the six numbers; a velocity topic that belongs to no robot has them all.
+
         Raises:
             HostlinkError: as `command`.
         """
-        command = Command(
+        is_spatial = drivable.gate.admission.kinematics is Kinematics.SPATIAL
+        velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
+        command: Command[Any] = Command(
             velocity,
             message.source,
             message.priority,
             message.at_s,
             epoch=message.epoch,
             stamp_age_s=stamp_age_s,
+            is_planar=is_spatial or twist.is_planar,
         )
         try:
             self.command(drivable, command)
@@ -140,7 +146,7 @@ class Gates:
             if not (velocity.is_zero and refused.kind is RefusalKind.HELD):
                 raise
 
-    def command(self, drivable: Drivable | RemoteRobot, command: Command) -> Velocity:
+    def command(self, drivable: Drivable | RemoteRobot, command: Command[V]) -> V:
         """Drive for the length of a lease, if the command is admitted; returns the velocity after the limits.
 
         Raises:
@@ -149,20 +155,19 @@ class Gates:
             DeviceGone: another daemon has the robot, and does not answer.
         """
         velocity = command.velocity
-        assert isinstance(velocity, Velocity)  # noqa: S101 - of every command of a robot
         owner = command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
         try:
-            limited = self._command(drivable, command, velocity)
+            limited: V = self._command(drivable, command)
         except HostlinkError as error:
-            if isinstance(drivable, Drivable) and not velocity.is_zero:
+            if isinstance(drivable, Drivable) and not (velocity.is_zero and command.is_planar):
                 self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
             raise
         if isinstance(drivable, Drivable):
             self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
 
-    def _command(self, drivable: Drivable | RemoteRobot, command: Command, velocity: Velocity) -> Velocity:
+    def _command(self, drivable: Drivable | RemoteRobot, command: Command[Any]) -> Any:
         if self.is_closed:
             raise CommandRefused(drivable.name, RefusalKind.ENDING, f"{drivable.name}: {ENDING}")
         now_s = _now_s()
@@ -170,11 +175,11 @@ class Gates:
         command = command._replace(received_s=min(command.received_s, self.came_s(now_s)))
         if isinstance(drivable, RemoteRobot):
             self._remote.add(drivable)
-            return drivable.command(command, velocity, now_s)
-        gate = drivable.gate
+            return drivable.command(command, now_s)
+        gate, velocity = drivable.gate, command.velocity
         # Two zeros of one moment would leave a slow line as one.
         is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
-        limited = gate.command(command, velocity, now_s=now_s)
+        limited = gate.command(command, now_s=now_s)
         if not is_stopping:
             refusal = self._send_news(drivable)
             if refusal is not None:
@@ -345,7 +350,7 @@ class Gates:
                 self._note_stop(drivable, WAS_STOPPED, str(drivable.gate.owner))
         self._apply(lambda gate: gate.stop(now_s=now_s), drivables)
 
-    def _apply(self, change: Callable[[VelocityGate], None], drivables: Iterable[Drivable]) -> None:
+    def _apply(self, change: Callable[[VelocityGate[Any]], None], drivables: Iterable[Drivable]) -> None:
         """Change each gate and send what follows; the last refusal is raised once all are done."""
         refusal = None
         for drivable in drivables:

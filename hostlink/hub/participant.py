@@ -28,7 +28,7 @@ from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.admission import Command
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 
 MAX_ADVERTISED = 256  # topics
 MAX_LATCHED = 16  # topics; each keeps a message
@@ -285,13 +285,13 @@ class Participant(Node):
     def drive(
         self,
         robot: Robot | RemoteRobot,
-        velocity: Velocity,
+        velocity: PlanarVelocity,
         *,
         priority: int | None = None,
         received_s: float | None = None,
         sent_s: float | None = None,
         epoch: int | None = None,
-    ) -> Velocity:
+    ) -> PlanarVelocity:
         """Drive for the length of a lease; returns the velocity after the limits.
 
         `received_s`, `sent_s` and `epoch` are those of a `Command`; `received_s` is now if it is None.
@@ -314,7 +314,7 @@ class Participant(Node):
         with self._parts.topics.deliveries.sending(self):
             return self._parts.gates.command(robot, command)
 
-    async def driven(self, robot: Robot | RemoteRobot, limited: Velocity) -> Velocity:
+    async def driven(self, robot: Robot | RemoteRobot, limited: PlanarVelocity) -> PlanarVelocity:
         """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
 
         Raises:

@@ -8,6 +8,7 @@ from hostlink.config import Config, RobotConfig
 
 ROBOT = (
     "address",
+    "kinematics",
     "wheel_separation_m",
     "max_linear_m_s",
     "max_angular_rad_s",

@@ -13,19 +13,19 @@ from hostlink.hub.refusals import Refusals
 from hostlink.robot.admission import EPOCH_BITS, Admission, Command
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.odometry_estimator import OdometrySnapshot
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 
 class Elsewhere(Protocol):
     """How the daemons that have other robots are reached. What is no coroutine does not wait."""
 
     def drive(
-        self, robot: "RemoteRobot", velocity: Velocity, *, owner: Hashable, priority: int, epoch: int | None
+        self, robot: "RemoteRobot", velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
     ) -> None:
         """Send a command of an owner; what it was refused for is raised by the next one, or by `answer`."""
         ...
 
-    async def answer(self, robot: "RemoteRobot", owner: Hashable) -> Velocity:
+    async def answer(self, robot: "RemoteRobot", owner: Hashable) -> PlanarVelocity:
         """The answer to the newest command of an owner: the velocity after the limits."""
         ...
 
@@ -64,7 +64,7 @@ class RemoteGate:
     admission: Admission
     owner_name: str | None = None
     priority: int | None = None
-    current: Velocity = ZERO
+    current: PlanarVelocity = ZERO
     epoch: int | None = None  # of the admission there
 
     @property
@@ -133,7 +133,7 @@ class RemoteRobot:
         """The link since which no reconnection was an interruption."""
         return 0 if self.link is None else self.link.number
 
-    def command(self, command: Command, velocity: Velocity, now_s: float) -> Velocity:
+    def command(self, command: Command[PlanarVelocity], now_s: float) -> PlanarVelocity:
         """Send a command to the daemon that has the robot, if it is admitted here; returns it as it was sent.
 
         Raises:
@@ -146,8 +146,8 @@ class RemoteRobot:
         if decision.kind is not None:
             raise CommandRefused(self.name, decision.kind, decision.reason, holder=decision.holder)
         epoch = None if command.epoch is None else self.gate.epoch
-        self.elsewhere.drive(self, velocity, owner=command.source, priority=command.priority, epoch=epoch)
-        return velocity
+        self.elsewhere.drive(self, command.velocity, owner=command.source, priority=command.priority, epoch=epoch)
+        return command.velocity
 
     def check_unique(self) -> None:
         """Refuse what could mean either of two robots.

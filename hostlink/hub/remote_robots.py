@@ -16,7 +16,7 @@ from hostlink.hub.remote_robot import RemoteLink, RemoteRobot
 from hostlink.hub.robots import Robots
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
 log = structlog.get_logger()
 
@@ -108,9 +108,9 @@ class RemoteRobots:
         if sum(not device.is_away for device in self._topics.find(message.topic).devices.values()) > 1:
             raise DeviceGone(robot.name, f"{message.topic} is a topic here and at {robot.host}")
         if message.type_name == TWIST_TYPE:
-            velocity = Velocity.decode(message.payload)
+            twist = Twist.decode(message.payload)
         elif message.type_name == TWIST_STAMPED_TYPE:
-            velocity = Velocity.from_twist(message.decoded["twist"])  # type: ignore[arg-type]  # by its definition
+            twist = Twist.from_fields(message.decoded["twist"])  # type: ignore[arg-type]  # by its definition
         else:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        self._gates.follow(robot, velocity, message)
+        self._gates.follow(robot, twist, message)

@@ -1,4 +1,4 @@
-"""Robot: a differential-drive robot, or any other that subscribes to a Twist and publishes its pose."""
+"""Robot: a device that subscribes to a Twist and publishes its pose."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
@@ -13,6 +13,8 @@ from hostlink.link.link import Link
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.odometry_estimator import OdometryEstimator
 from hostlink.robot.odometry_reader import READERS
+from hostlink.robot.velocity import PlanarVelocity
+from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
 
@@ -21,6 +23,7 @@ log = structlog.get_logger()
 class Robot(Drivable):
     """It outlives its link: a robot that comes back continues with the same gate, at zero."""
 
+    gate: VelocityGate[PlanarVelocity]
     config: RobotConfig
     odometry: OdometryEstimator
     topics: RobotTopicNames  # as its device names them

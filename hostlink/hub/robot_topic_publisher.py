@@ -20,7 +20,7 @@ from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
 
 log = structlog.get_logger()
 
@@ -229,7 +229,7 @@ class RobotTopicPublisher:
         stamp: Mapping[str, int] = fields["header"]["stamp"]
         stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
         stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
-        self._gates.follow(robot, Velocity.from_twist(fields["twist"]), message, stamp_age_s=stamp_age_s)
+        self._gates.follow(robot, Twist.from_fields(fields["twist"]), message, stamp_age_s=stamp_age_s)
 
     def _publishes(self, robot: Robot, name: str) -> bool:
         topic = self._graph.find_or_none(name)

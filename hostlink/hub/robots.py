@@ -19,7 +19,8 @@ from hostlink.link.link import Link
 from hostlink.robot.admission import EPOCH_BITS, Admission
 from hostlink.robot.away import Away
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
+from hostlink.robot.odometry_estimator import OdometryEstimator
+from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 from hostlink.robot.velocity_gate import VelocityGate
 
 log = structlog.get_logger()
@@ -176,6 +177,7 @@ class Robots:
         for robot in list(self._robots.values()):
             robot.config = self._config_of(robot.name, robot.topics.name)
             robot.odometry.change_fastest(_fastest(robot.config))
+            robot.odometry.is_differential = _is_differential(robot.config)
             _configure(robot.gate.admission, robot.config)
             for drivable in self._gates.beside(robot):
                 drivable.gate.change_limits(limits_of(robot.config))
@@ -218,13 +220,14 @@ class Robots:
             continues=config.odometry_after_restart == "continue",
             fastest=_fastest(config),
             correction=correction_of(config),
+            is_differential=_is_differential(config),
         )
         admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
         _configure(admission, config)
         return Robot(
             name=name,
             velocity_topic=topics.velocity,
-            gate=VelocityGate(admission, limits_of(config)),
+            gate=VelocityGate(admission, limits_of(config), ZERO),
             config=config,
             odometry=odometry,
             topics=topics,
@@ -250,11 +253,16 @@ class Robots:
 
 def _configure(admission: Admission, config: RobotConfig) -> None:
     admission.resume_after_reconnect_s = config.resume_after_reconnect_s
+    admission.kinematics = Kinematics(config.kinematics)
     admission.max_stamp_age_s = math.inf if config.cmd_vel_max_age_s is None else config.cmd_vel_max_age_s
 
 
-def _fastest(config: RobotConfig) -> Twist:
-    return Twist(config.max_linear_m_s, config.max_angular_rad_s)
+def _fastest(config: RobotConfig) -> PlanarVelocity:
+    return PlanarVelocity(config.max_linear_m_s, yaw_rad_s=config.max_angular_rad_s)
+
+
+def _is_differential(config: RobotConfig) -> bool:
+    return Kinematics(config.kinematics) is Kinematics.DIFFERENTIAL
 
 
 def _now_s() -> float:

@@ -70,7 +70,7 @@ def _observe(watch: StopWatch, robot: Robot | RemoteRobot, now_s: float) -> bool
     odometry = robot.odometry.snapshot(now_s)
     if robot.link is None or odometry is None or odometry.age_s >= SURE_S:
         return False
-    watch.observe(Speeds(odometry.twist.linear_m_s, odometry.twist.angular_rad_s), now_s - odometry.age_s)
+    watch.observe(Speeds(odometry.twist.speed_m_s, odometry.twist.yaw_rad_s), now_s - odometry.age_s)
     return not watch.is_standing
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import msgspec
 
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 
 PAUSE_NS = 3_000_000_000  # between two commands of one drive: a key is let go, and pressed again
 MAX_OPEN = 1024  # drives that are not over
@@ -87,7 +87,7 @@ class Drives:
 
     def _command(self, event: RobotEvent) -> None:
         velocity, owner = event.facts["limited"], str(event.facts["owner"])
-        assert isinstance(velocity, Velocity)  # noqa: S101 - see EventKind
+        assert isinstance(velocity, PlanarVelocity | Twist)  # noqa: S101 - see EventKind
         if velocity.is_zero:
             return  # nobody drives by that
         key = _Key(event.robot, owner)
@@ -105,8 +105,8 @@ class Drives:
         self._lasts_until(drive, event)
         drive.address = str(event.facts["address"])
         drive.commands += 1
-        drive.fastest_m_s = max(drive.fastest_m_s, velocity.linear_m_s)
-        drive.fastest_rad_s = max(drive.fastest_rad_s, velocity.angular_rad_s)
+        drive.fastest_m_s = max(drive.fastest_m_s, velocity.speed_m_s)
+        drive.fastest_rad_s = max(drive.fastest_rad_s, velocity.turn_rad_s)
         if not is_continued:  # else the others have ended before
             others = (other for other in self._of(event.robot) if other is not drive)
             self._end(others, event, f"taken over by {owner}")

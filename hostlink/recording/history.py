@@ -12,9 +12,9 @@ from hostlink.recording.channel import DEVICE, EVENT, NS_PER_S, VELOCITY, Channe
 from hostlink.recording.ring import Entry
 from hostlink.recording.thinning import Thinned
 from hostlink.robot.kinematics import Pose, frame_of, placed
-from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
+from hostlink.robot.odometry_estimator import OdometryEstimator
 from hostlink.robot.odometry_reader import READERS
-from hostlink.robot.velocity import TWIST_TYPE
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 MAX_SAMPLES = 6000  # of one topic: two and a half minutes at 40 Hz; of more only every second, third, ... is kept
 MAX_TOPICS = 16  # with odometry, and with velocities; a robot has one of each
@@ -33,7 +33,7 @@ class PastPose:
 
     at_s: float
     pose: Pose
-    twist: Twist
+    twist: PlanarVelocity
 
 
 class _Kind(msgspec.Struct):

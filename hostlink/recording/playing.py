@@ -4,10 +4,11 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from hostlink.errors import BadPayload
 from hostlink.recording.channel import DEVICE, NS_PER_S, ROS1, VELOCITY, Channel
 from hostlink.recording.reader import StoredMessage
-from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.admission import LEASE_S, NOT_PLANAR
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
 
 _MOVING = ("Twist", "TwistStamped", "")  # the last part of a type's name; none: the topic's own, whatever that is
 
@@ -52,7 +53,7 @@ class DueVelocity:
     """A velocity, and when it is due after the beginning of the play."""
 
     at_s: float
-    velocity: Velocity
+    velocity: PlanarVelocity
 
 
 def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float = 1.0) -> Iterator[DueVelocity]:
@@ -61,20 +62,23 @@ def drives(due_messages: Iterable[Due], robot: str, topic: str, *, rate: float =
     A recording may lack the zero that ended a drive: the link was lost, the file is cut, a chunk of it is damaged.
 
     Raises:
-        BadPayload: a velocity is none.
+        BadPayload: a velocity is none, or has components that no robot has.
     """
     end_s: float | None = None  # of the velocity that moves
     for due in due_messages:
         if end_s is not None and due.at_s >= end_s:
-            yield DueVelocity(end_s, Velocity())
+            yield DueVelocity(end_s, ZERO)
             end_s = None
         channel = due.message.channel
         if channel.topic == topic and channel.robot == robot and is_drive(channel):  # one that came later may have it
-            velocity = Velocity.decode(due.message.payload)
+            twist = Twist.decode(due.message.payload)
+            if not twist.is_planar:
+                raise BadPayload(TWIST_TYPE, NOT_PLANAR)
+            velocity = twist.planar
             yield DueVelocity(due.at_s, velocity)
             end_s = None if velocity.is_zero else due.at_s + LEASE_S / rate
     if end_s is not None:
-        yield DueVelocity(end_s, Velocity())
+        yield DueVelocity(end_s, ZERO)
 
 
 def is_drive(channel: Channel) -> bool:

@@ -24,6 +24,7 @@ command is not the current one: that disarms it all the same.
 | event                                                               | decision             |
 |---------------------------------------------------------------------|----------------------|
 | a component is NaN or infinite                                      | refused: not_finite  |
+| a component is not zero that a robot of these `kinematics` lacks    | refused: unsupported |
 | non-zero command while the robot is locked                          | refused: locked      |
 | command while the device is not connected                           | refused: not_connected |
 | non-zero command that was sent or received a lease ago, or earlier  | refused: late        |
@@ -49,42 +50,38 @@ import math
 import shlex
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, Self
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.freshness import Freshness
+from hostlink.robot.velocity import AnyVelocity, Kinematics
 
 LEASE_S = 0.5  # the time-out of diff_drive_controller and of the robot's own watchdog
 MAX_SOURCES = 64  # that one robot keeps apart
 EPOCH_BITS = 40  # the first epoch is drawn at random: that of an earlier daemon is never the current one
 EARLIER_EPOCH = -1  # of a motion that may have begun before an interruption
+NOT_PLANAR = "a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
+
+V = TypeVar("V", bound=AnyVelocity)
 
 
-class AnyVelocity(Protocol):
-    """What admission needs to know of a velocity."""
-
-    @property
-    def is_zero(self) -> bool: ...
-
-    @property
-    def is_finite(self) -> bool: ...
-
-
-class Command(NamedTuple):
+class Command(NamedTuple, Generic[V]):
     """One velocity on its way to a robot.
 
     `received_s` is the earliest time at which this daemon may have received it. `sent_s` is a time of the sender's own
     clock. `epoch` is the robot's epoch as the sender last saw it. `stamp_age_s` is the age of its stamp by this host's
-    clock. The last three are None where the sender gave none.
+    clock. The last three are None where the sender gave none. `is_planar` is False for a Twist whose other components
+    are not zero: `velocity` lacks them.
     """
 
-    velocity: AnyVelocity
+    velocity: V
     source: Hashable
     priority: int
     received_s: float
     sent_s: float | None = None
     epoch: int | None = None
     stamp_age_s: float | None = None
+    is_planar: bool = True
 
 
 @dataclass(slots=True)
@@ -144,7 +141,7 @@ class _Source:
     has_lost_device: bool = False  # it was commanding when the device left, and has not let go since
     freshness: Freshness = field(default_factory=Freshness)
 
-    def waited_s(self, command: Command, now_s: float) -> float:
+    def waited_s(self, command: Command[Any], now_s: float) -> float:
         """Return the age of a command: how long it waited here; or, if that is longer, than the quickest one did."""
         waited_s = now_s - command.received_s
         if command.sent_s is not None:  # by the time now: `received_s` may be far too early, after a pause
@@ -163,6 +160,7 @@ class Admission:
     lease_s: float = LEASE_S
     resume_after_reconnect_s: float = 0.0
     max_stamp_age_s: float = math.inf  # of senders whose clocks agree with this host's
+    kinematics: Kinematics = Kinematics.PLANAR
     epoch: int = 0
     lock_reason: str | None = None
     is_connected: bool = False
@@ -174,16 +172,16 @@ class Admission:
 
     # -- commands -----------------------------------------------------------------------------------------------------
 
-    def decide(self, command: Command, now_s: float, *, topic: Hashable = "") -> Decision:
+    def decide(self, command: Command[Any], now_s: float, *, topic: Hashable = "") -> Decision:
         """Decide about a command for one velocity topic of the robot, and remember what follows from it."""
         decision = self._decide(command, now_s, topic)
         if decision.kind is not None:
             self.refused[decision.kind] = self.refused.get(decision.kind, 0) + 1
         return decision
 
-    def _decide(self, command: Command, now_s: float, topic: Hashable) -> Decision:
+    def _decide(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:
         velocity, owner = command.velocity, command.source
-        if velocity.is_zero:
+        if velocity.is_zero and command.is_planar:
             return self._decide_zero(command, now_s, topic)
         source = self._source(command, now_s)
         if source is None:
@@ -199,6 +197,8 @@ class Admission:
             source.is_armed = False  # whatever refuses this command: the next one continues its motion
         if not velocity.is_finite:
             return self._refuse(RefusalKind.NOT_FINITE, "a velocity must consist of finite numbers")
+        if unsupported := self._unsupported_text(command):
+            return self._refuse(RefusalKind.UNSUPPORTED, unsupported)
         if self.lock_reason is not None:
             return self._refuse(RefusalKind.LOCKED, self._locked_text())
         if not self.is_connected:
@@ -222,7 +222,7 @@ class Admission:
         self._drivers[topic] = Driver(owner, command.priority, source.held_until_s)
         return ADMITTED
 
-    def _decide_zero(self, command: Command, now_s: float, topic: Hashable) -> Decision:
+    def _decide_zero(self, command: Command[Any], now_s: float, topic: Hashable) -> Decision:
         """A zero is admitted at any age, but one that may be from before an interruption arms nothing."""
         owner = command.source
         source = self._sources.get(owner)
@@ -243,7 +243,7 @@ class Admission:
             return self._refuse(RefusalKind.HELD, reason, driver.source)
         return ADMITTED
 
-    def _source(self, command: Command, now_s: float) -> _Source | None:
+    def _source(self, command: Command[Any], now_s: float) -> _Source | None:
         """Return the record of a source, the last of all; None where there is room for no other.
 
         A record of a source that is quiet is no loss: a new source is armed. A disarmed one is never forgotten.
@@ -281,12 +281,23 @@ class Admission:
     def _refuse(self, kind: RefusalKind, reason: str, holder: Hashable = None) -> Decision:
         return Decision(kind, f"{self.robot}: {reason}", holder)
 
-    def _late_text(self, command: Command, waited_s: float) -> str:
+    def _late_text(self, command: Command[Any], waited_s: float) -> str:
         """Return why a command is too old; empty: it is not."""
         if waited_s >= self.lease_s:
             return f"velocity is {waited_s:.1f} s old, the lease is {self.lease_s:g} s; send a new one"
         if command.stamp_age_s is not None and command.stamp_age_s > self.max_stamp_age_s:
             return f"its stamp is {command.stamp_age_s:.3f} s old, cmd_vel_max_age_s allows {self.max_stamp_age_s:g}"
+        return ""
+
+    def _unsupported_text(self, command: Command[Any]) -> str:
+        """Return why a robot of these kinematics cannot obey a command; empty: it can."""
+        if not command.is_planar:
+            return NOT_PLANAR
+        if self.kinematics is Kinematics.DIFFERENTIAL and command.velocity.y_m_s != 0:
+            return (
+                "a differential drive cannot move sideways: send 0 as linear.y; if this robot can, remove "
+                'kinematics = "differential" from its settings'
+            )
         return ""
 
     def _locked_text(self) -> str:

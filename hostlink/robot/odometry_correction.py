@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 from hostlink.robot.kinematics import Pose, chord_per_arc, wrap_angle
+from hostlink.robot.velocity import PlanarVelocity
 
 
 class WheelWay(NamedTuple):
@@ -40,12 +41,13 @@ class OdometryCorrection(NamedTuple):
             wrap_angle(pose.theta_rad + turned_rad),
         )
 
-    def velocity(self, linear_m_s: float, angular_rad_s: float) -> tuple[float, float]:
-        """The true motion of a robot that measures this one."""
-        turning_m_s = angular_rad_s * self.nominal_separation_m / 2
-        left_m_s = (linear_m_s - turning_m_s) * self.left_factor
-        right_m_s = (linear_m_s + turning_m_s) * self.right_factor
-        return (left_m_s + right_m_s) / 2, (right_m_s - left_m_s) / self.separation_m
+    def velocity(self, measured: PlanarVelocity) -> PlanarVelocity:
+        """The true motion of a robot that measures this one. Wheels say nothing of a sideways motion: it is kept."""
+        turning_m_s = measured.yaw_rad_s * self.nominal_separation_m / 2
+        left_m_s = (measured.x_m_s - turning_m_s) * self.left_factor
+        right_m_s = (measured.x_m_s + turning_m_s) * self.right_factor
+        yaw_rad_s = (right_m_s - left_m_s) / self.separation_m
+        return PlanarVelocity((left_m_s + right_m_s) / 2, measured.y_m_s, yaw_rad_s)
 
 
 def wheel_way(before: Pose, after: Pose, separation_m: float) -> WheelWay:

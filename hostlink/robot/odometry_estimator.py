@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from hostlink.robot.kinematics import Pose, chord_per_arc, frame_of, placed, wrap_angle
 from hostlink.robot.odometry_correction import OdometryCorrection
+from hostlink.robot.velocity import PlanarVelocity
 
 WINDOW_S = 0.4  # four poses of the paper's robot: steady enough, and not late
 CLOSEST_S = 0.005  # of those that are kept of a device that publishes faster
@@ -25,15 +26,8 @@ RESET_WAIT_S = 5.0  # for the first pose after a reset: the longest that a stall
 CLOCK_SET_NS = 10_000_000_000  # a stamp so far back is of a host whose clock was set; smaller steps are ignored
 
 
-class Twist(NamedTuple):
-    """How the robot moves, in its own frame."""
-
-    linear_m_s: float = 0.0
-    angular_rad_s: float = 0.0
-
-
-LEAP = Twist(10.0, 20.0)  # faster than any small robot: the odometry was set, or the bytes are damaged
-FASTEST = Twist(1.0, 4.0)  # the limits of a robot that nobody configured
+LEAP = PlanarVelocity(10.0, yaw_rad_s=20.0)  # faster than any small robot: the odometry was set, or bytes are damaged
+FASTEST = PlanarVelocity(1.0, yaw_rad_s=4.0)  # the limits of a robot that nobody configured
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +35,7 @@ class OdometrySnapshot:
     """The newest pose and the motion over the last few, at one moment."""
 
     pose: Pose
-    twist: Twist
+    twist: PlanarVelocity
     stamp_ns: int
     age_s: float
     rate_hz: float
@@ -87,42 +81,56 @@ class OdometryEstimator:
 
     __slots__ = (
         "_back_at_once", "_continues", "_correction", "_doubtful", "_fastest", "_frame", "_newest", "_reset_until_s",
-        "_small_m", "_small_rad", "_stamp_ns", "_twist", "_window", "count", "ignored", "restarts",
+        "_small_m", "_small_rad", "_stamp_ns", "_twist", "_window", "count", "ignored", "is_differential", "restarts",
     )  # fmt: skip
 
     def __init__(
-        self, *, continues: bool = True, fastest: Twist = FASTEST, correction: OdometryCorrection | None = None
+        self,
+        *,
+        continues: bool = True,
+        fastest: PlanarVelocity = FASTEST,
+        correction: OdometryCorrection | None = None,
+        is_differential: bool = False,
     ) -> None:
-        """`continues`: over a restart of the device; `fastest`: what the robot may be commanded."""
+        """`continues`: over a restart of the device; `fastest`: what the robot may be commanded.
+
+        `is_differential`: what its poses show of a sideways motion is an error of them.
+        """
         self.count = 0
         self.restarts = 0  # how often the device began anew without a request
         self.ignored = 0  # poses that cannot be true
         self._continues, self._correction = continues, correction
+        self.is_differential = is_differential
         self.change_fastest(fastest)
         self._frame = _NO_FRAME  # where the device's origin is in what is shown
         self._newest: _Sample | None = None  # the newest, as the device published it
         self._doubtful: _Sample | None = None
         self._reset_until_s = float("-inf")
-        self._twist: Twist | None = None  # as the device publishes it; None: it publishes only poses
+        self._twist: PlanarVelocity | None = None  # as the device publishes it; None: it publishes only poses
         self._stamp_ns = 0
         self._window: deque[_Sample] = deque()
 
-    def change_fastest(self, fastest: Twist) -> None:
+    def change_fastest(self, fastest: PlanarVelocity) -> None:
         """What the robot may be commanded from now on."""
         self._fastest = fastest
-        self._back_at_once = Twist(*(RESET_MARGIN * speed for speed in fastest))
-        self._small_m = min(self._back_at_once.linear_m_s, LEAP.linear_m_s) * SHORTEST_SPAN_S
-        self._small_rad = min(self._back_at_once.angular_rad_s, LEAP.angular_rad_s) * SHORTEST_SPAN_S
+        self._back_at_once = fastest.scaled(RESET_MARGIN)
+        self._small_m = min(self._back_at_once.speed_m_s, LEAP.speed_m_s) * SHORTEST_SPAN_S
+        self._small_rad = min(self._back_at_once.turn_rad_s, LEAP.turn_rad_s) * SHORTEST_SPAN_S
 
     def anew(self) -> "OdometryEstimator":
         """Another with the same settings, which has seen nothing."""
-        return OdometryEstimator(continues=self._continues, fastest=self._fastest, correction=self._correction)
+        return OdometryEstimator(
+            continues=self._continues,
+            fastest=self._fastest,
+            correction=self._correction,
+            is_differential=self.is_differential,
+        )
 
     def expect_reset(self, now_s: float) -> None:
         """The device was commanded to make its place the origin: the next pose there is right."""
         self._reset_until_s = now_s + RESET_WAIT_S
 
-    def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: Twist | None = None) -> None:
+    def update(self, pose: Pose, *, now_s: float, wall_ns: int, twist: PlanarVelocity | None = None) -> None:
         """Add a pose; one that cannot be true is not counted."""
         new = _Sample(now_s, self.count + 1, pose)
         if self._is_small_motion(new):
@@ -141,7 +149,7 @@ class OdometryEstimator:
         while len(window) > 1 and window[1].at_s <= now_s - WINDOW_S:
             window.popleft()
         self._newest = new
-        self._twist = self._true_twist(twist) if twist is not None and all(map(math.isfinite, twist)) else None
+        self._twist = self._true_twist(twist) if twist is not None and twist.is_finite else None
         if wall_ns > self._stamp_ns or wall_ns < self._stamp_ns - CLOCK_SET_NS:
             self._stamp_ns = wall_ns
 
@@ -208,8 +216,8 @@ class OdometryEstimator:
             true = correction.advance(placed(self._frame, before), before, new.pose)
             self._frame = frame_of(true, new.pose)
 
-    def _true_twist(self, twist: Twist) -> Twist:
-        return twist if self._correction is None else Twist(*self._correction.velocity(*twist))
+    def _true_twist(self, twist: PlanarVelocity) -> PlanarVelocity:
+        return twist if self._correction is None else self._correction.velocity(twist)
 
     def _is_there(self, doubtful: _Sample, new: _Sample, change: _Change) -> bool:
         """Whether a second pose confirms a doubtful one."""
@@ -237,21 +245,23 @@ class OdometryEstimator:
             return _Change.LEAP
         return _Change.SILENCE if is_silence else _Change.MOTION
 
-    def _estimate(self) -> Twist:
+    def _estimate(self) -> PlanarVelocity:
         span_s = self._window[-1].at_s - self._window[0].at_s
         if span_s < SHORTEST_S:
-            return Twist()
+            return PlanarVelocity()
         moves = [_move(before.pose, after.pose) for before, after in itertools.pairwise(self._window)]
-        return Twist(sum(arc_m for arc_m, _ in moves) / span_s, sum(turned_rad for _, turned_rad in moves) / span_s)
+        forward_m, left_m, turned_rad = map(sum, zip(*moves, strict=True))
+        return PlanarVelocity(forward_m / span_s, 0.0 if self.is_differential else left_m / span_s, turned_rad / span_s)
 
 
-def _move(before: Pose, after: Pose) -> tuple[float, float]:
-    """How far the robot went along its arc, backwards negative, and how far it turned."""
+def _move(before: Pose, after: Pose) -> tuple[float, float, float]:
+    """How far the robot went forward and to the left along its arc, and how far it turned."""
     turned_rad = wrap_angle(after.theta_rad - before.theta_rad)
     heading_rad = before.theta_rad + turned_rad / 2  # of the arc's chord
+    cos, sin = math.cos(heading_rad), math.sin(heading_rad)
     dx_m, dy_m = after.x_m - before.x_m, after.y_m - before.y_m
-    chord_m = dx_m * math.cos(heading_rad) + dy_m * math.sin(heading_rad)
-    return chord_m / chord_per_arc(turned_rad), turned_rad
+    chord = chord_per_arc(turned_rad)
+    return (dx_m * cos + dy_m * sin) / chord, (dy_m * cos - dx_m * sin) / chord, turned_rad
 
 
 def _apart(one: Pose, other: Pose) -> float:
@@ -272,9 +282,9 @@ def _has_moved(pose: Pose) -> bool:
     return math.hypot(*pose[:2]) > SHAKE_M or abs(pose.theta_rad) > SHAKE_RAD
 
 
-def _is_too_far(before: _Sample, after: _Sample, most: Twist) -> bool:
+def _is_too_far(before: _Sample, after: _Sample, most: PlanarVelocity) -> bool:
     """Whether it would have to be faster than that; poses of one read may be a tenth of a second apart in truth."""
     moved_m = math.dist(before.pose[:2], after.pose[:2])
     turned_rad = abs(wrap_angle(after.pose.theta_rad - before.pose.theta_rad))
     span_s = max(after.at_s - before.at_s, SHORTEST_SPAN_S)
-    return moved_m > most.linear_m_s * span_s or turned_rad > most.angular_rad_s * span_s
+    return moved_m > most.speed_m_s * span_s or turned_rad > most.turn_rad_s * span_s

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import Twist
+from hostlink.robot.velocity import PlanarVelocity
 
 UNMEASURED = 1e6  # the variance of what wheels cannot measure: height, roll and pitch
 POSE_VARIANCES = (1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2)  # diff_drive_controller's for x, y and yaw
@@ -34,12 +34,12 @@ NO_VARIANCES = Variances()
 
 
 def odometry_of(
-    pose: Pose, twist: Twist, frames: FrameIds, stamp: Mapping[str, int], published: Variances = NO_VARIANCES
+    pose: Pose, twist: PlanarVelocity, frames: FrameIds, stamp: Mapping[str, int], published: Variances = NO_VARIANCES
 ) -> dict[str, Any]:
     """A nav_msgs/Odometry of a planar pose."""
     half_rad = pose.theta_rad / 2
     orientation = {"x": 0.0, "y": 0.0, "z": math.sin(half_rad), "w": math.cos(half_rad)}
-    motion = {"linear": _vector(twist.linear_m_s), "angular": _vector(0.0, 0.0, twist.angular_rad_s)}
+    motion = {"linear": _vector(twist.x_m_s, twist.y_m_s), "angular": _vector(0.0, 0.0, twist.yaw_rad_s)}
     return {
         "header": {"seq": 0, "stamp": dict(stamp), "frame_id": frames.odom},
         "child_frame_id": frames.base,

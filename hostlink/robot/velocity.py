@@ -1,9 +1,10 @@
-"""Velocity: the six components of a geometry_msgs/Twist, in m/s and rad/s."""
+"""The velocity of a robot: x, y and yaw. The six numbers of a Twist exist for velocity topics without a robot."""
 
 import math
 import struct
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from enum import StrEnum
+from typing import Any, NamedTuple, Protocol
 
 from hostlink.errors import BadPayload
 
@@ -12,8 +13,82 @@ TWIST_STAMPED_TYPE = "geometry_msgs/TwistStamped"
 _TWIST = struct.Struct("<6d")
 
 
-class Velocity(NamedTuple):
-    """x forward, y left, z up; angular counter-clockwise (REP 103). A differential drive uses first and last."""
+class Kinematics(StrEnum):
+    """Which components of a velocity a device obeys. The values of PLANAR and DIFFERENTIAL are settings of a robot."""
+
+    SPATIAL = "spatial"  # all six: a velocity topic that belongs to no robot
+    PLANAR = ""  # x, y and yaw: a robot about which nothing else is configured
+    DIFFERENTIAL = "differential"  # x and yaw
+
+
+class AnyVelocity(Protocol):
+    """What the admission and the gate need to know of a velocity."""
+
+    @property
+    def is_zero(self) -> bool: ...
+
+    @property
+    def is_finite(self) -> bool: ...
+
+    @property
+    def speed_m_s(self) -> float: ...
+
+    @property
+    def turn_rad_s(self) -> float: ...
+
+    def encode(self) -> bytes: ...
+
+
+class PlanarVelocity(NamedTuple):
+    """The velocity of a robot in its own frame: x forward, y to the left, yaw counter-clockwise (REP 103)."""
+
+    x_m_s: float = 0.0
+    y_m_s: float = 0.0
+    yaw_rad_s: float = 0.0
+
+    def encode(self) -> bytes:
+        """As a serialised Twist."""
+        return _TWIST.pack(*self.twist)
+
+    @property
+    def twist(self) -> "Twist":
+        """As the six numbers of a Twist."""
+        return Twist(self.x_m_s, self.y_m_s, angular_z_rad_s=self.yaw_rad_s)
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether nothing moves."""
+        return not any(self)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every component is a number."""
+        return all(map(math.isfinite, self))
+
+    @property
+    def speed_m_s(self) -> float:
+        """How fast the robot's origin moves: the length of (x, y)."""
+        return math.hypot(self.x_m_s, self.y_m_s)
+
+    @property
+    def turn_rad_s(self) -> float:
+        """How fast the robot turns, in either direction."""
+        return abs(self.yaw_rad_s)
+
+    def scaled(self, factor: float) -> "PlanarVelocity":
+        """The same curve, slower or faster."""
+        return PlanarVelocity(*(component * factor for component in self))
+
+    def toward(self, target: "PlanarVelocity", fraction: float) -> "PlanarVelocity":
+        """The point of the straight line to `target`; a fraction of 1 is the target itself."""
+        if fraction >= 1:
+            return target
+        rest = 1 - fraction  # not here + (there - here) * fraction: the difference of two finite numbers may be none
+        return PlanarVelocity(*(here * rest + there * fraction for here, there in zip(self, target, strict=True)))
+
+
+class Twist(NamedTuple):
+    """The six numbers of a geometry_msgs/Twist, as they were published."""
 
     linear_x_m_s: float = 0.0
     linear_y_m_s: float = 0.0
@@ -23,17 +98,17 @@ class Velocity(NamedTuple):
     angular_z_rad_s: float = 0.0
 
     @classmethod
-    def from_twist(cls, twist: Mapping[str, Any]) -> "Velocity":
+    def from_fields(cls, twist: Mapping[str, Any]) -> "Twist":
         """From a decoded Twist."""
         linear, angular = twist["linear"], twist["angular"]
         return cls(linear["x"], linear["y"], linear["z"], angular["x"], angular["y"], angular["z"])
 
     @classmethod
-    def decode(cls, payload: bytes) -> "Velocity":
+    def decode(cls, payload: bytes) -> "Twist":
         """From a serialised Twist.
 
         Raises:
-            BadPayload: it is none.
+            BadPayload: the payload has another length.
         """
         if len(payload) != _TWIST.size:
             raise BadPayload(TWIST_TYPE, f"{len(payload)} bytes instead of {_TWIST.size}")
@@ -54,25 +129,24 @@ class Velocity(NamedTuple):
         return all(map(math.isfinite, self))
 
     @property
-    def linear_m_s(self) -> float:
-        """How fast the robot's origin moves."""
+    def speed_m_s(self) -> float:
+        """The length of the linear velocity."""
         return math.hypot(*self[:3])
 
     @property
-    def angular_rad_s(self) -> float:
-        """How fast the robot turns."""
+    def turn_rad_s(self) -> float:
+        """The length of the angular velocity."""
         return math.hypot(*self[3:])
 
-    def scaled(self, factor: float) -> "Velocity":
-        """The same curve, slower or faster."""
-        return Velocity(*(component * factor for component in self))
+    @property
+    def planar(self) -> PlanarVelocity:
+        """The three components that a robot on a floor has."""
+        return PlanarVelocity(self.linear_x_m_s, self.linear_y_m_s, self.angular_z_rad_s)
 
-    def toward(self, target: "Velocity", fraction: float) -> "Velocity":
-        """The point of the straight line to `target`; a fraction of 1 is the target itself."""
-        if fraction >= 1:
-            return target
-        rest = 1 - fraction  # not here + (there - here) * fraction: the difference of two finite numbers may be none
-        return Velocity(*(here * rest + there * fraction for here, there in zip(self, target, strict=True)))
+    @property
+    def is_planar(self) -> bool:
+        """Whether `planar` is all of it."""
+        return not any(self[2:5])
 
 
-ZERO = Velocity()
+ZERO = PlanarVelocity()

@@ -4,11 +4,11 @@ import dataclasses
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 from hostlink.errors import CommandRefused, ConfigError
 from hostlink.robot.admission import Admission, Command, Driver
-from hostlink.robot.kinematics import DifferentialDrive
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import AnyVelocity, PlanarVelocity
 
 ZEROS = 3  # a single stop can be lost on a radio
 LONGEST_STEP_S = 0.1  # a step that comes late must not jump
@@ -16,10 +16,38 @@ _ALL_OF_IT = 1 - 1e-9  # whatever the rounding, a way to zero loses speed to its
 _LIMITS = ("max_linear_m_s", "max_angular_rad_s", "max_wheel_m_s")
 LOCKED_ZERO_INTERVAL_S = 0.5  # a locked robot receives its zero again and again: it may have no watchdog of its own
 
+V = TypeVar("V", bound=AnyVelocity)
+
+
+class Bounds(Protocol[V]):
+    """What a gate does to the velocities that it gives: `Limits` of a robot, or `Unlimited`."""
+
+    def apply(self, velocity: V) -> V: ...
+
+    def slowest(self, velocity: V) -> str | None: ...
+
+    def step(self, current: V, target: V, step_s: float) -> V: ...
+
+
+class Unlimited(Generic[V]):
+    """No limit and no ramp, for a velocity topic that belongs to no robot: its numbers stay as they were published."""
+
+    def apply(self, velocity: V) -> V:
+        """The velocity itself."""
+        return velocity
+
+    def slowest(self, _: V) -> None:
+        """No limit slows it down."""
+        return
+
+    def step(self, _current: V, target: V, _step_s: float) -> V:
+        """The target, at once."""
+        return target
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What a robot may be commanded; None: no limit.
+    """What a robot may be commanded; None: no limit. Speed is the length of (x, y).
 
     Raises:
         ConfigError: one of them cannot be kept.
@@ -42,48 +70,46 @@ class Limits:
             if limit == 0 and "deceleration" in name:
                 raise ConfigError("limits of a robot", f"{name} must be above zero: the robot would never stop")
 
-    def apply(self, velocity: Velocity) -> Velocity:
+    def apply(self, velocity: PlanarVelocity) -> PlanarVelocity:
         """The same curve, slow enough for every limit."""
         factor = min(self._factors(velocity))
         return velocity if factor >= 1 else velocity.scaled(factor)
 
-    def slowest(self, velocity: Velocity) -> str | None:
+    def slowest(self, velocity: PlanarVelocity) -> str | None:
         """The limit that slows this velocity down most; None: it keeps every limit."""
         factors = self._factors(velocity)
         smallest = min(factors)
         return _LIMITS[factors.index(smallest)] if smallest < 1 else None
 
-    def _factors(self, velocity: Velocity) -> tuple[float, float, float]:
+    def _factors(self, velocity: PlanarVelocity) -> tuple[float, float, float]:
         """By how much each of _LIMITS slows it down."""
         return (
-            _factor(velocity.linear_m_s, self.max_linear_m_s),
-            _factor(velocity.angular_rad_s, self.max_angular_rad_s),
+            _factor(velocity.speed_m_s, self.max_linear_m_s),
+            _factor(velocity.turn_rad_s, self.max_angular_rad_s),
             1.0 if self.max_wheel_m_s is None else _factor(self._fastest_wheel_m_s(velocity), self.max_wheel_m_s),
         )
 
-    def step(self, current: Velocity, target: Velocity, step_s: float) -> Velocity:
+    def step(self, current: PlanarVelocity, target: PlanarVelocity, step_s: float) -> PlanarVelocity:
         """From `current` straight towards `target`, as far as accelerations and decelerations allow in `step_s`."""
         if current == target:
             return target
         linear = _reach(
-            current[:3],
-            target[:3],
+            current[:2],
+            target[:2],
             _times(self.max_linear_acceleration_m_s2, step_s),
             _times(self.max_linear_deceleration_m_s2, step_s),
         )
         angular = _reach(
-            current[3:],
-            target[3:],
+            current[2:],
+            target[2:],
             _times(self.max_angular_acceleration_rad_s2, step_s),
             _times(self.max_angular_deceleration_rad_s2, step_s),
         )
         return current.toward(target, min(linear, angular))
 
-    def _fastest_wheel_m_s(self, velocity: Velocity) -> float:
-        if self.wheel_separation_m is None:
-            return velocity.linear_m_s
-        drive = DifferentialDrive(wheel_separation_m=self.wheel_separation_m)
-        return max(map(abs, drive.wheel_speeds(velocity.linear_x_m_s, velocity.angular_z_rad_s)))
+    def _fastest_wheel_m_s(self, velocity: PlanarVelocity) -> float:
+        """|x| + |yaw| * separation / 2 of a differential drive; other drives have the length of (x, y) for |x|."""
+        return velocity.speed_m_s + velocity.turn_rad_s * (self.wheel_separation_m or 0.0) / 2
 
 
 @dataclass(slots=True)
@@ -97,7 +123,7 @@ class GateCounts:
     locks: int = 0
 
 
-class VelocityGate:
+class VelocityGate(Generic[V]):
     """What the device of one velocity topic receives: admitted velocities within the limits, and zeros.
 
     Who may command is decided by the robot's `Admission`; the gate is told when its lease ends.
@@ -121,15 +147,15 @@ class VelocityGate:
     |          |                                                |          | every LOCKED_ZERO_INTERVAL_S           |
     """
 
-    def __init__(self, admission: Admission, limits: Limits) -> None:
+    def __init__(self, admission: Admission, limits: Bounds[V], zero: V) -> None:
         """`admission` is shared by all velocity topics of a robot."""
         self.admission = admission
         self.limits = limits
-        self.current = ZERO
+        self.zero = self.current = zero
         self.is_new_device = False  # it has not been given its first zero
         self.counts = GateCounts()
         self._driver: Driver | None = None
-        self._target = ZERO
+        self._target = self.zero
         self._zeros = 0
         self._zero_at_s = self._stepped_at_s = float("-inf")
 
@@ -183,20 +209,21 @@ class VelocityGate:
         """Whether the newest command of the source that drives is a zero."""
         return self._target.is_zero
 
-    def command(self, command: Command, velocity: Velocity, *, now_s: float) -> Velocity:
-        """Drive at `velocity`, that of the command, if it is admitted; returns it within the limits.
+    def command(self, command: Command[V], *, now_s: float) -> V:
+        """Drive at the velocity of the command, if it is admitted; returns it within the limits.
 
         Raises:
             CommandRefused: the admission has refused it.
         """
         self._expire(now_s)
+        velocity = command.velocity
         decision = self.admission.decide(command, now_s, topic=self)
         if decision.kind is not None:
             raise CommandRefused(self.admission.robot, decision.kind, decision.reason, holder=decision.holder)
         self.counts.commands += 1
         if velocity.is_zero and self._driver is None:
             self._zeros = max(self._zeros, 1)
-            return ZERO
+            return self.zero
         if self._driver is None and self.current.is_zero:
             self._stepped_at_s = now_s
         self._driver = self.admission.driver(self, now_s)
@@ -213,7 +240,7 @@ class VelocityGate:
     def stop_at_once(self) -> None:
         """End the lease, and give zero at once, whatever the limits."""
         self._end_lease()
-        self.current = self._target = ZERO
+        self.current = self._target = self.zero
         self._zeros = ZEROS
 
     def restart(self) -> None:
@@ -221,25 +248,25 @@ class VelocityGate:
         self.stop_at_once()
         self.is_new_device = True
 
-    def change_limits(self, limits: Limits) -> None:
+    def change_limits(self, limits: Bounds[V]) -> None:
         """From now on; a robot that is driven too fast slows down as far as they allow."""
         self.limits = limits
         self._target = limits.apply(self._target)
 
-    def step(self, now_s: float) -> Velocity | None:
+    def step(self, now_s: float) -> V | None:
         """The velocity to send now; None: nothing. Call it often while `is_active`, and after every command."""
         self._expire(now_s)
         step_s = max(now_s - self._stepped_at_s, 0.0)
         self._stepped_at_s = now_s
         if self._driver is None:  # braking keeps its time even when a step comes late
-            self.current = self.limits.step(self.current, ZERO, step_s)
+            self.current = self.limits.step(self.current, self.zero, step_s)
             return self._stand(now_s) if self.current.is_zero else self.current
         if self._zeros > 0:
             return self._stand(now_s)
         self.current = self.limits.step(self.current, self._target, min(step_s, LONGEST_STEP_S))
         return self.current
 
-    def _stand(self, now_s: float) -> Velocity | None:
+    def _stand(self, now_s: float) -> V | None:
         """The zeros that are owed to a robot that stands."""
         if self._zeros > 0:
             self._zeros -= 1
@@ -247,7 +274,7 @@ class VelocityGate:
         elif self.lock_reason is None or now_s < self._zero_at_s + LOCKED_ZERO_INTERVAL_S:
             return None
         self._zero_at_s = now_s
-        return ZERO
+        return self.zero
 
     def _expire(self, now_s: float) -> None:
         if self._driver is not None and self.admission.driver(self, now_s) is None:
@@ -258,8 +285,8 @@ class VelocityGate:
         if self._driver is not None:
             self._stepped_at_s = max(self._stepped_at_s, at_s)
         self._end_lease()
-        self.current = self.limits.step(self.current, ZERO, 0.0)  # zero, unless a deceleration is to be kept
-        self._target = ZERO
+        self.current = self.limits.step(self.current, self.zero, 0.0)  # zero, unless a deceleration is to be kept
+        self._target = self.zero
         self._zeros = ZEROS
 
     def _end_lease(self) -> None:

@@ -16,7 +16,7 @@ import pytest
 from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, Kinematics, PlanarVelocity, Twist
 from tests.support import entry_points
 from tests.support.entry_points import EntryPoint
 from tests.support.fake_device import robot_topics, topic
@@ -253,7 +253,7 @@ async def resumes(way: EntryPoint, robot: Robot) -> None:
 async def held(way: EntryPoint, robot: Robot) -> None:
     person = robot.made.hub.join("person", priority=100)
     for _ in range(3):
-        person.drive(robot.made.hub.robots.find(ROBOT), Velocity(0.4))
+        person.drive(robot.made.hub.robots.find(ROBOT), PlanarVelocity(0.4))
         await way.start()
         await asyncio.sleep(LEASE_S - 0.1)
         assert robot.speed_m_s == 0.4
@@ -265,7 +265,7 @@ async def goes_on_afterwards(way: EntryPoint, robot: Robot) -> None:
     await robot.moves()
     person = robot.made.hub.join("person", priority=100)
     for _ in range(5):
-        person.drive(robot.made.hub.robots.find(ROBOT), Velocity(0.4))
+        person.drive(robot.made.hub.robots.find(ROBOT), PlanarVelocity(0.4))
         await asyncio.sleep(0.1)
         assert robot.speed_m_s == 0.4
     person.leave()
@@ -279,7 +279,7 @@ async def zero_of_another(way: EntryPoint, robot: Robot) -> None:
 
     async def drive() -> None:
         while True:
-            other.drive(robot.made.hub.robots.find(ROBOT), Velocity(0.4))
+            other.drive(robot.made.hub.robots.find(ROBOT), PlanarVelocity(0.4))
             await asyncio.sleep(0.1)
 
     driving = robot.made.tasks.create_task(drive())
@@ -300,6 +300,23 @@ async def not_finite(way: EntryPoint, robot: Robot) -> None:
     await asyncio.sleep(0.1)
     assert robot.refused == {RefusalKind.NOT_FINITE} or getattr(refused, "kind", "") == RefusalKind.NOT_FINITE
     assert not any(robot.made.speeds())
+
+
+async def passed_and_limited(way: EntryPoint, robot: Robot) -> None:
+    await way.give(0.0, left_m_s=-3.0)
+    await asyncio.sleep(0.1)
+    assert robot.made.twists()[-1] == Twist(linear_y_m_s=-1.0)
+    assert robot.made.hub.robots.find(ROBOT).gate.current == PlanarVelocity(0.0, -1.0)
+    assert robot.refused == set()
+
+
+async def unsupported(way: EntryPoint, robot: Robot) -> None:
+    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    with contextlib.suppress(HostlinkError):
+        await way.give(entry_points.SPEED_M_S, left_m_s=0.1)
+    await asyncio.sleep(0.1)
+    assert robot.refused == {RefusalKind.UNSUPPORTED}
+    assert not any(map(any, robot.made.twists()))
 
 
 async def leaves(way: EntryPoint, robot: Robot) -> None:
@@ -334,6 +351,8 @@ ROWS: dict[str, Row] = {
     "the current epoch arms": current_epoch_arms,
     "an earlier epoch is refused": earlier_epoch_is_refused,
     "a velocity that is not finite": not_finite,
+    "y is passed and limited": passed_and_limited,
+    "y is refused for a differential drive": unsupported,
     "a command while locked is refused": locked,
     "a command without device is refused": not_connected,
     "a stream from before a new robot is disarmed": new_robot,
@@ -359,9 +378,9 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     "cli/play.py: driven.drive": (entry_points.Play,),
     "cli/key_driver.py: self._robot.command": (entry_points.Teleop,),
     "cli/calibration_drive.py: self._robot.command": (entry_points.ClientCommand,),
-    "cli/step_recorder.py: self._robot.command": (entry_points.ClientCommand,),
+    "cli/step.py: self._robot.command": (entry_points.ClientCommand,),
     "cli/play.py: host.publish": (entry_points.RosbridgePublish,),  # --as-program; it leaves out what may move a robot
-    "cli/pub.py: host.publish": (entry_points.RosbridgePublish,),
+    "cli/topics.py: host.publish": (entry_points.RosbridgePublish,),
     "client/robot.py: self._driver.drive": (entry_points.ClientDrive,),
     "client/robot.py: self._driver.command": (entry_points.ClientCommand,),
     "client/host.py: self._topics.publish": (entry_points.RosbridgePublish, entry_points.RosbridgeRaw),
@@ -399,7 +418,7 @@ OTHERS = {
     "cli/calibrate.py: self._session.follow": "calls calibration_people.py",
     "cli/key_driver.py: watched.follow": "events",
     "cli/play.py: device.publish": "a played device obeys nobody, and its velocities drive nobody",
-    "cli/step_tuning.py: host.publish": "gains",
+    "cli/step.py: host.publish": "gains",
     "graphs/ros2/routes.py: echoes.publish": "to ROS 2",
     "graphs/ros2/routes.py: publisher.publish": "to ROS 2",
     "graphs/zenoh/fleet.py: self._robots.follow": "poses",

@@ -19,12 +19,12 @@ from hostlink.config import BlackBoxConfig, Config, LinkConfig, RecordingConfig
 from hostlink.recording.black_box import MAX_CHANNELS, MAX_REQUESTED, BlackBox
 from hostlink.recording.channel import Channel, json_of
 from hostlink.recording.reader import Reader, StoredMessage
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import expect
 
-FORWARD, STANDING = ({"linear_m_s": speed_m_s, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
+FORWARD, STANDING = ({"linear_m_s": speed_m_s, "linear_y_m_s": 0.0, "angular_rad_s": 0.0} for speed_m_s in (0.2, 0.0))
 
 
 def config(folder: Path, *, free_mb: float = 0.0, **changes: Any) -> Config:
@@ -152,11 +152,11 @@ async def test_every_robot_of_a_room_may_be_locked_at_once(tmp_path: Path) -> No
 async def test_a_driver_that_falls_silent_is_an_incident_and_one_that_stops_is_none(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, _):
         pilot, robot = host.hub.join("pilot"), host.hub.robots.find("robot_0")
-        pilot.drive(robot, Velocity(0.2))
-        pilot.drive(robot, Velocity())
+        pilot.drive(robot, PlanarVelocity(0.2))
+        pilot.drive(robot, PlanarVelocity())
         await asyncio.sleep(1.2)
         assert (await host.get("/api/incidents"))["incidents"] == []
-        pilot.drive(robot, Velocity(0.2))
+        pilot.drive(robot, PlanarVelocity(0.2))
         (incident,) = await saved(host)
     assert (incident["cause"], incident["detail"]) == ("lease", "no command of pilot came")
     found = (message for message in read(tmp_path, incident) if message.channel.content)
@@ -168,7 +168,7 @@ async def test_a_link_that_breaks_while_the_robot_moves_is_one_with_the_robots_n
     async with daemon(config(tmp_path), has_black_box=True) as host:
         async with fake_device(host.tcp, robot_topics()):
             await expect(lambda: [robot.name for robot in host.hub.robots.all()] == ["robot_0"])
-            host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+            host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         (incident, *_) = await saved(host)
         assert (incident["robot"], incident["cause"]) == ("robot_0", "gone")
 
@@ -238,7 +238,7 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
         for number in range(1, 4):
             await device.send(pose(1.0 + number / 100, 2.0, 0.5))
         await expect(lambda: host.hub.topics.find("/robot_0/odometry").messages == 4)
-        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0")
         history = await host.get("/api/robots/robot_0/history")
         robot = await host.get("/api/robots/robot_0")
@@ -254,7 +254,7 @@ async def test_a_robots_history_is_where_it_drove_and_what_happened(tmp_path: Pa
 
 async def test_an_incidents_history_counts_back_from_it(tmp_path: Path) -> None:
     async with boxed(config(tmp_path)) as (host, device):
-        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await asyncio.sleep(0.05)
         await host.rest("POST", "/api/robots/robot_0/lock?wait_s=0", b'{"reason": "a hand in the wheel"}')
         await device.send(pose(1.02, 2.0, 0.5))

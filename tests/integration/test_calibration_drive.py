@@ -96,7 +96,7 @@ async def test_who_takes_the_robot_over_keeps_it() -> None:
             await person.drive(0.05, 0.0)
             speeds_m_s = []
             for _ in range(50):
-                speeds_m_s.append(host.hub.robots.find("robot_0").gate.current.linear_x_m_s)
+                speeds_m_s.append(host.hub.robots.find("robot_0").gate.current.x_m_s)
                 await asyncio.sleep(0.01)
         assert "is not driven any more" in driving.result()
         assert speeds_m_s == pytest.approx([0.05] * len(speeds_m_s))

@@ -19,7 +19,7 @@ from hostlink.hub.remote_robot import Elsewhere
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
@@ -53,7 +53,7 @@ async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2)
 def drive_as_a_person(host: Daemon) -> None:
     """As a person at the keys."""
     robot = host.hub.robots.find("robot_0")
-    drive_gate(host.hub.gates, robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+    drive_gate(host.hub.gates, robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
 
 
 @contextlib.asynccontextmanager
@@ -80,7 +80,7 @@ async def test_a_robot_is_driven_until_the_block_is_left() -> None:
             robot = me.robot("robot_0")
             await robot.drive(0.2, 0.5)
             assert robot.is_driven
-            assert (await robot.state())["velocity"] == {"linear_m_s": 0.2, "angular_rad_s": 0.5}
+            assert (await robot.state())["velocity"] == {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5}
             assert (await robot.state())["holder"] == robot.client_name
             for _ in range(10):  # at 10 Hz twice the length of a lease
                 assert await device.velocity_other_than(ZERO) == (0.2, 0.5)
@@ -142,7 +142,7 @@ async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> N
             drive_as_a_person(host)
             assert await refused(me) == HELD_BY_PERSON
             await me.robot("robot_0", priority=70).drive(0.2, 0.0)
-            assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.2)
+            assert host.hub.robots.find("robot_0").gate.current == PlanarVelocity(x_m_s=0.2)
         await expect(lambda: host.hub.robots.find("robot_0").link is None)
         await expect(lambda: not me.robot("robot_0").is_driven)
         assert "its device is not connected" in await refused(me)  # what broke the hold
@@ -170,7 +170,7 @@ async def test_a_repeated_velocity_that_is_overruled_is_dropped_and_the_next_dri
         host.hub.gates.release("a person")
         assert await refused(me) == f"robot_0 was stopped, drive again if it is still meant: {HELD_BY_PERSON}"
         await robot.drive(0.3, 0.0)
-        assert host.hub.robots.find("robot_0").gate.current == Velocity(linear_x_m_s=0.3)
+        assert host.hub.robots.find("robot_0").gate.current == PlanarVelocity(x_m_s=0.3)
 
 
 async def test_a_device_that_connects_again_is_not_driven_by_an_earlier_command() -> None:

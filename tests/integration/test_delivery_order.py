@@ -12,7 +12,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.topic import Subscriber
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, topic
 from tests.support.participants import ODOMETRY_ID, POSE, ROBOT, TEXT_TYPE, VELOCITY_ID, Scene, play, text
 from tests.support.scripted_device import ScriptedDevice
@@ -99,11 +99,11 @@ def test_an_older_velocity_does_not_overtake_the_one_that_it_caused() -> None:
 
         def slow_down(message: Message) -> None:
             if struct.unpack_from("<d", message.payload)[0] == 0.8:
-                careful.publish("/cmd_vel", Velocity(0.1).encode())
+                careful.publish("/cmd_vel", PlanarVelocity(0.1).encode())
 
         careful.subscribe("/cmd_vel", slow_down)
         heard = recorder_of_speeds(made.hub.join("log"), "/cmd_vel")
-        sender.publish("/cmd_vel", Velocity(0.8).encode())
+        sender.publish("/cmd_vel", PlanarVelocity(0.8).encode())
         await asyncio.sleep(0.1)
         assert [struct.unpack_from("<d", device.payloads(VELOCITY_ID)[-1])[0] for device in devices] == [0.1, 0.1]
         assert heard == sorted(heard, reverse=True)

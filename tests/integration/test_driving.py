@@ -1,4 +1,4 @@
-"""Velocity on a running daemon: every way in which a source of commands can vanish ends in zero."""
+"""PlanarVelocity on a running daemon: every way in which a source of commands can vanish ends in zero."""
 
 import asyncio
 import contextlib
@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused
 from hostlink.protocol.frame import Id, encode
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.api_loads import frame
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
@@ -26,7 +26,7 @@ CURVE = (0.2, 0.5)
 
 def drive(host: Daemon, owner: str = "test", *, priority: int = 50, velocity: tuple[float, float] = CURVE) -> None:
     robot = host.hub.robots.find("robot_0")
-    wanted = Velocity(linear_x_m_s=velocity[0], angular_z_rad_s=velocity[1])
+    wanted = PlanarVelocity(x_m_s=velocity[0], yaw_rad_s=velocity[1])
     drive_gate(host.hub.gates, robot, wanted, owner=owner, priority=priority)
 
 
@@ -297,7 +297,7 @@ async def test_everything_stops_at_one_request() -> None:
     ):
         for name, device in (("robot_0", first), ("robot_1", second)):
             await greeted(device)
-            drive_gate(host.hub.gates, host.hub.robots.find(name), Velocity(0.2, angular_z_rad_s=0.5), owner="test")
+            drive_gate(host.hub.gates, host.hub.robots.find(name), PlanarVelocity(0.2, yaw_rad_s=0.5), owner="test")
         status, body = await host.rest("POST", "/api/stop")
         assert (status, [robot["holder"] for robot in body["robots"]]) == (200, [None, None])
         assert await first.velocity_other_than(CURVE) == ZERO

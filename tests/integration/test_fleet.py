@@ -14,7 +14,7 @@ from hostlink.hub.message import Message
 from hostlink.protocol.control import decode_parameter, encode_parameter_request
 from hostlink.protocol.frame import Id, encode
 from hostlink.protocol.topic_table import MAX_MISSED
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.run import run_fleet
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, repeating, robot_topics, topic
@@ -24,7 +24,7 @@ from tests.support.rosbridge import client
 from tests.support.waiting import expect
 
 ONE, OTHER = "127.0.0.2", "127.0.0.3"
-SLOW, FAST = Velocity(linear_x_m_s=0.1), Velocity(linear_x_m_s=0.4)
+SLOW, FAST = PlanarVelocity(x_m_s=0.1), PlanarVelocity(x_m_s=0.4)
 CONFIGURED = Config(robots={"a": RobotConfig(address=ONE), "b": RobotConfig(address=OTHER)})
 MORE = [
     topic(Id.SUBSCRIBER, 102, "/robot_0/pid_tune_l", "geometry_msgs/Vector3"),
@@ -93,9 +93,9 @@ async def test_each_receives_its_own_commands(config: Config, second: str, names
         for device, name, velocity in zip(devices, names, (SLOW, FAST), strict=True):
             for by in ("velocity_commands", "cmd_vel"):
                 publish(host.hub, f"/{name}/{by}", velocity.encode(), source=by)
-                assert await device.velocity_other_than((0.0, 0.0)) == (velocity.linear_x_m_s, 0.0)
+                assert await device.velocity_other_than((0.0, 0.0)) == (velocity.x_m_s, 0.0)
                 host.hub.gates.stop(host.hub.robots.find(name))
-                assert await device.velocity_other_than((velocity.linear_x_m_s, 0.0)) == (0.0, 0.0)
+                assert await device.velocity_other_than((velocity.x_m_s, 0.0)) == (0.0, 0.0)
 
 
 async def test_their_topics_stand_under_their_names_and_what_is_not_theirs_is_shared() -> None:
@@ -168,7 +168,7 @@ async def test_limits_apply_to_every_robot_that_announces_the_name() -> None:
     async with daemon(config) as host, two_alike(host):
         for name in ("robot_0", "robot_0_2"):
             robot = host.hub.robots.find(name)
-            assert drive_gate(host.hub.gates, robot, FAST, owner="test").linear_x_m_s == 0.2
+            assert drive_gate(host.hub.gates, robot, FAST, owner="test").x_m_s == 0.2
         assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
 
 

@@ -13,7 +13,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from hostlink.config import ApiConfig, Config, TokenConfig
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.waiting import expect
@@ -71,7 +71,7 @@ class Player:
         await self.send(op="advertise", channels=[channel])
 
     async def drive(self) -> None:
-        velocity = Velocity(linear_x_m_s=CURVE[0], angular_z_rad_s=CURVE[1])
+        velocity = PlanarVelocity(x_m_s=CURVE[0], yaw_rad_s=CURVE[1])
         await self.socket.send_bytes(struct.pack("<BI", 1, 1) + velocity.encode())
 
 

@@ -14,7 +14,7 @@ from hostlink.config import ApiConfig, Config, LinkConfig, TcpConfig
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo, encode_topic_info
 from hostlink.protocol.frame import Id, encode
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
 
@@ -72,10 +72,10 @@ async def test_a_beat_names_the_link_of_a_robot_from_its_command_to_its_stop() -
         await expect(hub.robots.all)
         pilot, robot = hub.join("pilot"), hub.robots.find("robot_0")
         await expect(lambda: guard.calls and not guard.driven)
-        pilot.drive(robot, Velocity(0.2))
+        pilot.drive(robot, PlanarVelocity(0.2))
         await device.velocity_of((0.2, 0.0))
         await expect(lambda: guard.driven == {1})
-        pilot.drive(robot, Velocity())
+        pilot.drive(robot, PlanarVelocity())
         await expect(lambda: guard.driven == set())
 
 

@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from hostlink.hub.message import Message
 from hostlink.protocol import events
 from hostlink.protocol.frame import Id, encode
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.gates import drive_gate
@@ -25,9 +25,7 @@ OTHER = "127.0.0.3"
 
 
 def drive(host: Daemon, name: str) -> None:
-    drive_gate(
-        host.hub.gates, host.hub.robots.find(name), Velocity(linear_x_m_s=0.2, angular_z_rad_s=0.5), owner="test"
-    )
+    drive_gate(host.hub.gates, host.hub.robots.find(name), PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
 
 
 async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:

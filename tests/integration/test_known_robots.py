@@ -19,7 +19,7 @@ from hostlink.messages.message_type import MessageType
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.away import MAX_AWAY
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.growth import is_linear
@@ -129,7 +129,7 @@ def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None
         device = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
         await asyncio.sleep(0.1)
         with pytest.raises(CommandRefused, match="a person is near"):
-            drive_gate(hub.gates, hub.robots.find("robot_0"), Velocity(linear_x_m_s=0.1), owner="test")
+            drive_gate(hub.gates, hub.robots.find("robot_0"), PlanarVelocity(x_m_s=0.1), owner="test")
         await device.aclose()
         await asyncio.sleep(FORGET_S)
         hub.emergency_stop.release(hub.robots.find("robot_0"))
@@ -147,7 +147,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
         await asyncio.sleep(0.1)
         robot = hub.robots.find("robot_0")
         for number in range(MAX_AWAY + 10):
-            drive_gate(hub.gates, robot, Velocity(linear_x_m_s=0.1), owner="test")
+            drive_gate(hub.gates, robot, PlanarVelocity(x_m_s=0.1), owner="test")
             await visit(hub, robot_topics(f"crowd_{number}"))
         assert robot.gate.owner_name == "test"
         await device.aclose()

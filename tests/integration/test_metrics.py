@@ -178,13 +178,14 @@ async def test_how_a_robot_is_driven() -> None:
         for number in range(3):
             await device.send(pose(0.1 * number) + battery(7.5))
             await asyncio.sleep(0.1)
-        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.3, "angular": -0.5}')
+        await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.3, "linear_y_m_s": 0.1, "angular": -0.5}')
         await expect(lambda: host.hub.robots.find("robot_0").odometry.count == 3)
         found = await metrics(host)
         labels = "[('axis', '{}'), ('robot', 'robot_0')]"
         assert found["hostlink_robot_driven[('robot', 'robot_0')]"] == 1
         assert found["hostlink_robot_locked[('robot', 'robot_0')]"] == 0
         assert found["hostlink_robot_commanded_speed" + labels.format("linear")] == 0.3
+        assert found["hostlink_robot_commanded_speed" + labels.format("linear_y")] == 0.1
         assert found["hostlink_robot_commanded_speed" + labels.format("angular")] == -0.5
         assert found["hostlink_robot_speed" + labels.format("linear")] == pytest.approx(1.0, rel=0.4)
         assert found["hostlink_robot_battery_volts[('robot', 'robot_0')]"] == 7.5

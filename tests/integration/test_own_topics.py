@@ -12,7 +12,7 @@ from hostlink.errors import WrongType
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import robot_topics, topic
 from tests.support.participants import NEIGHBOUR, ODOMETRY_ID, POSE, VELOCITY_ID, Scene, play, publish, subscribe
 from tests.support.scripted_device import ScriptedDevice
@@ -58,7 +58,7 @@ async def robot_works(made: Crowd, device: ScriptedDevice, *, name: str = NAME) 
     robot = made.hub.robots.find(name)
     assert robot.link is device.link
     assert {each: made.hub.topics.find(each).type_name for each in TYPES} == TYPES
-    made.hub.join("driver").drive(robot, Velocity(0.1))
+    made.hub.join("driver").drive(robot, PlanarVelocity(0.1))
     await asyncio.sleep(0.1)
     publish(made.hub, VELOCITY, {"linear": {"x": 0.2}}, source="by topic")
     publish(made.hub, RESET, {}, source="by topic")
@@ -125,7 +125,7 @@ def test_another_robots_odometry_of_that_name_is_read_on() -> None:
         device = await made.connect(robot_topics(NAME), "10.0.0.3")
         await robot_works(made, device)
         await other.send(ODOMETRY_ID, POSE.pack(7.0, 0.0, 0.0))
-        made.hub.join("driver").drive(made.hub.robots.find("other"), Velocity(0.3))
+        made.hub.join("driver").drive(made.hub.robots.find("other"), PlanarVelocity(0.3))
         await asyncio.sleep(0.1)
         observed = made.hub.robots.find("other").odometry.snapshot(asyncio.get_running_loop().time())
         assert observed is not None
@@ -216,7 +216,7 @@ def test_another_robot_that_is_driven_while_it_loses_a_name_drives_on() -> None:
         infos = [*robot_topics("other"), topic(Id.PUBLISHER, OTHER_ID, VELOCITY, "std_msgs/String")]
         other = await made.connect(infos, "10.0.0.4")
         driver, robot = made.hub.join("driver"), made.hub.robots.find("other")
-        driver.drive(robot, Velocity(0.3))
+        driver.drive(robot, PlanarVelocity(0.3))
         made.devices.append(ScriptedDevice(made.hub, robot_topics(NAME), address="10.0.0.3"))
         await asyncio.sleep(0.2)
         assert made.hub.topics.find(VELOCITY).type_name == TWIST_TYPE

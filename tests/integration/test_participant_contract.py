@@ -15,7 +15,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.hub.queue import MAX_MESSAGES, MAX_RESULTS
 from hostlink.hub.robot import Robot
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.foreign_drivers import FOREIGN
 from tests.support.participants import (
     ALL,
@@ -328,7 +328,7 @@ def test_one_that_sends_in_its_callback_what_calls_it_back_ends_alone(kind: str)
             if kind == "publish":
                 looping.participant.publish(message.topic, message.payload)
             else:
-                looping.participant.drive(robot, Velocity.decode(message.payload))
+                looping.participant.drive(robot, Twist.decode(message.payload).planar)
 
         looping.participant.subscribe(robot.shown.velocity, send_again)
         watching.subscribe(robot.shown.velocity)
@@ -383,10 +383,12 @@ def test_one_that_leaves_does_not_receive_its_own_zero() -> None:
     async def test(made: Scene) -> None:
         one = plain(made, Role.DRIVE)
         robot, heard = made.hub.robots.find(ROBOT), []
-        one.participant.subscribe(robot.shown.velocity, lambda message: heard.append(Velocity.decode(message.payload)))
+        one.participant.subscribe(
+            robot.shown.velocity, lambda message: heard.append(Twist.decode(message.payload).planar)
+        )
         one.drive(ROBOT, 0.2, made.hub)
         one.participant.leave()
-        assert heard == [Velocity(0.2)]
+        assert heard == [PlanarVelocity(0.2)]
         await asyncio.sleep(0.01)
         assert made.speeds()[-1] == 0.0
 
@@ -480,7 +482,7 @@ def test_owners_over_the_bound_leave_and_what_they_drove_stops() -> None:
     async def test(made: Scene) -> None:
         owners = Owners(made.hub)
         first = owners.of("0", Role.DRIVE)
-        first.drive(made.hub.robots.find(ROBOT), Velocity(0.2))
+        first.drive(made.hub.robots.find(ROBOT), PlanarVelocity(0.2))
         for number in range(1, 70):
             owners.of(str(number), Role.DRIVE)
         assert (len(owners), owners.evicted, first.has_left) == (64, 6, True)
@@ -508,7 +510,7 @@ def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
         assert (await program.call(DRIVE, {}))["message"] == f"the demo drives again: {ROBOT}"
         await asyncio.sleep(0.5)
         assert robot.gate.owner is participant
-        program.drive(robot, Velocity(0.1))  # another driver, whose own stop interrupts the demo, too
+        program.drive(robot, PlanarVelocity(0.1))  # another driver, whose own stop interrupts the demo, too
         await asyncio.sleep(0.3)
         made.hub.gates.stop(robot)
         await asyncio.sleep(10.0)

@@ -18,14 +18,14 @@ from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.channel import DEVICE, VELOCITY, Channel, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.virtual_loop import run_virtual
 from tests.support.waiting import expect
 
 CATALOG = Catalog()
-FORWARD = Velocity(linear_x_m_s=0.2)
+FORWARD = PlanarVelocity(x_m_s=0.2)
 PACE = play.Pace(rate=1.0, start_s=0.0, is_looped=False, is_stepped=False)
 POSE = bytes(24)
 

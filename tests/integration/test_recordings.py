@@ -27,7 +27,7 @@ from hostlink.recording.folder import Folder
 from hostlink.recording.reader import Reader, StoredMessage
 from hostlink.recording.recorder import Selection
 from hostlink.recording.recordings import Recordings
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics
 from tests.support.waiting import expect
@@ -116,7 +116,7 @@ async def test_topics_commands_log_and_parameters_are_in_the_file(tmp_path: Path
         await send_poses(host, device)
         pilot = host.hub.join("pilot")
         pilot.address = "10.0.0.5"
-        pilot.drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        pilot.drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await asyncio.sleep(0.7)
         stopped = await stop(host, "run")
     found = messages(tmp_path / "run.mcap")
@@ -261,12 +261,12 @@ async def test_a_token_that_may_read_fetches_and_does_not_record(tmp_path: Path)
 async def test_the_end_of_the_daemon_completes_the_file_with_its_last_zero(tmp_path: Path) -> None:
     async with recorded(config(tmp_path)) as (host, device):
         await start(host, name="run")
-        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await device.velocity()
     reader = Reader(tmp_path / "run.mcap")
     found = list(reader.messages())
     assert reader.damage == []
-    assert payloads(found, "/robot_0/velocity_commands")[-1] == Velocity().encode()
+    assert payloads(found, "/robot_0/velocity_commands")[-1] == PlanarVelocity().encode()
 
 
 async def test_old_recordings_go_for_the_budget_and_one_that_is_written_stays(tmp_path: Path) -> None:
@@ -370,7 +370,7 @@ async def test_a_disk_that_fills_ends_the_recording_and_nothing_else(tmp_path: P
         with capture_logs() as lines, no_file_over(len(whole(tmp_path / "run.mcap")) + 100):
             while not failed(lines):
                 await send_poses(host, device)
-            assert pilot.drive(robot, Velocity(0.2)) == Velocity(0.2)
+            assert pilot.drive(robot, PlanarVelocity(0.2)) == PlanarVelocity(0.2)
         assert (await host.get("/api/recordings"))["recordings"] == []
         await send_poses(host, device)
         await start(host, name="again")
@@ -393,7 +393,7 @@ async def test_a_channel_says_whose_it_is_and_who_publishes_it(tmp_path: Path) -
     async with recorded(config(tmp_path)) as (host, device):
         await start(host, name="run")
         await send_poses(host, device)
-        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), Velocity(0.2))
+        host.hub.join("pilot").drive(host.hub.robots.find("robot_0"), PlanarVelocity(0.2))
         await stop(host, "run")
     found = {message.channel.topic: message.channel for message in messages(tmp_path / "run.mcap")}
     origins = {topic: (channel.robot, channel.origin) for topic, channel in found.items() if channel.robot}

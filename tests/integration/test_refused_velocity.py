@@ -19,7 +19,7 @@ from hostlink.client import CommandRefused, Refused, connect
 from hostlink.config import Config
 from hostlink.errors import FrameTooLarge, HostlinkError
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import fake_device, robot_topics, topic
 from tests.support.participants import Scene, play
@@ -124,12 +124,12 @@ def test_a_client_that_asked_for_nothing_is_told_of_a_refused_velocity_once_a_se
         for number in range(48):  # in 6 s; each reason is another
             made.hub.emergency_stop.stop(robot, f"reason {number}")
             for name in topics:
-                peer.publish(name, Velocity(0.2).encode())
+                peer.publish(name, PlanarVelocity(0.2).encode())
             await asyncio.sleep(0.125)
         assert len(peer.statuses) == 2 * 6
         assert all("locked: reason" in str(status) for status in peer.statuses)
         assert {status["level"] for status in peer.statuses} == {"error" if kind == "rosbridge" else 2}
-        peer.publish(topics[0], Velocity().encode())  # a zero is accepted
+        peer.publish(topics[0], PlanarVelocity().encode())  # a zero is accepted
         assert len(peer.statuses) == 2 * 6
 
     play(test)
@@ -153,7 +153,7 @@ def test_a_client_of_rosbridge_that_said_what_it_wants_is_told_just_that(level: 
         peer.client.receive(json.dumps({"op": "set_level", "level": level}))
         made.hub.emergency_stop.stop(robot, "smoke")
         for _ in range(20):
-            peer.publish("/robot_0/cmd_vel", Velocity(0.2).encode())
+            peer.publish("/robot_0/cmd_vel", PlanarVelocity(0.2).encode())
         assert [status["kind"] for status in peer.statuses] == ["locked"] * count
 
     play(test)

@@ -80,6 +80,20 @@ async def test_a_higher_limit_is_no_command_by_itself() -> None:
         assert await device.velocity_other_than((0.0, 0.0)) == (0.5, 0.0)
 
 
+async def test_kinematics_apply_to_the_next_velocity() -> None:
+    sideways = b'{"linear": 0.0, "linear_y_m_s": 0.2, "angular": 0}'
+    async with served(Config()) as (host, file), fake_device(host.tcp, robot_topics()):
+        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", sideways))[0] == 200
+        file.config = robots(robot_0=RobotConfig(kinematics="differential"))
+        assert (await reload(host))[1]["changed"] == ["robots.robot_0.kinematics"]
+        status, answer = await host.rest("PUT", "/api/robots/robot_0/velocity", sideways)
+        assert (status, answer["error"]["kind"]) == (400, "unsupported")  # type: ignore[index]
+        assert host.hub.robots.find_here("robot_0").odometry.is_differential
+        file.config = Config()
+        await reload(host)
+        assert (await host.rest("PUT", "/api/robots/robot_0/velocity", sideways))[0] == 200
+
+
 async def test_poses_of_a_robot_that_may_be_faster_now_are_believed() -> None:
     slow = robots(robot_0=RobotConfig(max_linear_m_s=0.01))
     async with served(slow) as (host, file), fake_device(host.tcp, robot_topics()) as device:

@@ -6,7 +6,9 @@ import json
 import pytest
 from yarl import URL
 
+from hostlink.config import Config, RobotConfig
 from hostlink.protocol.frame import Id
+from hostlink.robot.velocity import Twist
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
@@ -23,15 +25,28 @@ async def test_a_robot_and_its_odometry() -> None:
     assert robot["connected"] is True
     assert robot["velocity_topic"] == "/robot_0/velocity_commands"
     assert odometry["pose"] == {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5}
-    assert odometry["twist"] == {"linear_m_s": 0.0, "angular_rad_s": 0.0}
+    assert odometry["twist"] == {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
     assert 0 <= odometry["age_s"] < 5
     assert odometry["stamp_ns"] > 1_700_000_000_000_000_000
+
+
+async def test_sideways_velocity_is_limited_and_shown_as_the_device_receives_it() -> None:
+    config = Config(robots={"robot_0": RobotConfig(max_wheel_m_s=0.3, wheel_separation_m=0.2)})
+    async with daemon(config) as host, fake_device(host.tcp, robot_topics()) as device:
+        body = b'{"linear": 0.0, "linear_y_m_s": 0.9, "angular": 0.0}'
+        _, answer = await host.rest("PUT", "/api/robots/robot_0/velocity", body)
+        assert answer["velocity"] == {"linear_m_s": 0.0, "linear_y_m_s": pytest.approx(0.3), "angular_rad_s": 0.0}
+        assert (answer["is_limited"], answer["limited_by"]) == (True, "max_wheel_m_s")
+        assert (await host.get("/api/robots/robot_0"))["velocity"] == answer["velocity"]
+        while (twist := Twist.decode(await device.frame(100))).is_zero:
+            pass
+        assert twist == pytest.approx(Twist(linear_y_m_s=0.3))
 
 
 async def test_velocity_stop_and_reset() -> None:
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device:
         status, body = await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0.5}')
-        assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "angular_rad_s": 0.5})
+        assert (status, body["velocity"]) == (200, {"linear_m_s": 0.2, "linear_y_m_s": 0.0, "angular_rad_s": 0.5})
         assert (body["is_limited"], body["limited_by"]) == (False, None)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
         status, stopped = await host.rest("POST", "/api/robots/robot_0/stop")

@@ -20,7 +20,7 @@ from hostlink.graphs.zenoh.rmw_qos import TELEMETRY
 from hostlink.graphs.zenoh.rmw_token import EndpointToken, Kind, NodeToken, gid_of
 from hostlink.graphs.zenoh.session import Session
 from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.participants import ROBOT, Scene, play
 
@@ -234,7 +234,7 @@ def test_a_refused_velocity_is_counted_and_in_both_logs_now_and_then() -> None:
         scene.neighbour.subscribe("/rosout", lambda message: lines.append(message.decoded))
         with capture_logs() as logs:
             for _ in range(150):
-                teleop.drive(scene.hub.robots.find(ROBOT), Velocity(0.1))
+                teleop.drive(scene.hub.robots.find(ROBOT), PlanarVelocity(0.1))
                 remote.drive(gid, 0.3)
                 await asyncio.sleep(0.1)
         assert remote.counts["refused"] == 150

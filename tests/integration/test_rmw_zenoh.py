@@ -23,6 +23,7 @@ from hostlink.graphs.zenoh.rmw_token import parse_token
 from hostlink.graphs.zenoh.session import MAX_PAYLOAD_BYTES, Token
 from hostlink.hub.message import Message
 from hostlink.protocol.frame import Id
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, pose, robot_topics, topic
 from tests.support.participants import text
@@ -195,7 +196,7 @@ async def test_a_topic_of_both_is_not_echoed() -> None:
 
 @pytest.mark.parametrize("type_name", [TWIST, "geometry_msgs/msg/TwistStamped"])
 async def test_both_kinds_of_twist_drive_by_one_name(type_name: str) -> None:
-    fields: dict[str, Any] = {"linear": {"x": 0.2}, "angular": {"z": 0.5}}
+    fields: dict[str, Any] = {"linear": {"x": 0.2, "y": 0.1}, "angular": {"z": 0.5}}
     if type_name != TWIST:
         fields = {"twist": fields, "header": {"frame_id": "base_link"}}
     async with (
@@ -205,7 +206,9 @@ async def test_both_kinds_of_twist_drive_by_one_name(type_name: str) -> None:
     ):
         await peer.request("stream", "streaming", topic="/robot_0/cmd_vel", type=type_name, fields=fields, hz=20)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.5)
-        assert str(world.daemon.hub.robots.find("robot_0").gate.owner_name).startswith("ros2 /zenoh_publisher")
+        gate = world.daemon.hub.robots.find("robot_0").gate
+        assert gate.current == PlanarVelocity(0.2, 0.1, 0.5)
+        assert str(gate.owner_name).startswith("ros2 /zenoh_publisher")
 
 
 async def test_hashes_are_those_of_the_other_implementation() -> None:

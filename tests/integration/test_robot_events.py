@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.errors import BadRequest, CommandRefused
 from hostlink.hub.robot_events import EventKind, RobotEvent
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import robot_topics
 from tests.support.participants import ROBOT, Scene, play
 from tests.support.scripted_device import ScriptedDevice
@@ -27,10 +27,10 @@ def observed(made: Scene, robot: str = ROBOT) -> list[RobotEvent]:
 def test_a_command_is_told_with_who_gave_it_and_what_the_limits_made_of_it() -> None:
     async def test(made: Scene) -> None:
         events = observed(made)
-        made.hub.join("pilot", priority=55).drive(made.hub.robots.find(ROBOT), Velocity(9.0))
+        made.hub.join("pilot", priority=55).drive(made.hub.robots.find(ROBOT), PlanarVelocity(9.0))
         (event,) = events
         assert (event.kind, event.facts["owner"], event.facts["priority"]) == (EventKind.COMMANDED, "pilot", 55)
-        assert (event.facts["velocity"], event.facts["limited"]) == (Velocity(9.0), Velocity(1.0))
+        assert (event.facts["velocity"], event.facts["limited"]) == (PlanarVelocity(9.0), PlanarVelocity(1.0))
 
     play(test)
 
@@ -38,10 +38,10 @@ def test_a_command_is_told_with_who_gave_it_and_what_the_limits_made_of_it() -> 
 def test_a_refused_command_is_told_with_its_reason() -> None:
     async def test(made: Scene) -> None:
         robot = made.hub.robots.find(ROBOT)
-        made.hub.join("person", priority=60).drive(robot, Velocity(0.2))
+        made.hub.join("person", priority=60).drive(robot, PlanarVelocity(0.2))
         events = observed(made)
         with pytest.raises(CommandRefused):
-            made.hub.join("program").drive(robot, Velocity(0.1))
+            made.hub.join("program").drive(robot, PlanarVelocity(0.1))
         assert [event.kind for event in events] == [EventKind.REFUSED]
         assert "person" in str(events[0].facts["reason"])
 
@@ -52,9 +52,9 @@ def test_each_end_of_a_drive_is_told() -> None:
     async def test(made: Scene) -> None:
         robot, pilot = made.hub.robots.find(ROBOT), made.hub.join("pilot")
         events = observed(made)
-        pilot.drive(robot, Velocity(0.2))
+        pilot.drive(robot, PlanarVelocity(0.2))
         await asyncio.sleep(1.0)
-        pilot.drive(robot, Velocity(0.2))
+        pilot.drive(robot, PlanarVelocity(0.2))
         pilot.leave()
         ends = [(event.facts["reason"], event.facts["owner"]) for event in events if event.kind is EventKind.STOPPED]
         assert ends == [("no command came", "pilot"), ("owner left", "pilot")]
@@ -83,7 +83,7 @@ def test_a_robot_that_comes_and_goes_is_told_and_whether_it_moved(*, was_moving:
         device = ScriptedDevice(made.hub, robot_topics("robot_2"), address="10.0.0.3")
         await asyncio.sleep(0.5)
         if was_moving:
-            made.hub.join("pilot").drive(made.hub.robots.find("robot_2"), Velocity(0.2))
+            made.hub.join("pilot").drive(made.hub.robots.find("robot_2"), PlanarVelocity(0.2))
         await device.aclose()
         await asyncio.sleep(0.1)
         kinds = [event.kind for event in events if event.kind is not EventKind.COMMANDED]
@@ -106,7 +106,7 @@ def test_an_observer_that_fails_ends_alone_and_one_that_has_left_observes_nothin
         failing.observe(fail)
         left.observe(seen.append)
         left.leave()
-        assert made.hub.join("pilot").drive(made.hub.robots.find(ROBOT), Velocity(0.2)) == Velocity(0.2)
+        assert made.hub.join("pilot").drive(made.hub.robots.find(ROBOT), PlanarVelocity(0.2)) == PlanarVelocity(0.2)
         assert failing.has_left
         assert seen == []
         with pytest.raises(BadRequest, match="has left"):

@@ -7,7 +7,6 @@ import pytest
 
 from hostlink.config import Config, RobotConfig
 from hostlink.protocol.frame import Id, encode
-from hostlink.robot.velocity import Velocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish
@@ -192,7 +191,8 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> 
     type_ = CATALOG.message("nav_msgs/Odometry")
     assert type_ is not None
     covariance = [float(number) for number in range(36)]
-    message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}})
+    twist = {"twist": {"linear": {"x": 0.2, "y": -0.1}, "angular": {"z": 0.5}}}
+    message = type_.encode({"pose": {"pose": {"position": {"x": 3.0}}, "covariance": covariance}, "twist": twist})
     async with (
         daemon() as host,
         fake_device(host.tcp, [wheels, robot_topics()[1]]) as device,
@@ -202,7 +202,10 @@ async def test_a_robot_with_an_odometry_of_its_own_keeps_what_it_publishes() -> 
         await heard(host, "/robot_0/odom")
         await device.send(encode(125, message))
         odometry = (await program.receive())["msg"]
+        shown = await host.get("/api/robots/robot_0/odometry")
     assert odometry["pose"]["pose"]["position"]["x"] == 3.0
+    assert odometry["twist"]["twist"]["linear"] == {"x": 0.2, "y": -0.1, "z": 0.0}
+    assert shown["twist"] == {"linear_m_s": 0.2, "linear_y_m_s": -0.1, "angular_rad_s": 0.5}
     assert odometry["pose"]["covariance"] == covariance
     assert odometry["twist"]["covariance"][35] == 0.01
 
@@ -216,7 +219,7 @@ async def test_a_robot_that_is_away_gives_its_names_up_to_one_that_is_connected(
         assert host.hub.topics.find("/robot_0/cmd_vel").is_gated
         async with fake_device(host.tcp, robot_topics("b")) as device:
             await device.velocity_of((0.0, 0.0))
-            publish(host.hub, "/robot_0/cmd_vel", Velocity(0.1).encode())
+            publish(host.hub, "/robot_0/cmd_vel", PlanarVelocity(0.1).encode())
             await device.velocity_of((0.1, 0.0))
         await expect(lambda: host.hub.robots.find("b").link is None)
         assert host.hub.robots.find("b").heard >= {"/robot_0/cmd_vel"}

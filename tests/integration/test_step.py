@@ -30,7 +30,7 @@ from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKi
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.motor_model import PidGains, identify_motor, simc_gains
 from hostlink.robot.step_response import Record, step_figures
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.robot import SimulatedRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics, topic
@@ -71,7 +71,7 @@ async def stands(robot: SimulatedRobot) -> None:
 
 async def stepping(host: Daemon) -> None:
     """Until the step has begun."""
-    await expect(lambda: host.hub.robots.find("robot_0").gate.current.linear_x_m_s > 0.03)
+    await expect(lambda: host.hub.robots.find("robot_0").gate.current.x_m_s > 0.03)
 
 
 # -- a step -----------------------------------------------------------------------------------------------------------
@@ -151,7 +151,7 @@ async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> No
         await stepping(host)
         robot = host.hub.robots.find("robot_0")
         stops = robot.gate.counts.stops
-        drive_gate(host.hub.gates, robot, Velocity(linear_x_m_s=0.1), owner="a person", priority=60)
+        drive_gate(host.hub.gates, robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
         assert "a person drives it" in await drive
         assert robot.gate.counts.stops == stops
         assert robot.gate.owner_name == "a person"

@@ -26,7 +26,7 @@ from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
@@ -43,7 +43,7 @@ pytestmark = pytest.mark.quiet
 
 STOP = bytes(48)
 LINE_S = 0.020  # one velocity on the line, and what the passthrough adds
-SLOW, FAST = Velocity(linear_x_m_s=0.1), Velocity(linear_x_m_s=0.3)
+SLOW, FAST = PlanarVelocity(x_m_s=0.1), PlanarVelocity(x_m_s=0.3)
 
 
 def loop() -> VirtualLoop:
@@ -57,7 +57,7 @@ async def ready(made: World) -> Robot:
     return made.hub.robots.find("robot_0")
 
 
-def drive(made: World, velocity: Velocity = FAST) -> None:
+def drive(made: World, velocity: PlanarVelocity = FAST) -> None:
     drive_gate(made.hub.gates, made.hub.robots.find("robot_0"), velocity, owner="test")
 
 
@@ -121,7 +121,7 @@ def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> No
     async def check(made: World, robot: NumberedRobot) -> None:
         since_s = loop().time()
         for number in range(1000):
-            drive(made, Velocity(linear_x_m_s=0.1 + number / 10_000))
+            drive(made, PlanarVelocity(x_m_s=0.1 + number / 10_000))
         made.hub.gates.stop(await ready(made))
         await asyncio.sleep(1.0)
         assert received_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
@@ -218,12 +218,12 @@ class OtherDaemon:
     """Another daemon, with one robot. It takes whatever it receives for new."""
 
     def __init__(self) -> None:
-        self.driven: list[Velocity] = []
+        self.driven: list[PlanarVelocity] = []
         here: Any = self
         names = RobotTopicNames("far", "/far/cmd_vel", "/far/odom", "geometry_msgs/Pose2D", None)
         self.robot = RemoteRobot(name="far", host="other", place=0, shown=names, elsewhere=here)
 
-    def drive(self, _: RemoteRobot, velocity: Velocity, **facts: object) -> None:
+    def drive(self, _: RemoteRobot, velocity: PlanarVelocity, **facts: object) -> None:
         assert facts["priority"] == PROGRAM_PRIORITY
         self.driven.append(velocity)
 
@@ -251,11 +251,11 @@ async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
 def test_commands_that_waited_while_the_daemon_stood_still_drive_no_robot_of_another_daemon(way: str) -> None:
     """That one cannot know how long they have waited here."""
 
-    async def run() -> list[Velocity]:
+    async def run() -> list[PlanarVelocity]:
         async with with_other_daemon() as (hub, other):
             program = hub.join("program")
 
-            def drive(velocity: Velocity) -> None:
+            def drive(velocity: PlanarVelocity) -> None:
                 if way == "by name":
                     program.drive(other.robot, velocity)
                 else:
@@ -277,7 +277,7 @@ def test_commands_that_waited_while_the_daemon_stood_still_drive_no_robot_of_ano
 def test_what_arrived_a_lease_ago_drives_no_robot_of_another_daemon() -> None:
     """A joystick whose old connection seems alive is known seconds after it has sent something."""
 
-    async def run() -> list[Velocity]:
+    async def run() -> list[PlanarVelocity]:
         async with with_other_daemon() as (hub, other):
             topic = hub.topics.find("/far/cmd_vel")
             with pytest.raises(CommandRefused, match=r"far: velocity is 0\.6 s old"):
@@ -358,7 +358,7 @@ def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded
         async with deaf(room_bytes=2 * 56) as device:
             robot = device.hub.robots.find("robot_0")
             for number in range(20):
-                velocity = Velocity(linear_x_m_s=0.1 + number / 100)
+                velocity = PlanarVelocity(x_m_s=0.1 + number / 100)
                 drive_gate(device.hub.gates, robot, velocity, owner="test")
                 await asyncio.sleep(0.1)
             assert robot.link is not None

@@ -17,7 +17,7 @@ from hostlink.errors import ConfigError
 from hostlink.listeners.accepting import OPENED_A_SECOND
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import TOPICS_REQUEST, Id, encode
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.transport.keyed import HELLO, MAGIC, RANDOM_BYTES, proof
 from hostlink.transport.udp import MAX_DATAGRAM_BYTES
 from hostlink.transport.udp_port import serve_udp
@@ -276,10 +276,10 @@ class TestStrangers:
             await expect(host.hub.robots.all)
             robot, program = host.hub.robots.find("robot_0"), host.hub.join("a program")
             for number in range(20):  # more than it has sent
-                program.drive(robot, Velocity(linear_x_m_s=0.1 + number / 100))
+                program.drive(robot, PlanarVelocity(x_m_s=0.1 + number / 100))
                 await asyncio.sleep(0.01)
             device.read_waiting()
-            program.drive(robot, Velocity(linear_x_m_s=0.5))
+            program.drive(robot, PlanarVelocity(x_m_s=0.5))
             await asyncio.sleep(0.05)
             assert device.read_waiting() == []
             host.hub.gates.stop(robot)

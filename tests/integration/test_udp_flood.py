@@ -11,7 +11,7 @@ import pytest
 
 from hostlink.config import Config, UdpConfig
 from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import daemon
 from tests.support.fake_device import pose, robot_topics
 from tests.support.precedence import GOES_LAST
@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.quiet, pytest.mark.timeout(60)]
 ROBOT, CROWD = "127.0.0.2", "127.0.0.3"
 STOPS = 20
 LIMIT_S = 0.1  # of the slowest of them
-MOVING = Velocity(linear_x_m_s=0.2)
+MOVING = PlanarVelocity(x_m_s=0.2)
 FLOOD = """
 import itertools, os, socket, sys
 host, port, local, data = sys.argv[1], int(sys.argv[2]), sys.argv[3], bytes.fromhex(sys.argv[4])

@@ -8,7 +8,7 @@ import pytest
 
 from hostlink.config import Config, UdpConfig
 from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.run import run_fleet
 from tests.support.background import meanwhile
 from tests.support.daemon import daemon
@@ -16,7 +16,7 @@ from tests.support.waiting import expect
 
 pytestmark = [pytest.mark.timeout(60), pytest.mark.quiet]
 HOST = "127.0.0.1"
-FORWARD = Velocity(linear_x_m_s=0.2)
+FORWARD = PlanarVelocity(x_m_s=0.2)
 
 
 def fleet(port: int, robots: int = 1) -> AbstractAsyncContextManager[None]:

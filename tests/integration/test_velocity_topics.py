@@ -9,12 +9,12 @@ from typing import NamedTuple
 import pytest
 
 from hostlink.config import Config, RobotConfig
-from hostlink.errors import CommandRefused
+from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.hub import Hub
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, robot_topics, topic
 from tests.support.participants import (
@@ -246,7 +246,7 @@ def test_what_a_device_commanded_before_it_was_known_who_it_is_is_not_obeyed_lat
         for _ in range(5):
             await made.robot.send(ODOMETRY_ID, bytes(24))
             await asyncio.sleep(0.1)
-        made.hub.join("driver").drive(made.hub.robots.find(ROBOT), Velocity(0.2))
+        made.hub.join("driver").drive(made.hub.robots.find(ROBOT), PlanarVelocity(0.2))
         device = ScriptedDevice(made.hub, [*robot_topics(ROBOT), drives], address="10.0.0.1")
         await asyncio.sleep(0.1)
         early = made.hub.links._identities.devices[device.link.number].early
@@ -277,6 +277,37 @@ def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:
         assert robot not in made.hub.gates._active
         made.hub.emergency_stop.release(robot)
         assert [each.name for each in made.hub.gates._active if each.link is None] == []
+
+    play(test)
+
+
+def test_six_numbers_reach_a_device_without_a_robot_unchanged() -> None:
+    async def test(made: Scene) -> None:
+        cart = ScriptedDevice(made.hub, NO_POSE, address="10.0.0.3")
+        await asyncio.sleep(0.5)
+        fast = Twist(9.0, -9.0, 9.0, -9.0, 9.0, -9.0)
+        made.hub.join("program").publish("/cart/cmd_vel", fast.encode())
+        await asyncio.sleep(0.1)
+        assert Twist.decode(cart.payloads(100)[-1]) == fast
+        await asyncio.sleep(LEASE_S)
+        assert Twist.decode(cart.payloads(100)[-1]) == Twist()
+        await cart.aclose()
+        await asyncio.sleep(0.1)
+
+    play(test)
+
+
+@pytest.mark.parametrize("name", ["linear_z_m_s", "angular_x_rad_s", "angular_y_rad_s"])
+@pytest.mark.parametrize("speed_m_s", [0.0, 0.2])
+def test_twist_with_a_component_that_no_robot_has_is_refused(name: str, speed_m_s: float) -> None:
+    async def test(made: Scene) -> None:
+        robot = made.hub.robots.find(ROBOT)
+        twist_ = Twist(speed_m_s)._replace(**{name: 0.1})
+        with pytest.raises(CommandRefused, match="a robot moves in the plane") as refused:
+            made.hub.join("program").publish(robot.shown.velocity, twist_.encode())
+        assert refused.value.kind is RefusalKind.UNSUPPORTED
+        await asyncio.sleep(0.1)
+        assert not any(made.speeds())
 
     play(test)
 
@@ -374,7 +405,7 @@ class TestOneRobot:
         async def test(made: Arm) -> None:
             person, script = made.hub.join("person", priority=60), made.hub.join("script")
             person.publish(ARM, twist(0.2))
-            script.drive(made.hub.robots.find(NEIGHBOUR), Velocity(0.3))
+            script.drive(made.hub.robots.find(NEIGHBOUR), PlanarVelocity(0.3))
 
         play_arm(test)
 

@@ -10,12 +10,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity
 
 OWNERS = st.sampled_from(["ann", "bob", "eve"])
 TOPICS = st.sampled_from(["cmd_vel", "arm_vel"])
 PRIORITIES = st.sampled_from([0, 50, 100])
-FORWARD = Velocity(0.2)
+FORWARD, SIDEWAYS = PlanarVelocity(0.2), PlanarVelocity(0.2, 0.1)
 MAX_STAMP_AGE_S = 1.0
 TICK_S = 0.125  # every time is a multiple, so that no sum is rounded
 
@@ -45,11 +45,20 @@ class Heard:
 class History(RuleBasedStateMachine):
     """One robot with two velocity topics, three sources, and the oracle."""
 
-    @initialize(resume_s=st.sampled_from([0.0, 1.0]), is_connected=st.sampled_from([True, True, False]))
-    def build(self, resume_s: float, is_connected: bool) -> None:
+    @initialize(
+        resume_s=st.sampled_from([0.0, 1.0]),
+        is_connected=st.sampled_from([True, True, False]),
+        kinematics=st.sampled_from([Kinematics.PLANAR, Kinematics.DIFFERENTIAL]),
+    )
+    def build(self, resume_s: float, is_connected: bool, kinematics: Kinematics) -> None:
         self.now_s = 128.0
         self.resume_s = resume_s
-        self.admission = Admission("robot_0", resume_after_reconnect_s=resume_s, max_stamp_age_s=MAX_STAMP_AGE_S)
+        self.admission = Admission(
+            "robot_0",
+            resume_after_reconnect_s=resume_s,
+            max_stamp_age_s=MAX_STAMP_AGE_S,
+            kinematics=kinematics,
+        )
         self.sources: dict[str, Heard] = {}
         self.drives: dict[str, tuple[str, float]] = {}  # by topic: the source of the last admitted command, and when
         self.is_locked, self.is_connected = False, is_connected
@@ -68,10 +77,23 @@ class History(RuleBasedStateMachine):
         waited=st.integers(0, 8),
         seen=st.sampled_from([None, 0, 1]),
         stamp_age_s=st.sampled_from([None, 1.0, 2.0]),
+        velocity=st.sampled_from([FORWARD, FORWARD, SIDEWAYS, ZERO]),
+        is_planar=st.sampled_from([True, True, True, False]),
     )
     def source_drives(
-        self, owner: str, priority: int, topic: str, waited: int, seen: int | None, stamp_age_s: float | None
+        self,
+        owner: str,
+        priority: int,
+        topic: str,
+        waited: int,
+        seen: int | None,
+        stamp_age_s: float | None,
+        velocity: PlanarVelocity,
+        is_planar: bool,
     ) -> None:
+        if velocity.is_zero:
+            is_planar = False  # else it would be a zero
+        is_supported = is_planar and not (velocity.y_m_s and self.admission.kinematics is Kinematics.DIFFERENTIAL)
         epoch = None if seen is None else self.admission.epoch - 1 + seen
         heard = self.sources.setdefault(owner, Heard())
         waited_s = waited * TICK_S
@@ -82,7 +104,9 @@ class History(RuleBasedStateMachine):
         if seen == 0:
             heard.has_missed = True
         expected = None
-        if self.is_locked:
+        if not is_supported:
+            expected = RefusalKind.UNSUPPORTED
+        elif self.is_locked:
             expected = RefusalKind.LOCKED
         elif not self.is_connected:
             expected = RefusalKind.NOT_CONNECTED
@@ -98,7 +122,8 @@ class History(RuleBasedStateMachine):
                 expected = RefusalKind.HELD
         heard.has_seen = False
         heard.commanded_s.append(self.now_s)
-        command = Command(FORWARD, owner, priority, self.now_s - waited_s, None, epoch, stamp_age_s)
+        received_s = self.now_s - waited_s
+        command = Command(velocity, owner, priority, received_s, None, epoch, stamp_age_s, is_planar)
         decision = self.admission.decide(command, self.now_s, topic=topic)
         assert decision.kind is expected
         assert decision.holder in holders | {None}

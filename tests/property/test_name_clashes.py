@@ -23,7 +23,7 @@ from hostlink.hub.message import MAX_PRIORITY
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
 from tests.support.participants import publish
@@ -195,7 +195,7 @@ class Clashes(RuleBasedStateMachine):
         speed = self.speeds / 10_000
 
         async def act() -> None:
-            robot, velocity = self.hub.robots.find(self.names[number]), Velocity(linear_x_m_s=speed)
+            robot, velocity = self.hub.robots.find(self.names[number]), PlanarVelocity(x_m_s=speed)
             self.hub.emergency_stop.release(robot)
             await asyncio.sleep(LEASE_S + 0.1)  # the driver lets go of what was interrupted
             if by == "name":

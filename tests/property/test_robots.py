@@ -36,7 +36,7 @@ from hostlink.protocol.session import Session
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.directory import find_robot
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from hostlink.robot.velocity_gate import ZEROS
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
@@ -113,7 +113,7 @@ class Drivers(RuleBasedStateMachine):
             assert robot is not None
             self.robots.appear(NAME, robot, robot, link)
             if self.is_eager and self.locked_since is None:
-                fast = Velocity(linear_x_m_s=FASTEST[0])
+                fast = PlanarVelocity(x_m_s=FASTEST[0])
                 drive_gate(self.gates, self.robots.find(NAME), fast, owner="eager")
                 self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
 
@@ -149,7 +149,7 @@ class Drivers(RuleBasedStateMachine):
     def drive(self, owner: str, priority: int, linear_m_s: float, angular_rad_s: float) -> None:
         async def now() -> None:
             robot = self.robots.find(NAME)
-            velocity = Velocity(linear_x_m_s=linear_m_s, angular_z_rad_s=angular_rad_s)
+            velocity = PlanarVelocity(x_m_s=linear_m_s, yaw_rad_s=angular_rad_s)
             kind = None
             try:
                 drive_gate(self.gates, robot, velocity, owner=owner, priority=priority)

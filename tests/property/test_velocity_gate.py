@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from hostlink.errors import CommandRefused
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.kinematics import DifferentialDrive
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import (
     LOCKED_ZERO_INTERVAL_S,
     LONGEST_STEP_S,
@@ -40,10 +40,10 @@ limits_of_all = st.builds(
 )
 components = st.just(0.0) | st.floats(-3, 3)
 nothing = st.just(0.0)
-velocities = st.builds(Velocity, *[components] * 6) | st.builds(Velocity, components, *[nothing] * 4, components)
+velocities = st.builds(PlanarVelocity, *[components] * 3) | st.builds(PlanarVelocity, components, nothing, components)
 movements = velocities.filter(lambda velocity: not velocity.is_zero)
-not_finite = st.tuples(velocities, st.integers(0, 5), st.sampled_from([math.nan, math.inf, -math.inf])).map(
-    lambda drawn: drawn[0]._replace(**{Velocity._fields[drawn[1]]: drawn[2]})
+not_finite = st.tuples(velocities, st.integers(0, 2), st.sampled_from([math.nan, math.inf, -math.inf])).map(
+    lambda drawn: drawn[0]._replace(**{PlanarVelocity._fields[drawn[1]]: drawn[2]})
 )
 owners = st.sampled_from(["ann", "bob", "eve"])
 priorities = st.sampled_from([0, 50, 100])
@@ -54,22 +54,22 @@ def share(value: float, limit: float | None) -> float:
     return 0.0 if limit is None else value / limit
 
 
-def use(velocity: Velocity, limits: Limits) -> float:
+def use(velocity: PlanarVelocity, limits: Limits) -> float:
     """How much of the strictest limit of speed a velocity uses: 1 is all of it."""
     if limits.wheel_separation_m is None:
-        wheel_m_s = velocity.linear_m_s
+        wheel_m_s = velocity.speed_m_s
     else:
         drive = DifferentialDrive(wheel_separation_m=limits.wheel_separation_m)
-        wheel_m_s = max(map(abs, drive.wheel_speeds(velocity.linear_x_m_s, velocity.angular_z_rad_s)))
+        wheel_m_s = max(map(abs, drive.wheel_speeds(velocity.speed_m_s, velocity.yaw_rad_s)))
     return max(
-        share(velocity.linear_m_s, limits.max_linear_m_s),
-        share(velocity.angular_rad_s, limits.max_angular_rad_s),
+        share(velocity.speed_m_s, limits.max_linear_m_s),
+        share(velocity.turn_rad_s, limits.max_angular_rad_s),
         share(wheel_m_s, limits.max_wheel_m_s),
     )
 
 
 @given(limits_of_speed, velocities)
-def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, requested: Velocity) -> None:
+def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Limits, requested: PlanarVelocity) -> None:
     given_ = limits.apply(requested)
     factor = min(1.0, 1 / max(use(requested, limits), 1e-300))
     assert given_ == pytest.approx(requested.scaled(factor), rel=1e-9)
@@ -77,8 +77,8 @@ def test_a_limited_velocity_keeps_its_curve_and_is_as_fast_as_may_be(limits: Lim
     assert limits.apply(given_) == pytest.approx(given_, rel=1e-9)
 
 
-@given(limits_of_all, st.builds(Velocity, *[st.floats(allow_nan=False, allow_infinity=False)] * 6))
-def test_any_finite_command_gives_finite_velocities(limits: Limits, requested: Velocity) -> None:
+@given(limits_of_all, st.builds(PlanarVelocity, *[st.floats(allow_nan=False, allow_infinity=False)] * 3))
+def test_any_finite_command_gives_finite_velocities(limits: Limits, requested: PlanarVelocity) -> None:
     gate = GateOfRobot(limits)
     for now_s, wanted in ((0.0, requested), (0.1, requested.scaled(-1)), (0.2, requested)):
         assert gate.drive("ann", wanted, priority=0, now_s=now_s).is_finite
@@ -98,11 +98,11 @@ def seconds_of(here: tuple[float, ...], there: tuple[float, ...], gain: float | 
     return share(losing, loss) + share(length - losing, gain)
 
 
-def braked(velocity: Velocity, limits: Limits, seconds: float) -> Velocity:
+def braked(velocity: PlanarVelocity, limits: Limits, seconds: float) -> PlanarVelocity:
     """What is left of a velocity after so much braking: the axis that needs longest leads."""
     needed_s = max(
-        share(velocity.linear_m_s, limits.max_linear_deceleration_m_s2),
-        share(velocity.angular_rad_s, limits.max_angular_deceleration_rad_s2),
+        share(velocity.speed_m_s, limits.max_linear_deceleration_m_s2),
+        share(velocity.turn_rad_s, limits.max_angular_deceleration_rad_s2),
     )
     return velocity.scaled(1 - seconds / needed_s) if seconds < needed_s else ZERO
 
@@ -116,7 +116,7 @@ class GateHistory(RuleBasedStateMachine):
         self.gate = GateOfRobot(limits)
         self.now_s = 100.0
         self.stepped_at_s = self.now_s
-        self.given: Velocity = ZERO  # what the device has
+        self.given: PlanarVelocity = ZERO  # what the device has
         self.owner: str | None = None
         self.wanted = ZERO
         self.deadline_s = -math.inf
@@ -132,7 +132,7 @@ class GateHistory(RuleBasedStateMachine):
         self.step()
 
     @rule(owner=owners, velocity=movements, priority=priorities)
-    def somebody_drives(self, owner: str, velocity: Velocity, priority: int) -> None:
+    def somebody_drives(self, owner: str, velocity: PlanarVelocity, priority: int) -> None:
         self.notice_the_end()
         try:
             limited = self.gate.drive(owner, velocity, priority=priority, now_s=self.now_s)
@@ -163,7 +163,7 @@ class GateHistory(RuleBasedStateMachine):
         self.step()
 
     @rule(owner=owners, velocity=not_finite, priority=priorities)
-    def somebody_sends_no_number(self, owner: str, velocity: Velocity, priority: int) -> None:
+    def somebody_sends_no_number(self, owner: str, velocity: PlanarVelocity, priority: int) -> None:
         with pytest.raises(CommandRefused):
             self.gate.drive(owner, velocity, priority=priority, now_s=self.now_s)
         self.step()
@@ -226,7 +226,7 @@ class GateHistory(RuleBasedStateMachine):
 
     # -- what must hold -----------------------------------------------------------------------------------------------
 
-    def step(self) -> Velocity | None:
+    def step(self) -> PlanarVelocity | None:
         self.notice_the_end()
         before, dt_s = self.given, self.now_s - self.stepped_at_s
         given_ = self.gate.step(self.now_s)
@@ -247,7 +247,7 @@ class GateHistory(RuleBasedStateMachine):
         assert self.gate.is_active == (self.gate.may_move or self.is_locked)
         return given_
 
-    def check_end(self, before: Velocity, given_: Velocity | None, dt_s: float) -> None:
+    def check_end(self, before: PlanarVelocity, given_: PlanarVelocity | None, dt_s: float) -> None:
         """Nobody drives: down to zero as fast as may be, then the zeros that are owed, then silence."""
         left = braked(before, self.limits, dt_s)
         assert self.gate.current == pytest.approx(left, abs=1e-6)
@@ -261,13 +261,13 @@ class GateHistory(RuleBasedStateMachine):
         else:
             assert given_ is None
 
-    def check_drive(self, before: Velocity, given_: Velocity, dt_s: float) -> None:
+    def check_drive(self, before: PlanarVelocity, given_: PlanarVelocity, dt_s: float) -> None:
         limits = self.limits
         assert use(given_, limits) <= SLACK
         gains = (limits.max_linear_acceleration_m_s2, limits.max_angular_acceleration_rad_s2)
         losses = (limits.max_linear_deceleration_m_s2, limits.max_angular_deceleration_rad_s2)
-        assert seconds_of(before[:3], given_[:3], gains[0], losses[0]) <= dt_s + 1e-6
-        assert seconds_of(before[3:], given_[3:], gains[1], losses[1]) <= dt_s + 1e-6
+        assert seconds_of(before[:2], given_[:2], gains[0], losses[0]) <= dt_s + 1e-6
+        assert seconds_of(before[2:], given_[2:], gains[1], losses[1]) <= dt_s + 1e-6
         assert self.now_s < self.deadline_s
         if (*gains, *losses) == (None,) * 4:
             assert given_ == self.wanted

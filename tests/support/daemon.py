@@ -12,7 +12,7 @@ import msgspec
 from hostlink.cli.serve import running
 from hostlink.config import BlackBoxConfig, Config
 from hostlink.hub.hub import Hub
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.background import meanwhile
 
 
@@ -68,7 +68,7 @@ async def driven(host: Daemon, name: str, linear: float) -> AsyncIterator[None]:
 
     async def repeat() -> None:
         while True:
-            participant.drive(host.hub.robots.find(name), Velocity(linear_x_m_s=linear))
+            participant.drive(host.hub.robots.find(name), PlanarVelocity(x_m_s=linear))
             await asyncio.sleep(0.1)
 
     try:

@@ -38,7 +38,7 @@ from hostlink.hub.node import Role
 from hostlink.protocol.frame import Id
 from hostlink.recording.channel import VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, PlanarVelocity, Twist
 from tests.support import foreign_drivers
 from tests.support.fake_device import CATALOG, topic
 from tests.support.foreign_drivers import FleetDriver, RmwDriver, Ros1Driver
@@ -51,6 +51,7 @@ CMD_VEL, CMD_VEL_STAMPED = f"/{ROBOT}/cmd_vel", f"/{ROBOT}/cmd_vel_stamped"
 VELOCITY_COMMANDS = f"/{ROBOT}/velocity_commands"  # as the device itself names it
 _NO_NAN = "its JSON has no number for it, and the request is refused as wrong"
 _EPOCHS = ("the current epoch arms", "an earlier epoch is refused")
+_SIDEWAYS = ("y is passed and limited", "y is refused for a differential drive")
 _PUBLISHED = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
 _IS_TOLD = {"a stream from before a new robot is disarmed": "it names the robot, and is told that there is none"}
 _IS_DROPPED = {
@@ -73,8 +74,8 @@ class EntryPoint:
     async def begin(self) -> None:
         """Come to the robot."""
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        """One command."""
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        """One command: forward, and to the left."""
         raise NotImplementedError
 
     @property
@@ -139,39 +140,41 @@ class _Rosbridge(EntryPoint):
 class RosbridgePublish(_Rosbridge):
     cannot: ClassVar = _PUBLISHED
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self.send(op="publish", topic=CMD_VEL, type=TWIST_TYPE, msg={"linear": {"x": _number(speed_m_s)}})
+        message = {"linear": {"x": _number(speed_m_s), "y": left_m_s}}
+        self.send(op="publish", topic=CMD_VEL, type=TWIST_TYPE, msg=message)
 
 
 class RosbridgeRaw(RosbridgePublish):
     """The robot's own velocity topic, as bytes."""
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        raw = base64.b64encode(Velocity(speed_m_s).encode()).decode()
+        raw = base64.b64encode(PlanarVelocity(speed_m_s, left_m_s).encode()).decode()
         self.send(op="publish", topic=VELOCITY_COMMANDS, type=TWIST_TYPE, raw=raw)
 
 
 class TwistStamped(RosbridgePublish):
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         self.send(
             op="publish",
             topic=CMD_VEL_STAMPED,
             type=TWIST_STAMPED_TYPE,
-            msg={"twist": {"linear": {"x": _number(speed_m_s)}}},
+            msg={"twist": {"linear": {"x": _number(speed_m_s), "y": left_m_s}}},
         )
 
 
 class RosbridgeDrive(_Rosbridge):
     cannot: ClassVar = _IS_TOLD | {"a velocity that is not finite": _NO_NAN}
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         sent_s = 1000.0 + _now_s() - self.late_s
         self.client.receive(
             json.dumps(
                 {"op": "drive", "id": 1, "robot": ROBOT, "linear": speed_m_s, "angular": 0.0, "sent_s": sent_s}
+                | ({"linear_y": left_m_s} if left_m_s else {})
                 | ({} if epoch is None else {"epoch": epoch})
             )
         )
@@ -186,6 +189,7 @@ class Page(_Rosbridge):
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "it sends the number of the device's connection instead") | {
         "a stream from before a new robot is disarmed": "it shows no robot that is not there",
         "a velocity that is not finite": _NO_NAN,
+        **dict.fromkeys(_SIDEWAYS, "its stick goes forward and turns"),
     }
     link: int | None = None
 
@@ -194,8 +198,9 @@ class Page(_Rosbridge):
         self.link = None if link is None else link.number
         await super().start()
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        assert not left_m_s
         came_s, link = _now_s(), self.link if speed_m_s else None
         command = {"robot": ROBOT, "linear": speed_m_s, "angular": 0, "priority": 60, "link": link}
         message = {"op": "drive", "id": "drive", **command, "sent_s": 5.5 + came_s - self.late_s}
@@ -216,9 +221,11 @@ class RestPut(EntryPoint):
         rest = Rest(made.hub, cast(Clients, None), self._owners)  # no request of a velocity asks for clients
         (self._route,) = (each for each in rest.routes() if each.path.endswith("/velocity"))
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         request = make_mocked_request("PUT", f"/api/robots/{ROBOT}/velocity", match_info={"name": ROBOT})
-        body = {"linear": speed_m_s, "angular": 0.0} | ({} if epoch is None else {"epoch": epoch})
+        body = {"linear": speed_m_s, "linear_y_m_s": left_m_s, "angular": 0.0} | (
+            {} if epoch is None else {"epoch": epoch}
+        )
         request[BODY], request[CAME] = json.dumps(body).encode(), _now_s() - self.late_s
         request[GRANT] = Grant("phone", Role.DRIVE)
         await self._route.handler(request)
@@ -239,9 +246,9 @@ class FoxglovePublish(EntryPoint):
         channel = {"id": 1, "topic": CMD_VEL, "encoding": "ros1", "schemaName": TWIST_TYPE}
         self._client.receive(json.dumps({"op": "advertise", "channels": [channel]}))
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        frame = struct.pack("<BI", 1, 1) + Velocity(speed_m_s).encode()
+        frame = struct.pack("<BI", 1, 1) + PlanarVelocity(speed_m_s, left_m_s).encode()
         self._client.do(self._client.read(frame, _now_s() - self.late_s))
         for _ in iter(self._queue.pop, None):
             continue
@@ -283,8 +290,8 @@ class _Program(EntryPoint):
 class ClientCommand(_Program):
     cannot: ClassVar = _IS_TOLD
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        await self.robot.command(speed_m_s, 0.0, epoch=epoch)
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        await self.robot.command(speed_m_s, 0.0, left_m_s, epoch=epoch)
 
 
 class ClientDrive(_Program):
@@ -304,9 +311,9 @@ class ClientDrive(_Program):
         with contextlib.suppress(HostlinkError):
             await self.give(SPEED_M_S)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        await self.robot.drive(speed_m_s, 0.0)
+        await self.robot.drive(speed_m_s, 0.0, left_m_s)
 
     def silence(self) -> None:
         """As a program that hangs."""
@@ -324,6 +331,7 @@ class Teleop(_Program):
         | {
             **dict.fromkeys(_EPOCHS, "a key has no epoch; the client sends it"),
             "a velocity that is not finite": "its speeds are steps from a finite one",
+            **dict.fromkeys(_SIDEWAYS, "it has no keys for it"),
         }
     )
 
@@ -332,8 +340,9 @@ class Teleop(_Program):
         self._driving = Driving(layout="original", linear_m_s=SPEED_M_S, angular_rad_s=1.0)
         self._keys = KeyDriver(self.robot, self._driving, WatchedRobot(cast(RobotState, {})))
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
+        assert not left_m_s
         if speed_m_s:
             self._driving.receive(Key("w"), _now_s())
             await self._keys.send_what_is_due()
@@ -363,13 +372,21 @@ class Play(_Program):
 
     async def begin(self) -> None:
         self._folder = tempfile.TemporaryDirectory()
-        self._file = Path(self._folder.name) / "run.mcap"
+        self._write("run.mcap", PlanarVelocity(SPEED_M_S))
+
+    def _write(self, name: str, velocity: PlanarVelocity) -> None:
+        self._file = Path(self._folder.name) / name
         writer = McapWriter(self._file, metadata={})
         type_ = CATALOG.message(TWIST_TYPE)
         channel = ros_channel(CMD_VEL, TWIST_TYPE, type_, is_latched=False, robot=ROBOT, origin=VELOCITY)
         for number in range(100):
-            writer.write(channel, 10**18 + number * 10**8, Velocity(SPEED_M_S).encode())
+            writer.write(channel, 10**18 + number * 10**8, velocity.encode())
         writer.close()
+
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        assert epoch is None
+        self._write("other.mcap", PlanarVelocity(speed_m_s, left_m_s))
+        await self.start()
 
     async def start(self) -> None:
         self.silence()
@@ -419,13 +436,13 @@ class RclpyBridge(EntryPoint):
         async with self._driver.running():
             await asyncio.Event().wait()
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         for host in self.hosts:
             host.connection_.delay_s = self.late_s
         self._update(b"publisher")
         if self.made.hub.robots.get_here(ROBOT) is not None:  # else the bridge subscribes to no topic of it
-            self._driver.receive(self._route, (speed_m_s, 0.0), b"publisher")
+            self._driver.receive(self._route, Twist(speed_m_s, left_m_s), b"publisher")
         await asyncio.sleep(0.01)
         if "finite" in self._reported:
             raise CommandRefused(ROBOT, RefusalKind.NOT_FINITE, self._reported)
@@ -455,9 +472,9 @@ class Ros1Publisher(EntryPoint):
     async def begin(self) -> None:
         self._driver = Ros1Driver(self.made)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self._driver.drive(ROBOT, speed_m_s, self.made.hub)
+        self._driver.drive(ROBOT, speed_m_s, self.made.hub, left_m_s=left_m_s)
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -469,13 +486,15 @@ class RmwPublisher(EntryPoint):
     async def begin(self) -> None:
         self._driver = RmwDriver(self.made)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
         if self.late_s:
             late_s = self.late_s
-            asyncio.get_running_loop().call_later(late_s, lambda: self._driver.drive(speed_m_s, late_s=late_s))
+            asyncio.get_running_loop().call_later(
+                late_s, lambda: self._driver.drive(speed_m_s, left_m_s=left_m_s, late_s=late_s)
+            )
         else:
-            self._driver.drive(speed_m_s)
+            self._driver.drive(speed_m_s, left_m_s=left_m_s)
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -489,8 +508,8 @@ class Fleet(EntryPoint):
     async def begin(self) -> None:
         self._driver = FleetDriver(self.made)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        self._driver.drive(ROBOT, speed_m_s, self.made.hub, late_s=self.late_s, epoch=epoch)
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        self._driver.drive(ROBOT, speed_m_s, self.made.hub, left_m_s=left_m_s, late_s=self.late_s, epoch=epoch)
 
     async def vanish(self) -> None:
         self._driver.vanish()
@@ -504,9 +523,11 @@ class FleetPublisher(Fleet):
         "a stream from before a new robot is disarmed": "what is published to a robot of another daemon is commanded",
     }
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self._driver.publish(self.made.hub.robots.find(ROBOT).shown.velocity, Velocity(speed_m_s).encode())
+        self._driver.publish(
+            self.made.hub.robots.find(ROBOT).shown.velocity, PlanarVelocity(speed_m_s, left_m_s).encode()
+        )
 
 
 class FleetSender(EntryPoint):
@@ -525,8 +546,8 @@ class FleetSender(EntryPoint):
     def refused(self) -> Counter[RefusalKind]:
         return super().refused() + Counter(self._sender.robot.gate.admission.refused)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
-        await self._sender.drive(speed_m_s, late_s=self.late_s, epoch=epoch)
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
+        await self._sender.drive(PlanarVelocity(speed_m_s, left_m_s), late_s=self.late_s, epoch=epoch)
 
     async def vanish(self) -> None:
         self._sender.vanish()
@@ -541,9 +562,9 @@ class FleetSenderPublish(FleetSender):
 
     cannot: ClassVar = dict.fromkeys(_EPOCHS, "a Twist has no epoch")
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        self._sender.publish(CMD_VEL, speed_m_s, late_s=self.late_s)
+        self._sender.publish(CMD_VEL, PlanarVelocity(speed_m_s, left_m_s), late_s=self.late_s)
 
 
 class DevicePublisher(EntryPoint):
@@ -558,9 +579,9 @@ class DevicePublisher(EntryPoint):
         self._device = ScriptedDevice(self.made.hub, infos, address="10.0.0.3")
         await asyncio.sleep(0.5)
 
-    async def give(self, speed_m_s: float, *, epoch: int | None = None) -> None:
+    async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         assert epoch is None
-        await self._device.send(126, Velocity(speed_m_s).encode())
+        await self._device.send(126, PlanarVelocity(speed_m_s, left_m_s).encode())
 
     async def vanish(self) -> None:
         self.silence()
@@ -584,6 +605,7 @@ class Demo(EntryPoint):
             "a zero arms",
             "a zero of another changes nothing",
             "a velocity that is not finite",
+            *_SIDEWAYS,
         ),
         "it gives its curve, from inside of the daemon",
     ) | dict.fromkeys(
@@ -609,7 +631,7 @@ class Demo(EntryPoint):
 
     async def begin(self) -> None:
         self._participant = self.made.hub.join("demo", priority=0)
-        self.made.neighbour.drive(self.made.hub.robots.find("robot_1"), Velocity(0.2))
+        self.made.neighbour.drive(self.made.hub.robots.find("robot_1"), PlanarVelocity(0.2))
 
     async def _repeat(self) -> None:
         await demo.DemoDriver(self.made.hub, self._participant).run()

@@ -38,7 +38,7 @@ from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
 from tests.support.memory_zenoh import MemoryNetwork, MemorySession
 from tests.support.participants import ROBOT, Scene
@@ -87,10 +87,10 @@ class Ros1Driver:
         assert self._connection._source is not None
         return self._connection._source.participant
 
-    def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
+    def drive(self, robot: str, speed_m_s: float, hub: Hub, *, left_m_s: float = 0.0) -> None:
         assert hub.robots.find(robot).shown.velocity == self._connection._topic.name
         before = self._parts.counts.refused_messages
-        self._connection.wire.data_received(encode_message(Velocity(speed_m_s).encode()))
+        self._connection.wire.data_received(encode_message(PlanarVelocity(speed_m_s, left_m_s).encode()))
         if self._parts.counts.refused_messages > before:
             raise CommandRefused(robot, RefusalKind.HELD, f"{robot}: another source was first")
 
@@ -140,6 +140,7 @@ class FleetDriver:
         speed_m_s: float,
         hub: Hub,  # noqa: ARG002 - as the other kinds have it
         *,
+        left_m_s: float = 0.0,
         late_s: float = 0.0,
         epoch: int | None = None,
     ) -> None:
@@ -150,7 +151,7 @@ class FleetDriver:
             robot=robot,
             owner=1,
             owner_name="client 3",
-            velocity=(speed_m_s, 0.0, 0.0, 0.0, 0.0, 0.0),
+            velocity=(speed_m_s, left_m_s, 0.0, 0.0, 0.0, 0.0),
             priority=PRIORITY,
         )
         self._drivers.receive(Sample(self._keys.key("drive", self._there, to=self._here.zid), encode(request)))
@@ -192,14 +193,14 @@ class FleetSender:
     def robot(self) -> Robot | RemoteRobot:
         return self.hub.robots.find(ROBOT)
 
-    async def drive(self, speed_m_s: float, *, late_s: float = 0.0, epoch: int | None = None) -> None:
-        participant, robot, velocity = self.participant, self.robot, Velocity(speed_m_s)
+    async def drive(self, velocity: PlanarVelocity, *, late_s: float = 0.0, epoch: int | None = None) -> None:
+        participant, robot = self.participant, self.robot
         participant.drive(robot, velocity, priority=PRIORITY, received_s=_now_s() - late_s, epoch=epoch)
         await participant.driven(robot, velocity)
 
-    def publish(self, topic: str, speed_m_s: float, *, late_s: float = 0.0) -> None:
+    def publish(self, topic: str, velocity: PlanarVelocity, *, late_s: float = 0.0) -> None:
         self.participant.advertise(topic, TWIST_TYPE)
-        self.participant.publish(topic, Velocity(speed_m_s).encode(), at_s=_now_s() - late_s)
+        self.participant.publish(topic, velocity.encode(), at_s=_now_s() - late_s)
 
     def vanish(self) -> None:
         self.participant.leave()
@@ -227,10 +228,12 @@ class RmwDriver:
         assert isinstance(token, EndpointToken)
         self._publishers.add(token, endpoint.encode())
 
-    def drive(self, speed_m_s: float, *, late_s: float = 0.0) -> None:
+    def drive(self, speed_m_s: float, *, left_m_s: float = 0.0, late_s: float = 0.0) -> None:
         self._sent += 1
         attachment = Attachment(self._sent, int((100.0 + _now_s() - late_s) * 1e9), self._gid)
-        self._publishers.publish(attachment, (self._topic, ROS2_TWIST), Velocity(speed_m_s).encode(), topic=self._topic)
+        self._publishers.publish(
+            attachment, (self._topic, ROS2_TWIST), PlanarVelocity(speed_m_s, left_m_s).encode(), topic=self._topic
+        )
 
     def vanish(self) -> None:
         """Its token is gone."""

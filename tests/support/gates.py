@@ -8,39 +8,39 @@ from hostlink.hub.drivable import Drivable
 from hostlink.hub.gates import Gates
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import Limits, VelocityGate
+from hostlink.robot.velocity import ZERO, PlanarVelocity
+from hostlink.robot.velocity_gate import Limits, V, VelocityGate
 
 FREE = Limits(max_linear_m_s=None, max_angular_rad_s=None)
 GENTLE = Limits(max_linear_acceleration_m_s2=1.0, max_angular_acceleration_rad_s2=10.0)
 HEAVY = dataclasses.replace(GENTLE, max_linear_deceleration_m_s2=2.0, max_angular_deceleration_rad_s2=20.0)
-FORWARD = Velocity(0.3)
-TURN = Velocity(0.2, angular_z_rad_s=1.0)
+FORWARD = PlanarVelocity(0.3)
+TURN = PlanarVelocity(0.2, yaw_rad_s=1.0)
 
 
 def drive_gate(
     gates: Gates,
     robot: Drivable | RemoteRobot,
-    velocity: Velocity,
+    velocity: PlanarVelocity,
     *,
     owner: Hashable = "test",
     priority: int = 50,
     epoch: int | None = None,
-) -> Velocity:
+) -> PlanarVelocity:
     """A command of an owner that has just come."""
     now_s = asyncio.get_running_loop().time()
     return gates.command(robot, Command(velocity, owner, priority, now_s, epoch=epoch))
 
 
-class GateOfRobot(VelocityGate):
+class GateOfRobot(VelocityGate[PlanarVelocity]):
     """A gate and its admission together, as `Gates` uses them."""
 
     def __init__(self, limits: Limits, *, lease_s: float = LEASE_S) -> None:
-        super().__init__(Admission("robot_0", lease_s=lease_s), limits)
+        super().__init__(Admission("robot_0", lease_s=lease_s), limits, ZERO)
         self.admission.connect(0.0)
 
-    def drive(self, owner: str, velocity: Velocity, *, now_s: float, priority: int = 50) -> Velocity:
-        return self.command(Command(velocity, owner, priority, now_s), velocity, now_s=now_s)
+    def drive(self, owner: str, velocity: PlanarVelocity, *, now_s: float, priority: int = 50) -> PlanarVelocity:
+        return self.command(Command(velocity, owner, priority, now_s), now_s=now_s)
 
     def interrupt(self, *, now_s: float) -> None:
         self.admission.interrupt(now_s)
@@ -73,14 +73,14 @@ def driven(limits: Limits = FREE, *, priority: int = 50) -> GateOfRobot:
     return ours
 
 
-def outputs(ours: GateOfRobot, now_s: float, count: int = 5) -> list[Velocity | None]:
+def outputs(ours: VelocityGate[V], now_s: float, count: int = 5) -> list[V | None]:
     return [ours.step(now_s + number * 0.05) for number in range(count)]
 
 
 STOPPED = [ZERO, ZERO, ZERO, None, None]
 
 
-def moving(limits: Limits, velocity: Velocity = FORWARD) -> GateOfRobot:
+def moving(limits: Limits, velocity: PlanarVelocity = FORWARD) -> GateOfRobot:
     """`ann` has driven at this velocity for a while, until 1.0 s."""
     ours = gate(limits)
     for tenths in range(11):

@@ -26,7 +26,7 @@ from hostlink.hub.participant import Participant
 from hostlink.hub.queue import Queue
 from hostlink.hub.subscription import Subscription
 from hostlink.messages.message_type import ServiceType
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG, robot_topics
 from tests.support.scripted_device import ScriptedDevice
 from tests.support.virtual_loop import run_virtual
@@ -120,7 +120,7 @@ class Program:
         return await self.participant.call(service, request)
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
-        self.participant.drive(hub.robots.find(robot), Velocity(speed_m_s))
+        self.participant.drive(hub.robots.find(robot), PlanarVelocity(speed_m_s))
 
     def settle(self) -> None:
         self.participant.flush(asyncio.get_running_loop().time())
@@ -288,7 +288,7 @@ class FoxgloveProgram:
 
     def drive(self, robot: str, speed_m_s: float, hub: Hub) -> None:
         topic = hub.robots.find(robot).shown.velocity
-        self.publish(topic, "geometry_msgs/Twist", Velocity(speed_m_s).encode())
+        self.publish(topic, "geometry_msgs/Twist", PlanarVelocity(speed_m_s).encode())
 
     def settle(self) -> None:
         """Read all that waits."""
@@ -401,7 +401,7 @@ class Scene:
     async def neighbour_works(self) -> None:
         """It is driven, it is heard, and it answers; no link has ended."""
         before = len(self.neighbour_heard)
-        self.neighbour.drive(self.hub.robots.find(NEIGHBOUR), Velocity(0.2))
+        self.neighbour.drive(self.hub.robots.find(NEIGHBOUR), PlanarVelocity(0.2))
         await self.other.send(ODOMETRY_ID, POSE.pack(0.0, 0.0, 0.0))
         await asyncio.sleep(0.1)
         assert struct.unpack("<6d", self.other.payloads(VELOCITY_ID)[-1])[0] == 0.2
@@ -412,9 +412,13 @@ class Scene:
         assert len(self.hub.links.all()) == 2
         assert self.hub.isolation.crashes.keys() <= {"participant"}
 
+    def twists(self) -> list[Twist]:
+        """The velocities that the robot received."""
+        return [Twist.decode(payload) for payload in self.robot.payloads(VELOCITY_ID)]
+
     def speeds(self) -> list[float]:
-        """Of the velocities that the robot received."""
-        return [struct.unpack("<6d", payload)[0] for payload in self.robot.payloads(VELOCITY_ID)]
+        """Those forward of the velocities that the robot received."""
+        return [twist.linear_x_m_s for twist in self.twists()]
 
     def uses_of(self, participant: Participant) -> list[str]:
         """Whatever of a participant is in the hub."""

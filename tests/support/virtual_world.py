@@ -12,7 +12,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.messages.catalog import Catalog
 from hostlink.protocol.session import Session
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import subscribe
@@ -81,7 +81,7 @@ class World:
 
 def command(hub: Hub, number: int) -> bool:
     """Drive robot_0 at the speed of this number, whatever was before; False when the host has no such robot."""
-    velocity = Velocity(linear_x_m_s=(number + 1) * LEAST_STEP_M_S)
+    velocity = PlanarVelocity(x_m_s=(number + 1) * LEAST_STEP_M_S)
     try:
         robot = hub.robots.find("robot_0")
         drive_gate(hub.gates, robot, velocity, owner="test", epoch=robot.gate.admission.epoch)

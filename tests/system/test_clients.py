@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from hostlink.config import ApiConfig, Config, RecordingConfig
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.daemon import Daemon, daemon
 from tests.support.proxy import Line, proxy
 from tests.support.simulated import simulated_robot
@@ -231,9 +231,9 @@ async def test_a_robot_stands_soon_after_foxglove_is_killed_or_frozen(number: si
         )
         try:
             await expect(lambda: robot.gate.owner is not None)
-            sent: list[Velocity] = []
+            sent: list[PlanarVelocity] = []
             watching = host.hub.join("watching")
-            watching.subscribe(robot.shown.velocity, lambda message: sent.append(Velocity.decode(message.payload)))
+            watching.subscribe(robot.shown.velocity, lambda message: sent.append(Twist.decode(message.payload).planar))
             await expect(lambda: len(sent) > 5 and not sent[-1].is_zero)
             program.send_signal(number)
             signalled_s = asyncio.get_running_loop().time()

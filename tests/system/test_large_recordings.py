@@ -12,7 +12,7 @@ import pytest
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.channel import DEVICE, NS_PER_S, VELOCITY, ros_channel
 from hostlink.recording.mcap_writer import McapWriter
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 
 MEGABYTE = 1_000_000
 FILE_BYTES = 300 * MEGABYTE
@@ -38,7 +38,7 @@ def write(path: Path) -> None:
         for part in range(POSES_PER_IMAGE):
             stamp_ns = BEGIN_NS + (number * POSES_PER_IMAGE + part) * NS_PER_S // 100
             writer.write(ODOMETRY, stamp_ns, POSE.encode({"x": number / 10}))
-        writer.write(VELOCITIES, stamp_ns, Velocity(0.1).encode())
+        writer.write(VELOCITIES, stamp_ns, PlanarVelocity(0.1).encode())
         writer.write(IMAGE, stamp_ns, IMAGE_BYTES.to_bytes(4, "little") + number.to_bytes(8, "little") + noise[8:])
         writer.end_chunk()
     writer.close()

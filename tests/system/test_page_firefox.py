@@ -43,7 +43,7 @@ async def scene() -> AsyncIterator[Scene]:
 
 def commanded(host: Daemon, name: str = "robot_0") -> tuple[float, str | None]:
     gate = host.hub.robots.find_here(name).gate
-    return gate.current.linear_x_m_s, gate.owner_name
+    return gate.current.x_m_s, gate.owner_name
 
 
 async def stands(host: Daemon, name: str = "robot_0") -> None:

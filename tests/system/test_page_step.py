@@ -41,7 +41,7 @@ async def bench(browser: Browser) -> AsyncIterator[tuple[Daemon, SimulatedRobot,
 
 
 def speed_m_s(host: Daemon) -> float:
-    return float(host.hub.robots.find("robot_0").gate.current.linear_x_m_s)
+    return float(host.hub.robots.find("robot_0").gate.current.x_m_s)
 
 
 async def press(tab: Visit) -> None:

@@ -28,6 +28,7 @@ from hostlink.graphs.ros2.qos import COMMAND, publisher_qos
 from hostlink.graphs.ros2.types import Types
 from hostlink.graphs.ros2.values import fill, to_json
 from hostlink.graphs.ros2.velocity import VelocityDriver
+from hostlink.robot.velocity import Twist
 
 INBOX_DEPTH = 64  # messages of a topic from ROS 2 that wait to be sent
 COMMAND_INBOX_DEPTH = 8  # of all publishers of a velocity topic
@@ -136,10 +137,9 @@ class Routes:
         with self._velocity.driving(route):
             async with self._node.subscription(route.topic, cls, COMMAND, receive, is_raw=False):
                 async for message, info in inbox:
-                    twist = message.twist if is_stamped else message
-                    velocity = (float(twist.linear.x), float(twist.angular.z))
+                    twist = _twist(message.twist if is_stamped else message)
                     is_first = info.get("publication_sequence_number") == 1
-                    self._velocity.receive(route, velocity, sender(route, info), is_first=is_first)
+                    self._velocity.receive(route, twist, sender(route, info), is_first=is_first)
 
     async def _serve(self, route: Server) -> None:
         cls = load_type(ros2_type(route.type_name, "srv"))
@@ -188,6 +188,11 @@ def sender(route: VelocityInput, info: Mapping[str, Any]) -> bytes | str:
     """Who has published a message: its gid where rclpy says it (since Kilted), else all of the topic are one."""
     gid = info.get("publisher_gid")
     return route.topic if gid is None else bytes(gid["data"])
+
+
+def _twist(message: Any) -> Twist:
+    linear, angular = message.linear, message.angular
+    return Twist(*map(float, (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)))
 
 
 def _fill_response(response: Any, values: Mapping[str, Any]) -> None:

@@ -4,17 +4,17 @@ of its own: it ends with the publisher, and the robot stops.
 
 import asyncio
 import contextlib
-import math
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from typing import NamedTuple
 
 from hostlink.client import Host
 from hostlink.client.connection import waits
-from hostlink.errors import HostlinkError
+from hostlink.errors import HostlinkError, RefusalKind
 from hostlink.graphs.refusal_log import RefusalLog
 from hostlink.graphs.ros2.plan import VelocityInput
-from hostlink.robot.admission import LEASE_S, EarlierMotion
+from hostlink.robot.admission import LEASE_S, NOT_PLANAR, EarlierMotion
+from hostlink.robot.velocity import ZERO, PlanarVelocity, Twist
 
 HEARTBEAT_S = 0.05
 STALL_S = LEASE_S  # this process did not run for longer than a velocity holds: what comes next may have waited
@@ -22,7 +22,6 @@ MAX_COMMANDS_S = 600.0  # of an owner; the daemon closes a connection that sends
 MAX_OWNERS = 32
 MATCH_S = 3.0  # until ROS 2 has connected a publisher and a subscription that know of each other
 GRACE_S = 1.0  # until ROS 2's graph has a publisher whose first message came
-ZERO = (0.0, 0.0)
 Report = Callable[[str], None]
 Connect = Callable[[], contextlib.AbstractAsyncContextManager[Host]]
 Key = bytes | str  # of a publisher: its gid, or its topic where rclpy does not say who has sent a message
@@ -61,14 +60,14 @@ class VelocityDriver:
             for owner in self._owners.values():
                 owner.end(route)
 
-    def receive(self, route: VelocityInput, velocity: tuple[float, float], key: Key, *, is_first: bool = False) -> None:
+    def receive(self, route: VelocityInput, twist: Twist, key: Key, *, is_first: bool = False) -> None:
         """A velocity came on a topic, from this publisher; `is_first`: of all that it has published there."""
         self._note_time()
         owner = self._owners.get(key) or self._add(key)
         if owner is not None:
             older = self._older.get(route.robot)
             is_older = older is not None and not is_first and key in older.keys
-            owner.receive(route, velocity, older.until_s if older is not None and is_older else None)
+            owner.receive(route, twist, older.until_s if older is not None and is_older else None)
 
     def update(self, robots: Iterable[str], publishers: frozenset[Key]) -> None:
         """The robots that the daemon knows, and the publishers that ROS 2 has now: who is gone drives no more.
@@ -118,7 +117,7 @@ class _Waiting(NamedTuple):
     """The newest velocity of a topic, until it is sent."""
 
     robot: str
-    velocity: tuple[float, float]
+    velocity: PlanarVelocity
     epoch: int | None
     at_s: float
 
@@ -140,17 +139,20 @@ class _Owner:
     def receive(
         self,
         route: VelocityInput,
-        velocity: tuple[float, float],
+        twist: Twist,
         older_until_s: float | None,
     ) -> None:
         """It has published a velocity; `older_until_s`: what it streams until then, it may have begun before."""
+        if not twist.is_planar:  # a command of the client has x, y and yaw alone
+            self._explain(route.robot, RefusalKind.UNSUPPORTED, NOT_PLANAR)
+            return
         now_s = asyncio.get_running_loop().time()
         if route not in self._motions:
             self._motions[route] = EarlierMotion() if older_until_s is None else EarlierMotion(older_until_s)
         epoch, before = self._motions[route].pop_epoch(now_s), self._waiting.get(route)
         if before is not None and epoch is None:
             epoch = before.epoch  # of the motion that this velocity continues, and which the daemon does not know yet
-        self._waiting[route] = _Waiting(route.robot, velocity, None if velocity == ZERO else epoch, now_s)
+        self._waiting[route] = _Waiting(route.robot, twist.planar, None if twist.is_zero else epoch, now_s)
         self._news.set()
 
     def is_gone(self, *, is_there: bool) -> bool:
@@ -204,15 +206,16 @@ class _Owner:
     async def _send(self, host: Host, waiting: _Waiting) -> None:
         """A zero is sent at once, another when the daemon's limit allows it."""
         loop = asyncio.get_running_loop()
-        if waiting.velocity != ZERO and self._free_at_s > loop.time():
+        if not waiting.velocity.is_zero and self._free_at_s > loop.time():
             await asyncio.sleep(self._free_at_s - loop.time())
         self._free_at_s = max(self._free_at_s, loop.time() - 1.0) + 1.0 / MAX_COMMANDS_S
         robot = host.robot(waiting.robot, priority=self._priority)
         try:
-            await robot.command(*waiting.velocity, epoch=waiting.epoch)
+            x_m_s, y_m_s, yaw_rad_s = waiting.velocity
+            await robot.command(x_m_s, yaw_rad_s, y_m_s, epoch=waiting.epoch)
         except HostlinkError as error:  # there is no connection, or the velocity is not finite
             self._explain(waiting.robot, error.kind, str(error))
-            if all(map(math.isfinite, waiting.velocity)):
+            if waiting.velocity.is_finite:
                 self.interrupt()  # the daemon does not know yet of what motion the next one is
         else:
             if robot.refusal is not None:

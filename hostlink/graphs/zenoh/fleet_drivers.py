@@ -160,7 +160,7 @@ class FleetDrivers:
         limited = participant.drive(
             robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
         )
-        return Answer(number=request.number, velocity=limited, epoch=robot.gate.admission.epoch)
+        return Answer(number=request.number, velocity=limited.twist, epoch=robot.gate.admission.epoch)
 
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> Answer:
         name = request.robot

@@ -9,7 +9,7 @@ import msgspec
 
 from hostlink.errors import BadPayload
 from hostlink.hub.message import MAX_PRIORITY
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 
 MAX_ROBOTS = 256  # of one daemon
 MAX_TOPICS = 4096  # of one daemon
@@ -57,7 +57,10 @@ class Keys:
 
 
 class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """The newest pose, and the motion. It comes ten times a second, so its fields have no names."""
+    """The newest pose, and the motion. It comes ten times a second, so its fields have no names.
+
+    An older daemon does not send the last one.
+    """
 
     x_m: float
     y_m: float
@@ -70,6 +73,7 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     count: int
     restarts: int = 0
     ignored: int = 0
+    linear_y_m_s: float = 0.0
 
 
 class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -86,7 +90,8 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     lock_reason: Text | None = None
     unreachable: Text | None = None
     is_played: bool = False  # its device is a recording
-    velocity: tuple[float, float] = (0.0, 0.0)
+    velocity: tuple[float, float] = (0.0, 0.0)  # forward, and the turn; older daemons send no more
+    linear_y_m_s: float = 0.0
     lease_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
     epoch: int | None = None
     pose: PoseState | None = None
@@ -112,6 +117,7 @@ class Motion(msgspec.Struct, frozen=True, array_like=True):
     name: RobotName
     velocity: tuple[float, float]
     pose: PoseState | None
+    linear_y_m_s: float = 0.0  # an older daemon does not send it
 
 
 class Live(msgspec.Struct, frozen=True, kw_only=True):
@@ -151,9 +157,9 @@ class Drive(msgspec.Struct, frozen=True, kw_only=True, tag="drive"):
     epoch: int | None = None  # of the robot, as the sender last saw it
 
     @property
-    def wanted(self) -> Velocity:
+    def wanted(self) -> PlanarVelocity:
         """The velocity."""
-        return Velocity(*self.velocity)
+        return Twist(*self.velocity).planar
 
 
 class Release(msgspec.Struct, frozen=True, kw_only=True, tag="release"):

@@ -33,7 +33,7 @@ from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Sample
 from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.logs import printable
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 
 log = structlog.get_logger()
 
@@ -54,7 +54,7 @@ class _Command:
     answer: Answer | None = None
     is_answered: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def result(self) -> Velocity:
+    def result(self) -> PlanarVelocity:
         """The velocity after the limits.
 
         Raises:
@@ -64,7 +64,7 @@ class _Command:
             raise DeviceGone(self.robot.name, f"{self.neighbour.sender.name} does not answer")
         if self.answer.error:
             raise _refusal(self.robot.name, self.answer)
-        return Velocity(*(self.answer.velocity or ()))
+        return Twist(*(self.answer.velocity or ())).planar
 
 
 @dataclass(slots=True, eq=False)
@@ -95,7 +95,7 @@ class FleetRequests:
     # -- Elsewhere ----------------------------------------------------------------------------------------------------
 
     def drive(
-        self, robot: RemoteRobot, velocity: Velocity, *, owner: Hashable, priority: int, epoch: int | None
+        self, robot: RemoteRobot, velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
     ) -> None:
         """Send a command of an owner.
 
@@ -119,13 +119,13 @@ class FleetRequests:
             robot=robot.name,
             owner=self._owners[owner],
             owner_name=printable(str(owner)),
-            velocity=velocity,
+            velocity=velocity.twist,
             priority=priority,
             epoch=epoch,
         )
         self._request(neighbour, request)
 
-    async def answer(self, robot: RemoteRobot, owner: Hashable) -> Velocity:
+    async def answer(self, robot: RemoteRobot, owner: Hashable) -> PlanarVelocity:
         """The answer to the newest command of an owner: the velocity after the limits.
 
         Raises:

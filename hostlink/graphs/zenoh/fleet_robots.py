@@ -21,8 +21,8 @@ from hostlink.hub.robot import Robot
 from hostlink.logs import of_peer, printable
 from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometrySnapshot, Twist
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.odometry_estimator import OdometrySnapshot
+from hostlink.robot.velocity import PlanarVelocity
 
 log = structlog.get_logger()
 
@@ -98,7 +98,7 @@ class FleetRobots:
         holder = state.holder and state.holder.removesuffix(f" at {self._post.me.name}")  # one who is here
         gate.owner_name, gate.priority = holder, state.priority
         gate.report(epoch=state.epoch, lock_reason=state.lock_reason, now_s=_now_s())
-        gate.current = Velocity(linear_x_m_s=state.velocity[0], angular_z_rad_s=state.velocity[1])
+        gate.current = PlanarVelocity(state.velocity[0], state.linear_y_m_s, state.velocity[1])
         gate.admission.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
         robot.is_played = state.is_played
         if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):
@@ -194,7 +194,7 @@ def _snapshot(state: RobotState) -> OdometrySnapshot:
     assert pose is not None  # noqa: S101 - the caller has looked
     return OdometrySnapshot(
         pose=Pose(pose.x_m, pose.y_m, pose.theta_rad),
-        twist=Twist(pose.linear_m_s, pose.angular_rad_s),
+        twist=PlanarVelocity(pose.linear_m_s, pose.linear_y_m_s, pose.angular_rad_s),
         stamp_ns=pose.stamp_ns,
         age_s=pose.age_s,
         rate_hz=pose.rate_hz,

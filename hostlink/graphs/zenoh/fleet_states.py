@@ -40,7 +40,10 @@ class FleetStates:
         """Send what has changed; `topics`: the number of the list of topics."""
         now_s = _now_s()
         states = self.states()
-        known = (topics, *(msgspec.structs.replace(each, pose=None, velocity=(0.0, 0.0)) for each in states))
+        known = (
+            topics,
+            *(msgspec.structs.replace(each, pose=None, velocity=(0.0, 0.0), linear_y_m_s=0.0) for each in states),
+        )
         if now_s >= self._due_s or now_s < self._greeting_until_s or known != self._known:
             self._due_s, self._known = now_s + STATE_INTERVAL_S, known
             self._states.put(encode(State(sent_s=now_s, topics=topics, robots=states)))
@@ -49,9 +52,9 @@ class FleetStates:
 
     def _send_motions(self, states: tuple[RobotState, ...]) -> None:
         """Of the robots that have moved, or whose velocity is another."""
-        motions = {state.name: Motion(state.name, state.velocity, state.pose) for state in states}
+        motions = {state.name: Motion(state.name, state.velocity, state.pose, state.linear_y_m_s) for state in states}
         marks: dict[str, object] = {
-            name: (each.velocity, each.pose and each.pose.count) for name, each in motions.items()
+            name: (each.velocity, each.linear_y_m_s, each.pose and each.pose.count) for name, each in motions.items()
         }
         moved = tuple(motion for name, motion in motions.items() if marks[name] != self._marks.get(name))
         self._marks = marks
@@ -102,7 +105,8 @@ def state_of(robot: Robot) -> RobotState:
         lock_reason=gate.lock_reason,
         unreachable=None if cause is None else printable(cause, _TEXT),
         is_played=robot.is_played,
-        velocity=(gate.current.linear_x_m_s, gate.current.angular_z_rad_s),
+        velocity=(gate.current.x_m_s, gate.current.yaw_rad_s),
+        linear_y_m_s=gate.current.y_m_s,
         lease_s=gate.admission.lease_s,
         epoch=gate.admission.epoch,
         pose=None if pose is None else _pose_of(pose),
@@ -114,14 +118,15 @@ def _pose_of(known: OdometrySnapshot) -> PoseState:
         x_m=round(known.pose.x_m, _DIGITS),
         y_m=round(known.pose.y_m, _DIGITS),
         theta_rad=round(known.pose.theta_rad, _DIGITS),
-        linear_m_s=round(known.twist.linear_m_s, _DIGITS),
-        angular_rad_s=round(known.twist.angular_rad_s, _DIGITS),
+        linear_m_s=round(known.twist.x_m_s, _DIGITS),
+        angular_rad_s=round(known.twist.yaw_rad_s, _DIGITS),
         stamp_ns=known.stamp_ns,
         age_s=round(known.age_s, _DIGITS),
         rate_hz=round(known.rate_hz, 2),
         count=known.count,
         restarts=known.restarts,
         ignored=known.ignored,
+        linear_y_m_s=round(known.twist.y_m_s, _DIGITS),
     )
 
 

@@ -139,7 +139,9 @@ class Roster:
         for motion in live.robots:
             state = neighbour.robots.get(motion.name)
             if state is not None:
-                changed = msgspec.structs.replace(state, velocity=motion.velocity, pose=motion.pose)
+                changed = msgspec.structs.replace(
+                    state, velocity=motion.velocity, linear_y_m_s=motion.linear_y_m_s, pose=motion.pose
+                )
                 neighbour.robots[motion.name] = changed
                 touched.add(motion.name)
         return touched

@@ -10,7 +10,7 @@ from hostlink.client import connect
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.velocity import TWIST_TYPE, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
 from tests.support.rosbridge import client
@@ -63,7 +63,7 @@ async def test_a_driver_that_leaves_stops_its_robot_elsewhere_at_once() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
         participant = a.hub.join("driver")
-        participant.drive(a.hub.robots.find("robot_7"), Velocity(linear_x_m_s=0.3))
+        participant.drive(a.hub.robots.find("robot_7"), PlanarVelocity(x_m_s=0.3))
         assert await device.velocity_other_than(STILL) == (0.3, 0.0)
         participant.leave()
         loop = asyncio.get_running_loop()
@@ -92,24 +92,24 @@ async def test_interruption_where_the_robot_is_disarms_its_drivers_elsewhere(how
             with pytest.raises(HostlinkError, match="drive again if it is still meant"):
                 await driven.drive(0.3, 0.0)
             await driven.drive(0.2, 0.0)
-            assert gate.current.linear_x_m_s == 0.2
+            assert gate.current.x_m_s == 0.2
 
 
 async def test_interruption_here_is_known_elsewhere_by_the_epoch() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
         found = await shown(a, "robot_7")
         driver = a.hub.join("driver")
-        driver.drive(found, Velocity(0.2))
-        await driver.driven(found, Velocity(0.2))
+        driver.drive(found, PlanarVelocity(0.2))
+        await driver.driven(found, PlanarVelocity(0.2))
         seen = found.gate.admission.epoch
         b.hub.gates.stop_here(b.hub.robots.find_here("robot_7"))
         await expect(lambda: found.gate.admission.epoch == seen + 1)
         for epoch in (None, seen):
             with pytest.raises(CommandRefused) as refused:
-                driver.drive(found, Velocity(0.2), epoch=epoch)
+                driver.drive(found, PlanarVelocity(0.2), epoch=epoch)
             assert refused.value.kind is RefusalKind.DISARMED
-        driver.drive(found, Velocity(0.2), epoch=seen + 1)
-        assert await driver.driven(found, Velocity(0.2)) == Velocity(0.2)
+        driver.drive(found, PlanarVelocity(0.2), epoch=seen + 1)
+        assert await driver.driven(found, PlanarVelocity(0.2)) == PlanarVelocity(0.2)
 
 
 async def test_robot_whose_daemon_restarts_is_not_driven_on_by_who_went_on() -> None:
@@ -117,11 +117,11 @@ async def test_robot_whose_daemon_restarts_is_not_driven_on_by_who_went_on() -> 
         b = await stack.enter_async_context(joined(port_of(a), "b"))
         driver = a.hub.join("driver")
         async with fake_device(b.tcp, robot_topics("robot_7")):
-            driver.drive(await shown(a, "robot_7"), Velocity(0.2))
+            driver.drive(await shown(a, "robot_7"), PlanarVelocity(0.2))
 
         def refusal() -> str:
             try:
-                driver.drive(a.hub.robots.remote["robot_7"], Velocity(0.2))
+                driver.drive(a.hub.robots.remote["robot_7"], PlanarVelocity(0.2))
             except HostlinkError as error:
                 return error.kind
             return ""
@@ -151,7 +151,7 @@ async def test_the_more_important_driver_drives_wherever_he_is() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
         await shown(a, "robot_7")
         person = b.hub.join("person", priority=60)
-        person.drive(b.hub.robots.find("robot_7"), Velocity(linear_x_m_s=0.1))
+        person.drive(b.hub.robots.find("robot_7"), PlanarVelocity(x_m_s=0.1))
         status, answer = await drive(a, "robot_7", 0.3)
         assert (status, answer["error"]["kind"]) == (409, "held")
         assert "person drives it" in answer["error"]["reason"]
@@ -182,7 +182,7 @@ async def test_stop_all_reaches_every_daemon_and_is_answered_by_each() -> None:
         await shown(a, "robot_7")
         await shown(a, "robot_8")
         for host, name in ((b, "robot_7"), (c, "robot_8")):
-            host.hub.join("driver").drive(host.hub.robots.find(name), Velocity(linear_x_m_s=0.2))
+            host.hub.join("driver").drive(host.hub.robots.find(name), PlanarVelocity(x_m_s=0.2))
         for device in (seventh, eighth):
             assert await device.velocity_other_than(STILL) == (0.2, 0.0)
         status, answer = await a.rest("POST", "/api/stop")
@@ -218,11 +218,11 @@ async def test_a_stream_from_elsewhere_that_went_on_through_a_lock_does_not_driv
         await expect(lambda: robot.gate.lock_reason)
         for is_locked in (True, False):
             with pytest.raises(HostlinkError, match="locked: " if is_locked else "send a zero"):
-                stream.publish("/robot_7/cmd_vel", Velocity(0.2).encode())
+                stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
             await b.rest("POST", "/api/robots/robot_7/unlock")
             await expect(lambda: robot.gate.lock_reason is None)
-        stream.publish("/robot_7/cmd_vel", Velocity().encode())
-        stream.publish("/robot_7/cmd_vel", Velocity(0.2).encode())
+        stream.publish("/robot_7/cmd_vel", PlanarVelocity().encode())
+        stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
         await expect(lambda: b.hub.robots.find_here("robot_7").gate.owner_name == "navigation at a")
 
 
@@ -345,11 +345,11 @@ async def test_a_refusal_reaches_a_driver_that_waits_for_no_answer() -> None:
     async with fleet("a", "b", drivers=("b",)) as (a, b), fake_device(b.tcp, robot_topics("robot_7")):
         found = await shown(a, "robot_7")
         participant = a.hub.join("driver")
-        participant.drive(found, Velocity(linear_x_m_s=0.2))
+        participant.drive(found, PlanarVelocity(x_m_s=0.2))
 
         def refusal() -> str:
             try:
-                participant.drive(found, Velocity(linear_x_m_s=0.2))
+                participant.drive(found, PlanarVelocity(x_m_s=0.2))
             except HostlinkError as error:
                 return str(error)
             return ""
@@ -366,7 +366,7 @@ async def test_a_daemon_that_ends_takes_its_robots_with_it_and_its_drivers() -> 
         ):
             await shown(a, "robot_7")
             await shown(b, "robot_1")
-            b.hub.join("driver").drive(b.hub.robots.find("robot_1"), Velocity(linear_x_m_s=0.3))
+            b.hub.join("driver").drive(b.hub.robots.find("robot_1"), PlanarVelocity(x_m_s=0.3))
             assert await own.velocity_other_than(STILL) == (0.3, 0.0)
             await stack.aclose()
             assert await own.velocity_other_than((0.3, 0.0)) == STILL

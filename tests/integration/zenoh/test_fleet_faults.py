@@ -11,7 +11,7 @@ import zenoh
 
 from hostlink.config import Config, ZenohConfig
 from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, Drive, RobotState, State, Topics, TopicState, encode
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
 from tests.support.fake_device import fake_device, pose, robot_topics
 from tests.support.participants import subscribe
@@ -59,10 +59,10 @@ async def test_commands_that_were_held_up_move_nobody() -> None:
     async with apart() as (a, b, line), fake_device(a.tcp, robot_topics("robot_7")) as device:
         found = await shown(b, "robot_7")
         participant = b.hub.join("driver")
-        participant.drive(found, Velocity(linear_x_m_s=0.2))
+        participant.drive(found, PlanarVelocity(x_m_s=0.2))
         assert await device.velocity_other_than(STILL) == MOVING
         line.set_line(Line.STALLS)
-        participant.drive(found, Velocity(linear_x_m_s=0.3))
+        participant.drive(found, PlanarVelocity(x_m_s=0.3))
         assert await device.velocity_other_than(MOVING) == STILL
         await asyncio.sleep(
             0.2
@@ -78,7 +78,7 @@ async def test_a_first_command_that_was_held_up_moves_nobody() -> None:
         found = await shown(b, "robot_7")
         await asyncio.sleep(1.2)  # a state has come, by which the other clock is known
         line.set_line(Line.STALLS)
-        b.hub.join("driver").drive(found, Velocity(linear_x_m_s=0.3))
+        b.hub.join("driver").drive(found, PlanarVelocity(x_m_s=0.3))
         await asyncio.sleep(0.7)
         line.set_line(Line.WORKS)
         await expect(lambda: a.hub.counts.graphs["fleet"]()["refused"])
@@ -240,7 +240,7 @@ async def test_a_flood_of_commands_delays_nobody_s_stop() -> None:
             try:
                 await expect(lambda: b.hub.counts.graphs["zenoh"]()["dropped"] > 100)
                 participant = a.hub.join("driver")
-                participant.drive(found, Velocity(linear_x_m_s=0.2))
+                participant.drive(found, PlanarVelocity(x_m_s=0.2))
                 assert await device.velocity_other_than(STILL) == MOVING
                 began_s = asyncio.get_running_loop().time()
                 participant.leave()

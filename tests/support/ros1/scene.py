@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hostlink.config import Config, Ros1Config
 from hostlink.graphs.ros1.xml_rpc import decode_answer
 from hostlink.protocol.frame import Id
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, FakeDevice, fake_device, robot_topics, topic
 from tests.support.ros1.fake import FakeMaster, fake_master
@@ -73,4 +73,4 @@ async def plain_scene() -> AsyncIterator[Scene]:
 
 
 def twist(speed_m_s: float) -> bytes:
-    return Velocity(speed_m_s).encode()
+    return PlanarVelocity(speed_m_s).encode()

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from hostlink.client import Host, HostlinkError, connect
-from hostlink.config import ApiConfig, Config, TokenConfig
+from hostlink.config import ApiConfig, Config, RobotConfig, TokenConfig
 from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import Twist
 from tests.support.daemon import daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.ros2 import DISCOVERY_S, Peer, bridge, domain, install, peer
@@ -43,9 +44,9 @@ async def repeat_until(
             await asyncio.sleep(every_s)
 
 
-async def drive(other: Peer, name: str, linear_m_s: float) -> None:
+async def drive(other: Peer, name: str, linear_m_s: float, left_m_s: float = 0.0) -> None:
     """Publish a Twist ten times a second."""
-    velocity = {"linear": {"x": linear_m_s}}
+    velocity = {"linear": {"x": linear_m_s, "y": left_m_s}}
     await other.do("publish", topic=name, type="geometry_msgs/msg/Twist", msg=velocity, rate_hz=10)
 
 
@@ -352,6 +353,24 @@ async def test_a_namespace_and_a_remap_are_those_of_rclpy(environment: dict[str,
         assert "/site/robot_0/odom" not in graph["topics"]
         await drive(other, "/site/robot_0/cmd_vel", 0.2)
         assert (await device.velocity_other_than((0.0, 0.0)))[0] > 0
+
+
+async def test_sideways_velocity_of_rclpy_is_limited_and_passed(environment: dict[str, str]) -> None:
+    config = Config(robots={"robot_0": RobotConfig(max_wheel_m_s=0.3, wheel_separation_m=0.2)})
+    async with (
+        daemon(config) as server,
+        bridge(environment, server.url),
+        peer(environment) as other,
+        fake_device(server.tcp, robot_topics()) as device,
+    ):
+        await other.until_graph(lambda graph: "/robot_0/odom" in graph["topics"])
+        await drive(other, "/robot_0/cmd_vel", 0.0, 0.9)
+        async with asyncio.timeout(DISCOVERY_S):
+            while (twist := Twist.decode(await device.frame(100))).is_zero:
+                pass
+        assert twist == pytest.approx(Twist(linear_y_m_s=0.3))
+        shown = await server.get("/api/robots/robot_0")
+        assert shown["velocity"] == {"linear_m_s": 0.0, "linear_y_m_s": pytest.approx(0.3), "angular_rad_s": 0.0}
 
 
 async def test_use_sim_time_stamps_with_the_time_of_clock(environment: dict[str, str]) -> None:

@@ -9,11 +9,11 @@ from hostlink.api.request import Request
 from hostlink.api.velocities import velocity_of_payload, velocity_of_request
 from hostlink.hub.topic import DeviceSubscription
 from hostlink.hub.topic_graph import TopicGraph
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from tests.support.fake_device import CATALOG
 
 TOPIC = "/robot_0/cmd_vel"
-MOVING = Velocity(linear_x_m_s=0.2).encode()
+MOVING = PlanarVelocity(x_m_s=0.2).encode()
 
 
 def topics() -> TopicGraph:

@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Sample, advice, figures, link_rows, robot_rows
+import pytest
+
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Sample, advice, figures, link_rows, robot_rows, speed_text
 
 FINDING = {"code": "damaged", "cause": "why", "next_step": "do", "detail": "3 of 4"}
 
@@ -54,6 +56,11 @@ def test_a_robot_is_shown_with_and_without_odometry() -> None:
     assert rows[0] == ("robot_0", "1", "client 1", "+0.20", "+0.00", "+1.00", "-0.50", "+180", "10.0", "0.1")
     assert rows[1] == ("robot_0", "gone", "locked", *("-",) * 7)
     assert len(ROBOT_COLUMNS) == len(rows[0])
+
+
+@pytest.mark.parametrize(("left_m_s", "text"), [(0.0, "+0.20"), (-0.004, "+0.20"), (-0.1, "+0.20 y -0.10")])
+def test_speed_to_the_left_is_shown_where_it_is_not_zero(left_m_s: float, text: str) -> None:
+    assert speed_text({"linear_m_s": 0.2, "linear_y_m_s": left_m_s}) == text
 
 
 def test_advice_is_about_links_ports_and_those_that_ended() -> None:

@@ -39,6 +39,7 @@ def test_a_board_on_usb_is_a_robot_at_its_port() -> None:
     assert config.tcp.host == "127.0.0.1"
     assert (config.serial[0].path, config.serial[0].baud) == ("/dev/ttyUSB1", 115200)
     assert (config.robots["mule"].address, config.robots["mule"].wheel_separation_m) == ("/dev/ttyUSB1", 0.21)
+    assert config.robots["mule"].kinematics == "differential"
 
 
 def test_an_api_for_the_network_needs_the_token() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.drives import MAX_OPEN, PAUSE_NS, Drive, Drives
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 S = 1_000_000_000
 
@@ -19,7 +19,7 @@ class Story:
         self.clock_ahead_s = 0.0  # of the clock on the wall, that somebody sets
 
     def command(self, at_s: float, owner: str = "ann", *, robot: str = "rover", m_s: float = 0.2) -> None:
-        velocity = Velocity(linear_x_m_s=m_s)
+        velocity = PlanarVelocity(x_m_s=m_s)
         facts = {"owner": owner, "address": f"10.0.0.{len(owner)}", "priority": 50, "velocity": velocity}
         self._note(EventKind.COMMANDED, at_s, robot, **facts, limited=velocity)
 

@@ -6,16 +6,16 @@ import pytest
 
 from hostlink.hub.robot_events import EventKind, RobotEvent
 from hostlink.recording.incident import AGAIN_S, MAX_NAMES, IncidentRules
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
-FAST = Velocity(0.2)
+FAST = PlanarVelocity(0.2)
 
 
 def event(kind: EventKind, at_s: float = 0.0, robot: str = "robot_0", **facts: Any) -> RobotEvent:
     return RobotEvent(kind, robot, at_s, 0, facts)
 
 
-def commanded(limited: Velocity) -> RobotEvent:
+def commanded(limited: PlanarVelocity) -> RobotEvent:
     return event(EventKind.COMMANDED, owner="pilot", priority=50, velocity=limited, limited=limited)
 
 

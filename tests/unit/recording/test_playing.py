@@ -1,12 +1,14 @@
 """When each message is due, and which robots a recording has."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hostlink.errors import BadPayload
 from hostlink.recording.channel import DEVICE, EVENTS, HOSTLINK, VELOCITY, Channel, ros_channel
 from hostlink.recording.playing import drives, robots_of, schedule
 from hostlink.recording.reader import StoredMessage
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Velocity
+from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity, Twist
 
 SECOND_NS = 1_000_000_000
 
@@ -53,7 +55,7 @@ def test_a_topic_that_was_recorded_twice_is_one() -> None:
 
 
 def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() -> None:
-    forward, back = Velocity(linear_x_m_s=0.2), Velocity(linear_x_m_s=-0.2)
+    forward, back = PlanarVelocity(0.2, 0.1, 0.3), PlanarVelocity(x_m_s=-0.2)
     mine, others = (
         ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot=name, origin=VELOCITY) for name in ("a", "b")
     )
@@ -63,3 +65,10 @@ def test_a_robot_is_driven_as_the_chosen_one_of_two_that_had_the_same_topic() ->
     ]
     found = [(each.at_s, each.velocity) for each in drives(schedule(stored), "a", "/cmd_vel")]
     assert found == [(0.0, forward), (0.25, ZERO)]
+
+
+def test_velocity_with_components_that_no_robot_has_is_refused() -> None:
+    velocity = ros_channel("/cmd_vel", TWIST_TYPE, None, is_latched=False, robot="a", origin=VELOCITY)
+    stored = [StoredMessage(velocity, 0, Twist(0.2, angular_x_rad_s=0.1).encode(), 0)]
+    with pytest.raises(BadPayload, match="a robot moves in the plane"):
+        list(drives(schedule(stored), "a", "/cmd_vel"))

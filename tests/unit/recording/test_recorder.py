@@ -14,12 +14,12 @@ from hostlink.hub.robot_events import EventKind
 from hostlink.recording.channel import EVENTS, Channel, json_of
 from hostlink.recording.recorder import Recorder, Selection
 from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.velocity import Velocity
+from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG
 from tests.support.virtual_loop import run_virtual
 
 TYPE = "std_msgs/Bool"
-VELOCITY = Velocity(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+VELOCITY, TWIST = PlanarVelocity(0.1, 0.2, 0.3), Twist(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 
 
 class Kept:
@@ -80,10 +80,12 @@ def test_velocities_of_an_event_have_the_names_of_their_fields() -> None:
     async def run() -> bytes:
         hub, kept = Hub(Config(), CATALOG, reraises=True), Kept()
         Recorder(hub, kept, Selection()).start()
-        hub.events.note(EventKind.COMMANDED, "robot_0", owner="client 1", address="10.0.0.1", limited=VELOCITY)
+        facts = {"velocity": TWIST, "limited": VELOCITY}
+        hub.events.note(EventKind.COMMANDED, "robot_0", owner="client 1", address="10.0.0.1", **facts)
         return kept.payloads[-1]
 
-    facts = {"owner": "client 1", "limited": VELOCITY._asdict()}  # no address: files go to others
+    limited = {"linear_x_m_s": 0.1, "linear_y_m_s": 0.2, "angular_z_rad_s": 0.3}
+    facts = {"owner": "client 1", "velocity": TWIST._asdict(), "limited": limited}  # no address: files go to others
     event = msgspec.json.decode(json_of(EVENTS, run_virtual(run())))
     assert event == {"kind": "commanded", "robot": "robot_0", "facts": facts}
 

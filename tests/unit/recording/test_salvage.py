@@ -15,11 +15,11 @@ from hostlink.recording.incident import Incident, OutOfTime
 from hostlink.recording.reader import Reader
 from hostlink.recording.ring import BLOCK_BYTES, RING, RingMemory, Rings
 from hostlink.recording.salvage import ABOUT, CLOSED, About, Pending, clear_old, main, pending_name, salvage
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 
 POSES = Channel("/robot_0/odometry", "ros1", "geometry_msgs/Pose2D", "float64 x", (("robot", "robot_0"),))
 S = 1_000_000_000
-FORWARD = Velocity(0.2)
+FORWARD = PlanarVelocity(0.2)
 
 
 class Process:
@@ -36,7 +36,7 @@ class Process:
         event = {"kind": kind, "robot": "robot_0", "facts": facts}
         self.rings.add("robot_0", EVENTS, at_s * S, as_text(msgspec.json.encode(event)), at_s)
 
-    def command(self, at_s: int, velocity: Velocity = FORWARD, owner: str = "ann") -> None:
+    def command(self, at_s: int, velocity: PlanarVelocity = FORWARD, owner: str = "ann") -> None:
         self.event(at_s, "commanded", owner=owner, limited=velocity._asdict())
 
     def pose(self, at_s: int) -> None:

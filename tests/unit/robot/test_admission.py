@@ -4,15 +4,15 @@ import pytest
 
 from hostlink.errors import RefusalKind
 from hostlink.robot.admission import EARLIER_EPOCH, LEASE_S, MAX_SOURCES, Admission, Command, Decision, EarlierMotion
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
 
-FORWARD = Velocity(0.3)
+FORWARD = PlanarVelocity(0.3)
 
 
 class Timeline:
     """An admission and a clock. `command` is a command of `ann` that is received now unless a test says otherwise."""
 
-    def __init__(self, **settings: float) -> None:
+    def __init__(self, **settings: float | Kinematics) -> None:
         self.now_s = 100.0
         self.admission = Admission("robot_0", **settings)  # type: ignore[arg-type]
         self.admission.connect(self.now_s)
@@ -22,7 +22,7 @@ class Timeline:
 
     def command(
         self,
-        velocity: Velocity = FORWARD,
+        velocity: PlanarVelocity | Twist = FORWARD,
         *,
         source: str = "ann",
         priority: int = 50,
@@ -31,8 +31,9 @@ class Timeline:
         epoch: int | None = None,
         stamp_age_s: float | None = None,
         topic: str = "",
+        is_planar: bool = True,
     ) -> Decision:
-        command = Command(velocity, source, priority, self.now_s - waited_s, sent_s, epoch, stamp_age_s)
+        command = Command(velocity, source, priority, self.now_s - waited_s, sent_s, epoch, stamp_age_s, is_planar)
         return self.admission.decide(command, self.now_s, topic=topic)
 
     def driver(self, topic: str = "") -> object:
@@ -186,8 +187,39 @@ def test_source_that_leaves_holds_the_robot_no_more(driven: Timeline) -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_velocity_that_is_not_finite_is_refused(robot: Timeline, value: float) -> None:
-    refusal = robot.command(Velocity(value))
+    refusal = robot.command(PlanarVelocity(value))
     assert refusal == Decision(RefusalKind.NOT_FINITE, "robot_0: a velocity must consist of finite numbers")
+
+
+def test_sideways_velocity_is_refused_for_a_differential_drive_alone(robot: Timeline) -> None:
+    sideways = PlanarVelocity(0.2, -0.1)
+    assert robot.command(sideways).is_admitted
+    robot.admission.kinematics = Kinematics.DIFFERENTIAL
+    refusal = robot.command(sideways)
+    assert refusal == Decision(
+        RefusalKind.UNSUPPORTED,
+        "robot_0: a differential drive cannot move sideways: send 0 as linear.y; if this robot can, remove "
+        'kinematics = "differential" from its settings',
+    )
+    assert robot.command().is_admitted
+    assert robot.driver() == "ann"
+
+
+@pytest.mark.parametrize("velocity", [ZERO, FORWARD])
+def test_twist_with_components_that_no_robot_has_is_refused_and_is_not_a_zero(
+    driven: Timeline, velocity: PlanarVelocity
+) -> None:
+    refusal = driven.command(velocity, is_planar=False)
+    assert refusal.kind is RefusalKind.UNSUPPORTED
+    assert refusal.reason == "robot_0: a robot moves in the plane: send 0 as linear.z, angular.x and angular.y"
+    driven.stop()
+    driven.command(velocity, is_planar=False)
+    assert driven.command().kind is RefusalKind.DISARMED
+
+
+def test_velocity_topic_without_a_robot_is_driven_with_all_six_numbers() -> None:
+    topic = Timeline(kinematics=Kinematics.SPATIAL)
+    assert topic.command(Twist(linear_z_m_s=0.1)).is_admitted
 
 
 def test_command_while_locked_is_refused_and_unlocking_moves_nothing(robot: Timeline) -> None:
@@ -510,7 +542,7 @@ def test_refused_command_with_earlier_epoch_disarms_its_source(robot: Timeline, 
     """A graph marks only the first velocity of a motion that it joins; what follows continues it."""
     if refusal is RefusalKind.LOCKED:
         robot.admission.lock("smoke", robot.now_s)
-    velocity = Velocity(float("nan")) if refusal is RefusalKind.NOT_FINITE else FORWARD
+    velocity = PlanarVelocity(float("nan")) if refusal is RefusalKind.NOT_FINITE else FORWARD
     waited_s = LEASE_S if refusal is RefusalKind.LATE else 0.0
     assert robot.command(velocity, waited_s=waited_s, epoch=EARLIER_EPOCH).kind is refusal
     robot.admission.unlock(robot.now_s)
@@ -525,7 +557,7 @@ def test_numbers_that_are_not_finite_are_commands_that_a_source_still_gives(driv
     driven.stop()
     for _ in range(5):
         driven.wait(LEASE_S - 0.1)
-        assert driven.command(Velocity(float("inf"))).kind is RefusalKind.NOT_FINITE
+        assert driven.command(PlanarVelocity(float("inf"))).kind is RefusalKind.NOT_FINITE
     driven.wait(LEASE_S - 0.1)
     assert driven.command().kind is RefusalKind.DISARMED
 

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from hostlink.robot.kinematics import DifferentialDrive, Pose, wrap_angle
 from hostlink.robot.odometry_correction import OdometryCorrection, wheel_way
-from hostlink.robot.odometry_estimator import OdometryEstimator, OdometrySnapshot, Twist
+from hostlink.robot.odometry_estimator import OdometryEstimator, OdometrySnapshot
+from hostlink.robot.velocity import PlanarVelocity
 
 PERIOD_S = 0.1
 CORRECTION = OdometryCorrection(1.01, 0.98, 0.21, 0.22)
@@ -96,10 +97,10 @@ def test_the_estimator_shows_the_truth_over_restarts_resets_and_cuts(history: li
 
 def test_what_the_device_says_of_its_motion_is_corrected() -> None:
     estimator = OdometryEstimator(correction=CORRECTION)
-    estimator.update(Pose(), now_s=0.0, wall_ns=0, twist=Twist(0.2, 0.5))
+    estimator.update(Pose(), now_s=0.0, wall_ns=0, twist=PlanarVelocity(0.2, 0.1, 0.5))
     (_, true) = rolled((0.2, 0.5))
-    expected = TRUE.body_velocity(true[0] / PERIOD_S, true[1] / PERIOD_S)
-    assert snapshot_of(estimator).twist == pytest.approx(expected)
+    forward_m_s, yaw_rad_s = TRUE.body_velocity(true[0] / PERIOD_S, true[1] / PERIOD_S)
+    assert snapshot_of(estimator).twist == pytest.approx(PlanarVelocity(forward_m_s, 0.1, yaw_rad_s))
 
 
 def test_the_motion_that_follows_from_the_poses_is_the_true_one() -> None:
@@ -107,7 +108,8 @@ def test_the_motion_that_follows_from_the_poses_is_the_true_one() -> None:
     for number in range(10):
         estimator.update(reported, now_s=number * PERIOD_S, wall_ns=number)
         reported = BELIEVED.integrate(reported, *rolled((0.2, 0.5))[0])
-    assert snapshot_of(estimator).twist == pytest.approx(CORRECTION.velocity(0.2, 0.5), rel=1e-6)
+    true = CORRECTION.velocity(PlanarVelocity(0.2, yaw_rad_s=0.5))
+    assert snapshot_of(estimator).twist == pytest.approx(true, rel=1e-6, abs=1e-9)
 
 
 def test_a_device_that_restarts_begins_again_where_that_is_configured() -> None:

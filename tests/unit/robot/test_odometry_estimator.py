@@ -15,8 +15,8 @@ from hostlink.robot.odometry_estimator import (
     WINDOW_S,
     OdometryEstimator,
     OdometrySnapshot,
-    Twist,
 )
+from hostlink.robot.velocity import PlanarVelocity
 
 DRIVE = DifferentialDrive()
 PERIOD_S = 0.1
@@ -48,7 +48,7 @@ def shown(view: OdometryEstimator) -> Pose:
     return observed(view).pose
 
 
-def twist_of(view: OdometryEstimator) -> Twist:
+def twist_of(view: OdometryEstimator) -> PlanarVelocity:
     return observed(view).twist
 
 
@@ -61,7 +61,7 @@ def test_one_pose_is_no_motion() -> None:
     view.update(Pose(1.0, 2.0, 0.5), now_s=4.0, wall_ns=17)
     assert view.snapshot(4.25) == OdometrySnapshot(
         pose=Pose(1.0, 2.0, 0.5),
-        twist=Twist(0.0, 0.0),
+        twist=PlanarVelocity(0.0, yaw_rad_s=0.0),
         stamp_ns=17,
         age_s=0.25,
         rate_hz=0.0,
@@ -74,39 +74,65 @@ def test_one_pose_is_no_motion() -> None:
 @given(st.floats(-0.5, 0.5), st.floats(-12, 12))
 def test_the_twist_of_an_arc_is_exact_however_tight(linear_m_s: float, angular_rad_s: float) -> None:
     twist = twist_of(view_of(arc(linear_m_s, angular_rad_s, 12)))
-    assert twist == pytest.approx(Twist(linear_m_s, angular_rad_s), abs=1e-9)
+    assert twist == pytest.approx(PlanarVelocity(linear_m_s, yaw_rad_s=angular_rad_s), abs=1e-9)
 
 
 def test_theta_may_cross_pi() -> None:
     view = view_of(arc(0.2, 1.0, 5, Pose(0.5, 0.5, math.pi - 0.2)))
     assert observed(view).pose.theta_rad < 0
-    assert twist_of(view) == pytest.approx(Twist(0.2, 1.0))
+    assert twist_of(view) == pytest.approx(PlanarVelocity(0.2, yaw_rad_s=1.0))
 
 
 def test_the_twist_is_of_the_window_only() -> None:
     fast = arc(0.3, 0.0, 20)
     stands = [fast[-1]] * 6
-    assert twist_of(view_of(fast + stands[:2])) == pytest.approx(Twist(0.15, 0.0))
-    assert twist_of(view_of(fast + stands)) == pytest.approx(Twist(0.0, 0.0))
+    assert twist_of(view_of(fast + stands[:2])) == pytest.approx(PlanarVelocity(0.15, yaw_rad_s=0.0))
+    assert twist_of(view_of(fast + stands)) == pytest.approx(PlanarVelocity(0.0, yaw_rad_s=0.0))
 
 
 def test_poses_of_one_read_count_once_for_the_motion_and_all_for_the_rate() -> None:
     times_s = [0.1, 0.1, 0.3, 0.3, 0.5, 0.5]
     view = view_of(arc(0.2, 0.5, 6), times_s)
-    assert twist_of(view) == pytest.approx(Twist(0.2, 0.5))
+    assert twist_of(view) == pytest.approx(PlanarVelocity(0.2, yaw_rad_s=0.5))
     assert observed(view).rate_hz == pytest.approx(10.0)
     assert observed(view).count == 6
+
+
+def curve(twist: PlanarVelocity, count: int) -> list[Pose]:
+    """The poses of a robot that can move sideways, at a constant velocity in its own frame."""
+    poses = [Pose(0.4, -0.2, 0.5)]
+    for _ in range(count - 1):
+        turned_rad, before = twist.yaw_rad_s * 0.1, poses[-1]
+        for _ in range(1000):  # so that no formula of the estimator is repeated here
+            cos, sin = math.cos(before.theta_rad), math.sin(before.theta_rad)
+            before = Pose(
+                before.x_m + (twist.x_m_s * cos - twist.y_m_s * sin) * 1e-4,
+                before.y_m + (twist.x_m_s * sin + twist.y_m_s * cos) * 1e-4,
+                before.theta_rad + turned_rad / 1000,
+            )
+        poses.append(Pose(before.x_m, before.y_m, wrap_angle(before.theta_rad)))
+    return poses
+
+
+@pytest.mark.parametrize("twist", [PlanarVelocity(0.0, 0.3), PlanarVelocity(0.2, -0.3), PlanarVelocity(0.2, 0.1, 1.5)])
+def test_twist_of_poses_has_the_sideways_motion_unless_the_drive_is_differential(twist: PlanarVelocity) -> None:
+    poses = curve(twist, 8)
+    assert twist_of(view_of(poses)) == pytest.approx(twist, abs=1e-3)
+    differential = OdometryEstimator(is_differential=True).anew()
+    for number, pose in enumerate(poses):
+        differential.update(pose, now_s=number * 0.1, wall_ns=number)
+    assert twist_of(differential) == pytest.approx(twist._replace(y_m_s=0.0), abs=1e-3)
 
 
 def test_a_late_read_cut_in_two_is_no_leap() -> None:
     poses = arc(0.3, 0.0, 10)
     view = view_of(poses, [0.0, 0.1, 0.2, 0.3, 0.9, 0.9, 0.9, 0.9, 0.9, 0.901])
-    assert twist_of(view).linear_m_s == pytest.approx(0.3, rel=0.01)
+    assert twist_of(view).x_m_s == pytest.approx(0.3, rel=0.01)
 
 
 def test_two_poses_that_come_together_change_nothing() -> None:
     view = view_of(arc(0.3, 0.0, 2), [0.0, 0.001])
-    assert twist_of(view) == Twist()
+    assert twist_of(view) == PlanarVelocity()
     assert observed(view).rate_hz == 0
 
 
@@ -120,42 +146,42 @@ def test_two_poses_that_come_together_change_nothing() -> None:
 def test_a_restart_begins_anew_where_the_robot_was(after: Pose) -> None:
     before = arc(0.3, 0.0, 10, Pose(1.0, 0.0, 0.0))
     view = view_of([*before, after])
-    assert twist_of(view) == Twist()
+    assert twist_of(view) == PlanarVelocity()
     assert shown(view) == pytest.approx(before[-1])
     assert observed(view).restarts == 1
 
 
 def test_a_reset_close_to_the_origin_begins_anew() -> None:
     view = view_of([*arc(0.3, 0.0, 3, Pose(0.01, 0.0, 0.0)), Pose()])
-    assert twist_of(view) == Twist()
+    assert twist_of(view) == PlanarVelocity()
 
 
 def test_a_reset_of_the_heading_begins_anew() -> None:
-    assert twist_of(view_of([Pose(0.01, 0.0, 2.0), Pose(0.01, 0.0, 2.0), Pose(0.01, 0.0, 0.01)])) == Twist()
+    assert twist_of(view_of([Pose(0.01, 0.0, 2.0), Pose(0.01, 0.0, 2.0), Pose(0.01, 0.0, 0.01)])) == PlanarVelocity()
 
 
 def test_a_turn_that_no_robot_makes_begins_anew() -> None:
     """Told twice it is believed: somebody has set the device's odometry."""
     view = view_of([Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 0.0), Pose(3.0, 0.0, 3.0), Pose(3.0, 0.0, 3.0)])
-    assert twist_of(view) == Twist()
+    assert twist_of(view) == PlanarVelocity()
     assert (observed(view).restarts, observed(view).ignored) == (1, 1)
 
 
 def test_driving_through_the_origin_is_no_reset() -> None:
     view = view_of(arc(0.3, 0.0, 8, Pose(-0.12, 0.0, 0.0)))
-    assert twist_of(view) == pytest.approx(Twist(0.3, 0.0))
+    assert twist_of(view) == pytest.approx(PlanarVelocity(0.3, yaw_rad_s=0.0))
 
 
 def test_after_a_long_silence_the_motion_begins_anew() -> None:
     poses = arc(0.3, 0.0, 4)
     view = view_of(poses, [0.0, 0.1, 0.2, 5.0])
-    assert twist_of(view) == Twist()
+    assert twist_of(view) == PlanarVelocity()
 
 
 def test_a_slow_robot_has_a_twist_too() -> None:
     poses = arc(0.3, 0.0, 3)
     view = view_of(poses, [0.0, 1.0, 2.0])
-    assert twist_of(view) == pytest.approx(Twist(0.03, 0.0))
+    assert twist_of(view) == pytest.approx(PlanarVelocity(0.03, yaw_rad_s=0.0))
     assert observed(view, 2.5).age_s == 0.5
     assert observed(view).rate_hz == 1.0
 
@@ -184,7 +210,7 @@ def after_a_restart(*, continues: bool) -> OdometryEstimator:
 def test_an_odometry_goes_on_over_a_restart_of_the_device() -> None:
     view = after_a_restart(continues=True)
     assert shown(view) == pytest.approx(arc(0.3, 0.7, 20, RUN[-1])[-1])
-    assert twist_of(view) == pytest.approx(Twist(0.3, 0.7))
+    assert twist_of(view) == pytest.approx(PlanarVelocity(0.3, yaw_rad_s=0.7))
     assert observed(view).restarts == 1
 
 
@@ -240,7 +266,7 @@ def test_a_wheel_that_shakes_at_the_origin_is_no_restart() -> None:
 
 def test_a_fast_robot_that_passes_its_origin_is_no_restart() -> None:
     poses = arc(2.8, 0.0, 8, Pose(-0.84, 0.0, 0.0))
-    view = OdometryEstimator(fastest=Twist(3.0, 4.0))
+    view = OdometryEstimator(fastest=PlanarVelocity(3.0, yaw_rad_s=4.0))
     for number, pose in enumerate(poses):
         view.update(pose, now_s=number * PERIOD_S, wall_ns=number)
     assert shown(view) == poses[-1]
@@ -340,11 +366,11 @@ def test_a_device_that_publishes_thousands_of_poses_costs_a_snapshot_no_more(rat
     assert len(view._window) <= 2 * WINDOW_S / CLOSEST_S + 2  # two that are kept are at least half of it apart
     found = observed(view)
     assert found.rate_hz == pytest.approx(rate_hz, rel=0.02)
-    assert found.twist == pytest.approx((0.3, 1.0), rel=1e-3)
+    assert found.twist == pytest.approx(PlanarVelocity(0.3, yaw_rad_s=1.0), rel=1e-3, abs=1e-9)
 
 
 def test_another_has_the_same_settings_and_no_pose() -> None:
-    slow = Twist(0.1, 0.2)
+    slow = PlanarVelocity(0.1, yaw_rad_s=0.2)
     view = OdometryEstimator(continues=True, fastest=slow)
     view.update(Pose(1.0, 2.0, 3.0), now_s=0.0, wall_ns=0)
     other = view.anew()

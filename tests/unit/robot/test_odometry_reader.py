@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hostlink.errors import BadPayload
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometryEstimator, Twist
+from hostlink.robot.odometry_estimator import OdometryEstimator
 from hostlink.robot.odometry_reader import ODOMETRY_TYPE, POSE_TYPE, READERS, OdometryReading
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG
 
 texts = st.text(max_size=20)
@@ -24,12 +25,12 @@ def type_of(name: str) -> MessageType:
     return found
 
 
-def odometry(yaw_rad: float = 0.0, twist: Twist | None = None, length: float = 1.0) -> dict[str, Any]:
-    twist = Twist() if twist is None else twist
+def odometry(yaw_rad: float = 0.0, twist: PlanarVelocity | None = None, length: float = 1.0) -> dict[str, Any]:
+    twist = PlanarVelocity() if twist is None else twist
     orientation = {"w": length * math.cos(yaw_rad / 2), "z": length * math.sin(yaw_rad / 2)}
     return {
         "pose": {"pose": {"position": {"x": 1.0, "y": 2.0}, "orientation": orientation}},
-        "twist": {"twist": {"linear": {"x": twist.linear_m_s}, "angular": {"z": twist.angular_rad_s}}},
+        "twist": {"twist": {"linear": {"x": twist.x_m_s, "y": twist.y_m_s}, "angular": {"z": twist.yaw_rad_s}}},
     }
 
 
@@ -52,15 +53,15 @@ def test_a_pose2d_is_wrapped_and_has_neither_twist_nor_stamp() -> None:
 @pytest.mark.parametrize("length", [1.0, 0.5])
 @pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -3.0, math.pi])
 def test_an_odometry_has_pose_and_twist_also_with_a_quaternion_of_any_length(yaw_rad: float, length: float) -> None:
-    reading = read(ODOMETRY_TYPE, odometry(yaw_rad, Twist(0.2, -0.4), length))
+    reading = read(ODOMETRY_TYPE, odometry(yaw_rad, PlanarVelocity(0.2, 0.1, -0.4), length))
     assert reading.pose == pytest.approx(Pose(1.0, 2.0, yaw_rad))
-    assert reading.twist == Twist(0.2, -0.4)
+    assert reading.twist == PlanarVelocity(0.2, 0.1, -0.4)
 
 
 def test_a_twist_of_no_numbers_is_estimated_from_the_poses() -> None:
-    observed = updated(read(ODOMETRY_TYPE, odometry(0.0, Twist(math.nan, 0.0)))).snapshot(0.0)
+    observed = updated(read(ODOMETRY_TYPE, odometry(0.0, PlanarVelocity(math.nan, yaw_rad_s=0.0)))).snapshot(0.0)
     assert observed is not None
-    assert observed.twist == Twist()
+    assert observed.twist == PlanarVelocity()
 
 
 @given(texts, texts, st.lists(floats, min_size=11, max_size=11), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
@@ -77,8 +78,10 @@ def test_an_odometry_is_read_as_the_full_decode_has_it(
     }
     reading = read(ODOMETRY_TYPE, message)
     assert reading.twist is not None
-    found = (reading.pose.x_m, reading.pose.y_m, reading.twist.linear_m_s, reading.twist.angular_rad_s)
-    assert repr(found) == repr((numbers[0], numbers[1], numbers[7], numbers[10]))  # NaN is no equal of itself
+    found = (reading.pose.x_m, reading.pose.y_m, *reading.twist)
+    assert repr(found) == repr(
+        (numbers[0], numbers[1], numbers[7], numbers[8], numbers[10])
+    )  # NaN is no equal of itself
     assert reading.stamp_ns == secs * 1_000_000_000 + nsecs
     estimator = updated(reading)
     assert estimator.count == 1 or estimator.snapshot(0.0) is None

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from hostlink.robot.directory import Accepted, Directory, TopicClaim
 from hostlink.robot.robot_names import Places
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import Limits
 from tests.support.gates import GateOfRobot
 
@@ -87,11 +87,11 @@ def test_the_same_configuration_again_changes_nothing(addresses: dict[str, str])
 )
 def test_other_limits_change_how_a_robot_is_driven_not_who_drives(limits: Limits, speeds: list[float]) -> None:
     gate = GateOfRobot(Limits())
-    gate.drive("ann", Velocity(linear_x_m_s=0.5), priority=50, now_s=0.0)
-    assert gate.step(0.0) == Velocity(linear_x_m_s=0.5)
+    gate.drive("ann", PlanarVelocity(x_m_s=0.5), priority=50, now_s=0.0)
+    assert gate.step(0.0) == PlanarVelocity(x_m_s=0.5)
     gate.change_limits(limits)
     steps = [gate.step(0.1), gate.step(0.2)]
-    assert [step.linear_x_m_s for step in steps if step is not None] == pytest.approx(speeds)
+    assert [step.x_m_s for step in steps if step is not None] == pytest.approx(speeds)
     assert gate.owner == "ann"
 
 

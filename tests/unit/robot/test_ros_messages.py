@@ -8,8 +8,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from hostlink.messages.catalog import Catalog
 from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import Twist
 from hostlink.robot.ros_messages import UNMEASURED, FrameIds, Variances, odometry_of, transform_of, variances_of
+from hostlink.robot.velocity import PlanarVelocity
 
 FRAMES = FrameIds("odom", "base_link")
 STAMP = {"secs": 1_700_000_000, "nsecs": 5}
@@ -20,7 +20,7 @@ READER = get_typestore(Stores.ROS1_NOETIC)
 def test_an_odometry_is_read_by_an_independent_reader() -> None:
     type_ = CATALOG.message("nav_msgs/Odometry")
     assert type_ is not None
-    message = odometry_of(Pose(1.0, -2.0, math.pi / 2), Twist(0.3, -0.5), FRAMES, STAMP)
+    message = odometry_of(Pose(1.0, -2.0, math.pi / 2), PlanarVelocity(0.3, 0.1, -0.5), FRAMES, STAMP)
     read = READER.deserialize_ros1(type_.encode(message), "nav_msgs/msg/Odometry")
     assert (read.header.stamp.sec, read.header.stamp.nanosec) == (1_700_000_000, 5)
     assert (read.header.frame_id, read.child_frame_id) == ("odom", "base_link")
@@ -28,7 +28,7 @@ def test_an_odometry_is_read_by_an_independent_reader() -> None:
     assert (position.x, position.y, position.z) == (1.0, -2.0, 0.0)
     assert (orientation.x, orientation.y) == (0.0, 0.0)
     assert (orientation.z, orientation.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
-    assert (read.twist.twist.linear.x, read.twist.twist.angular.z) == (0.3, -0.5)
+    assert (read.twist.twist.linear.x, read.twist.twist.linear.y, read.twist.twist.angular.z) == (0.3, 0.1, -0.5)
     for covariance in (read.pose.covariance, read.twist.covariance):
         matrix = np.asarray(covariance).reshape(6, 6)
         assert np.array_equal(np.diag(matrix), [1e-3, 1e-3, UNMEASURED, UNMEASURED, UNMEASURED, 1e-2])
@@ -38,7 +38,7 @@ def test_an_odometry_is_read_by_an_independent_reader() -> None:
 def test_a_covariance_that_the_device_publishes_is_kept_and_zeros_or_nan_are_not() -> None:
     reported = [float(number) for number in range(36)]
     for twist in ([0.0] * 36, [math.nan] * 36):
-        message = odometry_of(Pose(), Twist(), FRAMES, STAMP, Variances(reported, twist))
+        message = odometry_of(Pose(), PlanarVelocity(), FRAMES, STAMP, Variances(reported, twist))
         assert message["pose"]["covariance"] == reported
         assert message["twist"]["covariance"][0] == 1e-3
 
@@ -49,7 +49,7 @@ def test_where_the_covariances_stand() -> None:
 
 
 def test_a_transform_has_the_same_pose() -> None:
-    odometry = odometry_of(Pose(1.0, 2.0, 0.5), Twist(), FrameIds("r/odom", "r/base_link"), STAMP)
+    odometry = odometry_of(Pose(1.0, 2.0, 0.5), PlanarVelocity(), FrameIds("r/odom", "r/base_link"), STAMP)
     type_ = CATALOG.message("tf2_msgs/TFMessage")
     assert type_ is not None
     (transform,) = type_.decode(type_.encode(transform_of(odometry)))["transforms"]  # type: ignore[misc]

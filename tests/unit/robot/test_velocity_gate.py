@@ -6,8 +6,9 @@ import math
 import pytest
 
 from hostlink.errors import CommandRefused, ConfigError, RefusalKind
-from hostlink.robot.velocity import ZERO, Velocity
-from hostlink.robot.velocity_gate import GateCounts, Limits
+from hostlink.robot.admission import Admission, Command
+from hostlink.robot.velocity import ZERO, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.velocity_gate import GateCounts, Limits, Unlimited, VelocityGate
 from tests.support.gates import FORWARD, FREE, HEAVY, STOPPED, TURN, GateOfRobot, driven, gate, moving, outputs
 
 # -- the life of a lease ----------------------------------------------------------------------------------------------
@@ -160,17 +161,17 @@ def test_an_idle_zero_does_not_shorten_a_stop() -> None:
 @pytest.mark.parametrize(
     ("limits", "requested", "given"),
     [
-        (Limits(), Velocity(0.9, angular_z_rad_s=3.9), Velocity(0.9, angular_z_rad_s=3.9)),
-        (Limits(), Velocity(2.0, angular_z_rad_s=1.0), Velocity(1.0, angular_z_rad_s=0.5)),
-        (Limits(), Velocity(-2.0, angular_z_rad_s=1.0), Velocity(-1.0, angular_z_rad_s=0.5)),
-        (Limits(), Velocity(0.4, angular_z_rad_s=-8.0), Velocity(0.2, angular_z_rad_s=-4.0)),
-        (Limits(), Velocity(0.0, 3.0, 4.0, 1.0, 1.0, 1.0), Velocity(0.0, 0.6, 0.8, 0.2, 0.2, 0.2)),
+        (Limits(), PlanarVelocity(0.9, yaw_rad_s=3.9), PlanarVelocity(0.9, yaw_rad_s=3.9)),
+        (Limits(), PlanarVelocity(2.0, yaw_rad_s=1.0), PlanarVelocity(1.0, yaw_rad_s=0.5)),
+        (Limits(), PlanarVelocity(-2.0, yaw_rad_s=1.0), PlanarVelocity(-1.0, yaw_rad_s=0.5)),
+        (Limits(), PlanarVelocity(0.4, yaw_rad_s=-8.0), PlanarVelocity(0.2, yaw_rad_s=-4.0)),
+        (Limits(), PlanarVelocity(3.0, 4.0, 1.0), PlanarVelocity(0.6, 0.8, 0.2)),
         (Limits(max_linear_m_s=0.0), FORWARD, ZERO),
-        (FREE, Velocity(1e6, 1e6, 1e6, 1e6, 1e6, 1e6), Velocity(1e6, 1e6, 1e6, 1e6, 1e6, 1e6)),
-        (Limits(max_wheel_m_s=0.3), Velocity(0.6, angular_z_rad_s=2.0), Velocity(0.3, angular_z_rad_s=1.0)),
+        (FREE, PlanarVelocity(1e6, 1e6, 1e6), PlanarVelocity(1e6, 1e6, 1e6)),
+        (Limits(max_wheel_m_s=0.3), PlanarVelocity(0.6, yaw_rad_s=2.0), PlanarVelocity(0.3, yaw_rad_s=1.0)),
     ],
 )
-def test_all_components_shrink_by_one_factor(limits: Limits, requested: Velocity, given: Velocity) -> None:
+def test_all_components_shrink_by_one_factor(limits: Limits, requested: PlanarVelocity, given: PlanarVelocity) -> None:
     assert limits.apply(requested) == pytest.approx(given)
 
 
@@ -178,20 +179,20 @@ def test_all_components_shrink_by_one_factor(limits: Limits, requested: Velocity
 @pytest.mark.parametrize("left", [1, -1])
 def test_the_faster_wheel_counts_in_every_direction(forward: int, left: int) -> None:
     limits = Limits(max_wheel_m_s=0.3, wheel_separation_m=0.2)
-    given = limits.apply(Velocity(forward * 0.4, angular_z_rad_s=left * 2.0))  # one wheel would make 0.6 m/s
-    assert given == pytest.approx(Velocity(forward * 0.2, angular_z_rad_s=left * 1.0))
+    given = limits.apply(PlanarVelocity(forward * 0.4, yaw_rad_s=left * 2.0))  # one wheel would make 0.6 m/s
+    assert given == pytest.approx(PlanarVelocity(forward * 0.2, yaw_rad_s=left * 1.0))
 
 
 def test_the_caller_hears_what_the_limits_left() -> None:
     ours = gate(Limits())
-    assert ours.drive("ann", Velocity(3.0), priority=50, now_s=0.0) == Velocity(1.0)
-    assert ours.step(0.0) == Velocity(1.0)
+    assert ours.drive("ann", PlanarVelocity(3.0), priority=50, now_s=0.0) == PlanarVelocity(1.0)
+    assert ours.step(0.0) == PlanarVelocity(1.0)
     ours.drive("ann", FORWARD, priority=50, now_s=0.1)
     assert ours.counts == GateCounts(commands=2, limited=1)
 
 
 def test_the_largest_numbers_stand_still_under_a_limit() -> None:
-    assert Limits().apply(Velocity(1.7e308, 1.7e308, 0.0, 0.0, 0.0, 1.7e308)).is_zero
+    assert Limits().apply(PlanarVelocity(1.7e308, 1.7e308, 1.7e308)).is_zero
 
 
 @pytest.mark.parametrize("name", [field.name for field in dataclasses.fields(Limits)])
@@ -199,6 +200,29 @@ def test_the_largest_numbers_stand_still_under_a_limit() -> None:
 def test_an_impossible_limit_is_refused(name: str, wrong: float) -> None:
     with pytest.raises(ConfigError, match=f"limits of a robot: {name} must be a finite number, zero or more, not"):
         Limits(**{name: wrong})
+
+
+def test_speed_limit_applies_to_the_length_of_x_and_y() -> None:
+    assert Limits(max_linear_m_s=0.5).apply(PlanarVelocity(0.0, -2.0, 1.0)) == PlanarVelocity(0.0, -0.5, 0.25)
+    assert Limits(max_linear_m_s=0.5).apply(PlanarVelocity(0.6, 0.8)) == pytest.approx(PlanarVelocity(0.3, 0.4))
+
+
+def test_wheel_limit_applies_to_the_length_of_x_and_y_and_to_the_turn() -> None:
+    limits = Limits(max_wheel_m_s=0.3, wheel_separation_m=0.2)
+    assert limits.apply(PlanarVelocity(0.0, 0.9)) == pytest.approx(PlanarVelocity(0.0, 0.3))
+    assert limits.apply(PlanarVelocity(0.3, 0.4, 1.0)) == pytest.approx(PlanarVelocity(0.15, 0.2, 0.5))
+    assert limits.slowest(PlanarVelocity(0.0, 0.9)) == "max_wheel_m_s"
+
+
+def test_six_numbers_of_a_topic_without_a_robot_stay_as_they_are() -> None:
+    fast = Twist(9.0, 9.0, 9.0, 9.0, 9.0, 9.0)
+    admission = Admission("/arm/velocity", kinematics=Kinematics.SPATIAL)
+    admission.connect(0.0)
+    ours: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
+    assert ours.command(Command(fast, "ann", 50, 0.0), now_s=0.0) == fast
+    assert ours.limits.slowest(fast) is None
+    assert [ours.step(0.0), ours.step(0.4)] == [fast, fast]
+    assert outputs(ours, 0.5) == [Twist(), Twist(), Twist(), None, None]
 
 
 # -- the lock ---------------------------------------------------------------------------------------------------------
@@ -237,7 +261,7 @@ def test_the_limit_that_slows_a_velocity_down_most_is_named(
     linear_m_s: float, angular_rad_s: float, name: str | None
 ) -> None:
     limits = Limits(max_linear_m_s=0.5, max_angular_rad_s=2.0, max_wheel_m_s=0.55, wheel_separation_m=0.2)
-    velocity = Velocity(linear_x_m_s=linear_m_s, angular_z_rad_s=angular_rad_s)
+    velocity = PlanarVelocity(x_m_s=linear_m_s, yaw_rad_s=angular_rad_s)
     assert limits.slowest(velocity) == name
     assert (limits.apply(velocity) == velocity) is (name is None)
 

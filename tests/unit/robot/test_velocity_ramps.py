@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from hostlink.errors import ConfigError
-from hostlink.robot.velocity import ZERO, Velocity
+from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, VelocityGate
 from tests.support.gates import FORWARD, FREE, GENTLE, HEAVY, STOPPED, TURN, gate, moving, outputs
 
@@ -15,29 +15,29 @@ def test_a_ramp_begins_at_zero_and_follows_the_clock() -> None:
     ours.drive("ann", FORWARD, priority=50, now_s=7.0)
     assert [ours.step(7.0), ours.step(7.05), ours.step(7.15)] == [
         ZERO,
-        pytest.approx(Velocity(0.05)),
-        pytest.approx(Velocity(0.15)),
+        pytest.approx(PlanarVelocity(0.05)),
+        pytest.approx(PlanarVelocity(0.15)),
     ]
 
 
 def test_a_ramp_is_straight_so_that_the_slower_axis_leads() -> None:
     ours = gate(GENTLE)
-    ours.drive("ann", Velocity(0.1, angular_z_rad_s=2.0), priority=50, now_s=0.0)
-    assert ours.step(0.1) == pytest.approx(Velocity(0.05, angular_z_rad_s=1.0))
-    assert ours.step(0.2) == Velocity(0.1, angular_z_rad_s=2.0)
+    ours.drive("ann", PlanarVelocity(0.1, yaw_rad_s=2.0), priority=50, now_s=0.0)
+    assert ours.step(0.1) == pytest.approx(PlanarVelocity(0.05, yaw_rad_s=1.0))
+    assert ours.step(0.2) == PlanarVelocity(0.1, yaw_rad_s=2.0)
 
 
 def test_a_late_step_does_not_jump() -> None:
     ours = gate(GENTLE)
     ours.drive("ann", FORWARD, priority=50, now_s=0.0)
-    assert ours.step(0.45) == pytest.approx(Velocity(0.1))
+    assert ours.step(0.45) == pytest.approx(PlanarVelocity(0.1))
 
 
 def test_a_clock_that_goes_back_changes_nothing() -> None:
     ours = gate(GENTLE)
     ours.drive("ann", FORWARD, priority=50, now_s=1.0)
     ours.step(1.1)
-    assert ours.step(1.0) == pytest.approx(Velocity(0.1))
+    assert ours.step(1.0) == pytest.approx(PlanarVelocity(0.1))
 
 
 # -- decelerations ----------------------------------------------------------------------------------------------------
@@ -45,22 +45,22 @@ def test_a_clock_that_goes_back_changes_nothing() -> None:
 
 def test_a_new_owner_ramps_from_the_present_velocity() -> None:
     ours = moving(HEAVY)
-    ours.drive("bob", Velocity(-0.3), priority=50, now_s=1.0)
+    ours.drive("bob", PlanarVelocity(-0.3), priority=50, now_s=1.0)
     given = [ours.step(1.0 + number * 0.1) for number in range(4)]
     assert given == [
         FORWARD,
-        pytest.approx(Velocity(0.1)),
-        pytest.approx(Velocity(-0.05)),  # half of the step loses 0.1 m/s, the other half gains 0.05
-        pytest.approx(Velocity(-0.15)),
+        pytest.approx(PlanarVelocity(0.1)),
+        pytest.approx(PlanarVelocity(-0.05)),  # half of the step loses 0.1 m/s, the other half gains 0.05
+        pytest.approx(PlanarVelocity(-0.15)),
     ]
 
 
 def test_without_a_deceleration_limit_speed_is_lost_at_once_and_gained_slowly() -> None:
     ours = moving(GENTLE)
-    ours.drive("ann", Velocity(0.1), priority=50, now_s=1.0)
-    assert ours.step(1.0) == Velocity(0.1)
-    ours.drive("ann", Velocity(-0.3), priority=50, now_s=1.1)
-    assert ours.step(1.1) == pytest.approx(Velocity(-0.1))  # all of 0.1 is lost, 0.1 is gained
+    ours.drive("ann", PlanarVelocity(0.1), priority=50, now_s=1.0)
+    assert ours.step(1.0) == PlanarVelocity(0.1)
+    ours.drive("ann", PlanarVelocity(-0.3), priority=50, now_s=1.1)
+    assert ours.step(1.1) == pytest.approx(PlanarVelocity(-0.1))  # all of 0.1 is lost, 0.1 is gained
     ours.drive("ann", ZERO, priority=50, now_s=1.2)
     assert ours.step(1.2) == ZERO
 
@@ -84,8 +84,8 @@ def test_every_end_of_a_lease_slows_down_and_then_sends_zero_three_times(way: st
     assert ours.step(end_s) == FORWARD
     assert (ours.owner_name, ours.is_active) == (None, True)
     assert outputs(ours, end_s + 0.05, 7) == [
-        pytest.approx(Velocity(0.2)),
-        pytest.approx(Velocity(0.1)),
+        pytest.approx(PlanarVelocity(0.2)),
+        pytest.approx(PlanarVelocity(0.1)),
         *STOPPED,
     ]
 
@@ -108,7 +108,7 @@ def test_an_idle_zero_does_not_cut_the_ramp() -> None:
     ours = moving(HEAVY)
     ours.stop(now_s=1.0)
     ours.drive("bob", ZERO, priority=100, now_s=1.05)
-    assert ours.step(1.05) == pytest.approx(Velocity(0.2))
+    assert ours.step(1.05) == pytest.approx(PlanarVelocity(0.2))
 
 
 def test_who_drives_while_it_slows_down_continues_from_there() -> None:
@@ -116,7 +116,7 @@ def test_who_drives_while_it_slows_down_continues_from_there() -> None:
     ours.stop(now_s=1.0)
     ours.step(1.1)
     ours.drive("bob", FORWARD, priority=50, now_s=1.1)
-    assert ours.step(1.15) == pytest.approx(Velocity(0.15))
+    assert ours.step(1.15) == pytest.approx(PlanarVelocity(0.15))
 
 
 def test_a_deceleration_of_zero_would_never_stop() -> None:

@@ -100,14 +100,15 @@ function line(c: CanvasRenderingContext2D, view: Viewport, poses: Pose[]): void 
   c.stroke();
 }
 
-function course(from: Pose, { linear_m_s, angular_rad_s }: Velocity): Pose[] {
+function course(from: Pose, { linear_m_s, linear_y_m_s = 0, angular_rad_s }: Velocity): Pose[] {
   const step_s = GHOST_S / GHOST_STEPS;
   const poses = [from];
   for (let at = from; poses.length <= GHOST_STEPS; poses.push(at)) {
     const middle_rad = at.theta_rad + (angular_rad_s * step_s) / 2;
+    const [cos, sin] = [Math.cos(middle_rad), Math.sin(middle_rad)];
     at = {
-      x_m: at.x_m + linear_m_s * step_s * Math.cos(middle_rad),
-      y_m: at.y_m + linear_m_s * step_s * Math.sin(middle_rad),
+      x_m: at.x_m + (linear_m_s * cos - linear_y_m_s * sin) * step_s,
+      y_m: at.y_m + (linear_m_s * sin + linear_y_m_s * cos) * step_s,
       theta_rad: at.theta_rad + angular_rad_s * step_s,
     };
   }

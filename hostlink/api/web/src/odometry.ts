@@ -4,6 +4,7 @@ import { ageText, confirmed, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import { notice } from "./notice";
 import { ofRobot, reasonOf, rest } from "./rest";
+import { speedText } from "./views";
 
 const ROWS = ["x", "y", "heading", "speed"] as const;
 
@@ -44,7 +45,7 @@ export class Odometry {
     setText(this.values.x, pose ? `${digits(pose.x_m, 2)} m` : "–");
     setText(this.values.y, pose ? `${digits(pose.y_m, 2)} m` : "–");
     setText(this.values.heading, pose ? `${digits((pose.theta_rad * 180) / Math.PI, 0)}°` : "–");
-    setText(this.values.speed, twist && !isStale ? `${digits(twist.linear_m_s, 2)} m/s` : "–");
+    setText(this.values.speed, twist && !isStale ? speedText(twist) : "–");
   }
 
   private async reset(name: string | undefined): Promise<void> {

@@ -4,7 +4,7 @@ import type { Batteries } from "./batteries";
 import { ageText, arrange, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
 import { robotColour } from "./robot_colours";
-import type { RobotView } from "./views";
+import { type RobotView, speedText } from "./views";
 
 const FILTERED = 8; // with more, a filter is worth its place
 
@@ -71,7 +71,7 @@ export class RobotList {
     card.label.title = robot.host ? `${robot.name}: ${what}` : what;
     setText(card.state, what);
     const isKnown = state !== "unknown"; // what was true when the daemon was heard last is nothing to drive by
-    setText(card.speed, isKnown && robot.connected ? `${digits(robot.odometry?.twist.linear_m_s, 2)} m/s` : "");
+    setText(card.speed, isKnown && robot.connected ? speedText(robot.odometry?.twist) : "");
     const volts = isKnown ? this.batteries.volts(robot.name) : null;
     setText(card.battery, volts === null ? "" : `${digits(volts, 1)} V`);
     const dbm = (isKnown && link?.signal_dbm) || null;

@@ -1,5 +1,7 @@
 /** What the daemon sends: the JSON of its REST API; what an older daemon does not have is optional. */
 
+import { digits } from "./dom";
+
 export interface Pose {
   x_m: number;
   y_m: number;
@@ -8,7 +10,15 @@ export interface Pose {
 
 export interface Velocity {
   linear_m_s: number;
+  linear_y_m_s?: number; // to the left
   angular_rad_s: number;
+}
+
+/** Forward, and to the left where that is not 0. */
+export function speedText(velocity: Velocity | undefined): string {
+  const left = digits(velocity?.linear_y_m_s ?? 0, 2);
+  const isStraight = left === digits(0, 2);
+  return `${digits(velocity?.linear_m_s, 2)} m/s${isStraight ? "" : `, y ${left} m/s`}`;
 }
 
 export interface RobotView {

@@ -13,10 +13,11 @@ from hostlink.graphs.refusal_log import INTERVAL_S
 from hostlink.graphs.ros2.plan import TWIST, VelocityInput
 from hostlink.graphs.ros2.velocity import MATCH_S, MAX_COMMANDS_S, MAX_OWNERS, STALL_S, VelocityDriver
 from hostlink.robot.admission import EARLIER_EPOCH
+from hostlink.robot.velocity import Twist
 from tests.support.virtual_loop import VirtualLoop, run_virtual
 
 ROUTE = VelocityInput("/robot_0/cmd_vel", "robot_0", TWIST)
-FORWARD, ZERO = (0.2, 0.0), (0.0, 0.0)
+FORWARD, STANDING = Twist(0.2), Twist()
 
 
 def burn(seconds: float) -> None:
@@ -36,10 +37,12 @@ class FakeRobot:
     def refusal(self) -> Refusal | None:
         return self.daemon.refusal
 
-    async def command(self, linear_m_s: float, angular_rad_s: float, *, epoch: int | None = None) -> None:
+    async def command(
+        self, linear_m_s: float, angular_rad_s: float, linear_y_m_s: float = 0.0, *, epoch: int | None = None
+    ) -> None:
         if self.daemon.is_lost:
             raise HostlinkError("the connection is lost")
-        self.daemon.commands.append((self.name, (linear_m_s, angular_rad_s), epoch))
+        self.daemon.commands.append((self.name, Twist(linear_m_s, linear_y_m_s, angular_z_rad_s=angular_rad_s), epoch))
 
 
 class FakeHost:
@@ -65,7 +68,7 @@ class FakeDaemon:
     """Notes connections, and what is commanded by them."""
 
     def __init__(self) -> None:
-        self.commands: list[tuple[str, tuple[float, float], int | None]] = []
+        self.commands: list[tuple[str, Twist, int | None]] = []
         self.hosts: list[FakeHost] = []
         self.ended = 0
         self.is_lost = False
@@ -96,7 +99,7 @@ class World:
         """Those of the commands from this one on."""
         return [epoch for _, _, epoch in self.daemon.commands[begin:]]
 
-    async def stream(self, velocity: tuple[float, float], *, key: bytes = b"a", for_s: float = 1.0) -> None:
+    async def stream(self, velocity: Twist, *, key: bytes = b"a", for_s: float = 1.0) -> None:
         for _ in range(round(for_s / 0.1)):
             self.driver.receive(ROUTE, velocity, key)
             await asyncio.sleep(0.1)
@@ -108,6 +111,22 @@ def test_stream_of_a_new_publisher_is_commanded_without_an_epoch() -> None:
         async with world.driver.running():
             await world.stream(FORWARD)
         assert world.daemon.commands == [("robot_0", FORWARD, None)] * 10
+
+    run_virtual(check())
+
+
+def test_sideways_velocity_is_commanded_and_one_out_of_the_plane_is_explained() -> None:
+    async def check() -> None:
+        world = World()
+        async with world.driver.running():
+            sideways = Twist(linear_y_m_s=0.3)
+            await world.stream(sideways, for_s=0.2)
+            await world.stream(Twist(0.2, angular_x_rad_s=0.1), for_s=0.2)
+        assert world.daemon.commands == [("robot_0", sideways, None)] * 2
+        assert world.warnings == [
+            "robot_0: a robot moves in the plane: send 0 as linear.z, angular.x and angular.y "
+            "(velocity refused: unsupported)"
+        ]
 
     run_virtual(check())
 
@@ -152,7 +171,7 @@ def test_the_end_of_a_topic_is_a_zero() -> None:
             with world.driver.driving(ROUTE):
                 await world.stream(FORWARD, for_s=0.2)
             await asyncio.sleep(0.1)
-        assert world.daemon.commands[-1] == ("robot_0", ZERO, None)
+        assert world.daemon.commands[-1] == ("robot_0", STANDING, None)
 
     run_virtual(check())
 
@@ -217,7 +236,7 @@ def test_zero_in_the_place_of_an_earlier_velocity_ends_the_earlier_motion() -> N
         world.driver.update([], frozenset({b"a"}))
         world.driver.update(["robot_0"], frozenset({b"a"}))
         async with world.driver.running():
-            for velocity in (FORWARD, ZERO, FORWARD):
+            for velocity in (FORWARD, STANDING, FORWARD):
                 world.driver.receive(ROUTE, velocity, b"a")
             await asyncio.sleep(0.1)
             assert world.daemon.commands == [("robot_0", FORWARD, None)]
@@ -269,13 +288,13 @@ def test_a_flood_stays_under_the_daemon_s_limit_and_a_stop_waits_for_none_of_it(
         async with world.driver.running():
             await world.stream(FORWARD, for_s=0.1)
             for number in range(30_000):
-                world.driver.receive(ROUTE, (0.001 * (number % 100 + 1), 0.0), b"a")
+                world.driver.receive(ROUTE, Twist(0.001 * (number % 100 + 1)), b"a")
                 await asyncio.sleep(0.0001)
             count = len(world.daemon.commands)
             assert count < 3.0 * MAX_COMMANDS_S + 1.1 * MAX_COMMANDS_S
-            world.driver.receive(ROUTE, ZERO, b"a")
+            world.driver.receive(ROUTE, STANDING, b"a")
             await asyncio.sleep(2 / MAX_COMMANDS_S)
-            assert world.daemon.commands[-1] == ("robot_0", ZERO, None)
+            assert world.daemon.commands[-1] == ("robot_0", STANDING, None)
 
     run_virtual(check())
 

@@ -23,6 +23,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
     decode_stop,
     encode,
 )
+from hostlink.robot.velocity import PlanarVelocity
 
 KEYS, ME = Keys("hostlink"), Sender("host-a", "12ab")
 ROBOT = {
@@ -108,12 +109,12 @@ def test_a_command_passes_unchanged() -> None:
         robot="r",
         owner=2,
         owner_name="client 3",
-        velocity=(0.1, 0.0, 0.0, 0.0, 0.0, -0.5),
+        velocity=(0.1, 0.2, 0.0, 0.0, 0.0, -0.5),
         priority=60,
         epoch=7,
     )
     assert decode_request(encode(drive)) == drive
-    assert (drive.wanted.linear_x_m_s, drive.wanted.angular_z_rad_s) == (0.1, -0.5)
+    assert drive.wanted == PlanarVelocity(0.1, 0.2, -0.5)
 
 
 def test_messages_of_a_daemon_without_epochs_are_read() -> None:
@@ -127,6 +128,10 @@ def test_messages_of_a_daemon_without_epochs_are_read() -> None:
     assert drive.epoch is None
     state = decode(msgspec.json.encode({"sent_s": 0.0, "topics": 0, "robots": [ROBOT | {"later": 1}]}), State)
     assert state.robots[0].epoch is None
+    pose = [1.0, 2.0, 0.5, 0.2, -0.1, 7, 0.0, 10.0, 3]  # without the fields that came later
+    live = decode(msgspec.json.encode({"robots": [["r", [0.2, -0.1], pose]]}), Live).robots[0]
+    assert live.pose is not None
+    assert (live.linear_y_m_s, live.pose.linear_y_m_s, live.pose.angular_rad_s) == (0.0, 0.0, -0.1)
     answer = decode(
         msgspec.json.encode({"number": 1, "error": "RobotHeld", "reason": "r: x drives", "stops": 4}), Answer
     )
