@@ -98,8 +98,8 @@ def lost() -> State:
 
 def driven() -> State:
     """A curve behind it, and a command that it does not follow."""
-    fast = {"linear_m_s": 0.3, "angular_rad_s": 1.2}
-    slow = {"linear_m_s": 0.14, "angular_rad_s": 0.6}
+    fast = {"linear_m_s": 0.3, "linear_y_m_s": 0.0, "angular_rad_s": 1.2}
+    slow = {"linear_m_s": 0.14, "linear_y_m_s": 0.0, "angular_rad_s": 0.6}
     return fleet(1, holder="client 1", priority=60, velocity=fast, odometry=odometry(1.2, 0.4, 0.8, twist=slow))
 
 

@@ -25,6 +25,8 @@ export class Stop {
   private readonly newest = new Map<string, number>(); // the last press that sent a request, by its path
   private readonly waiting = new Set<number>(); // presses of which something has not arrived yet
   private stopped: ReadonlySet<string> = new Set(); // the robots that the page says are stopped
+  private measurements = 0; // only the newest one is shown
+  private unmeasured: ReadonlySet<string> | null = new Set(); // robots that the newest one is about; null: all
 
   constructor(
     private readonly fleet: Fleet,
@@ -111,9 +113,13 @@ export class Stop {
       outcome.missing = missing.filter(({ path }) => this.newest.get(path) === press);
       if (missing.length === 0) {
         this.waiting.delete(press);
-        if (refusals.length > 0) notice("stop", `Not stopped: ${refusals.join("; ")}`, 6000);
-        else if (this.waiting.size === 0) notice("stop", null);
-        if (refusals.length === 0) await this.measure(press, whom, names);
+        if (refusals.length > 0) {
+          this.measurements++; // of an earlier press: it would replace the refusal
+          notice("stop", `Not stopped: ${refusals.join("; ")}`, 6000);
+        } else {
+          if (this.waiting.size === 0) notice("stop", null);
+          await this.measure(whom, names);
+        }
         return;
       }
       const isOver = outcome.missing.length === 0 || performance.now() > until;
@@ -126,22 +132,29 @@ export class Stop {
     }
   }
 
-  /** Show what the robots do since the stop has arrived, unless there is a later press. */
-  private async measure(press: number, whom: string, names: ReadonlySet<string> | null): Promise<void> {
+  /**
+   * Show what the robots do since the stop has arrived, with those of earlier presses that were not measured yet.
+   * Another press that arrives meanwhile measures them again.
+   */
+  private async measure(whom: string, arrived: ReadonlySet<string> | null): Promise<void> {
+    const measurement = ++this.measurements;
+    const isShown = (): boolean => measurement === this.measurements && this.waiting.size === 0;
+    const names = arrived === null || this.unmeasured === null ? null : new Set([...arrived, ...this.unmeasured]);
+    this.unmeasured = names;
     this.confirm(new Set(), `The stop has reached ${whom}.`);
     const only = names?.size === 1 ? [...names][0] : undefined;
     try {
       const path = only === undefined ? "api/standstill" : ofRobot(only, "standstill");
       const answer = await rest<StoppedRobotView | { robots: StoppedRobotView[] }>("GET", path, undefined, MEASURED_MS);
-      if (press !== this.presses) return;
+      if (!isShown()) return;
+      this.unmeasured = new Set();
       const all = "robots" in answer ? answer.robots : [answer];
       const robots = all.filter((robot) => names?.has(robot.name) ?? !robot.played);
       const stopped = robots.filter(({ standstill }) => standstill.state === "stands").map(({ name }) => name);
       if (stopped.length === robots.length) this.confirm(new Set(stopped), allStopped(stopped));
       else notice("stop", notAllStopped(robots, stopped.length), NOT_DONE_MS);
     } catch (error) {
-      if (press === this.presses)
-        notice("stop", `Whether ${whom} stands is not known: ${reasonOf(error)}`, NOT_DONE_MS);
+      if (isShown()) notice("stop", `Whether ${whom} stands is not known: ${reasonOf(error)}`, NOT_DONE_MS);
     }
   }
 
