@@ -150,14 +150,17 @@ class Drivers(RuleBasedStateMachine):
         async def now() -> None:
             robot = self.robots.find(NAME)
             velocity = PlanarVelocity(x_m_s=linear_m_s, yaw_rad_s=angular_rad_s)
-            kind = None
+            kind = holder = None
             try:
                 drive_gate(self.gates, robot, velocity, owner=owner, priority=priority)
             except CommandRefused as refused:
-                kind = refused.kind
+                kind, holder = refused.kind, refused.holder
             assert (kind is RefusalKind.LOCKED) == (self.locked_since is not None and not velocity.is_zero)
             assert (kind is RefusalKind.NOT_CONNECTED) <= (robot.link is None)
-            assert (kind is not None) <= (robot.gate.owner_name != owner)
+            if kind is RefusalKind.HELD:  # also by a source that this one has overtaken at an equal priority
+                assert str(holder) != owner
+            else:
+                assert (kind is not None) <= (robot.gate.owner_name != owner)
             if kind is None and not velocity.is_zero:
                 self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
 
