@@ -250,8 +250,15 @@ def robot(name: str, **changes: Any) -> dict[str, Any]:
         "epoch": 1,
         "unreachable": None,
         "wheel_separation_m": 0.21,
-        "velocity": {"linear_m_s": 0.0, "angular_rad_s": 0.0},
+        "kinematics": "differential",
+        "lease_s": 0.5,
+        "velocity": {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0},
         "odometry": odometry(number % 8 * 0.35, number // 8 * 0.35, number * 0.7),
+        "battery_v": None,
+        "battery_percent": None,
+        "signal_dbm": -57 - number % 20,
+        "device_errors": [],
+        "firmware": None,
     }
     return {**view, **changes}
 
@@ -260,7 +267,7 @@ def odometry(x_m: float, y_m: float, theta_rad: float, **changes: Any) -> dict[s
     """A pose that is new."""
     view: dict[str, Any] = {
         "pose": {"x_m": x_m, "y_m": y_m, "theta_rad": theta_rad},
-        "twist": {"linear_m_s": 0.14, "angular_rad_s": 0.0},
+        "twist": {"linear_m_s": 0.14, "linear_y_m_s": 0.0, "angular_rad_s": 0.0},
         "stamp_ns": 0,
         "age_s": 0.05,
         "rate_hz": 10.0,

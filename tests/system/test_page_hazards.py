@@ -514,7 +514,7 @@ async def test_a_pose_far_away_freezes_neither_the_page_nor_its_stop(browser: Br
     async with page_server() as server, visit(browser, server.url) as tab:
         state = fleet("robot_0", "robot_1", "robot_2", "robot_3")
         for view, far_m in zip(state.robots[1:], (9e5, 1e19, 1.7e308), strict=True):
-            fast = {"linear_m_s": far_m, "angular_rad_s": far_m}
+            fast = {"linear_m_s": far_m, "linear_y_m_s": 0.0, "angular_rad_s": far_m}
             view |= {"odometry": odometry(far_m, -far_m, 1.0, twist=fast), "velocity": fast}
         state.past = [{"age_s": 5.0, "pose": {"x_m": 1e19, "y_m": 0.0, "theta_rad": 0.0}}]
         server.show(state)
