@@ -8,7 +8,7 @@ from hostlink.api.outgoing import ClientQueue, Outgoing
 from hostlink.api.request import Request
 from hostlink.hub.graph import Graph, GraphTopic
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_topic_publisher import command_topics
 from hostlink.hub.robots import Robots
 from hostlink.hub.topic_graph import resolve
@@ -93,7 +93,7 @@ def _topic_view(topic: GraphTopic) -> GraphTopicView:
     }
 
 
-def _velocity_topics(robot: Robot, gated: set[str]) -> dict[str, str]:
+def _velocity_topics(robot: LocalRobot, gated: set[str]) -> dict[str, str]:
     named = {resolve(name): type_name for name, type_name in command_topics(robot).items() if name}
     topics = {robot.shown.velocity: TWIST_TYPE} | named
     return {name: type_name for name, type_name in topics.items() if name in gated}

@@ -1,6 +1,6 @@
 """Drive: the operation of a program that drives a robot, beside those of rosbridge."""
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
 import msgspec
@@ -9,12 +9,12 @@ from hostlink.api.outgoing import ClientQueue, put_json
 from hostlink.api.request import Request
 from hostlink.api.views import velocity_answer
 from hostlink.errors import BadRequest, CommandRefused, HostlinkError
-from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.participant import Participant
-from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robots import Robots
 from hostlink.robot.admission import EARLIER_EPOCH
+from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
 
 MAX_ANSWERS = 64  # that one client waits for
@@ -63,30 +63,31 @@ class Drive:
         except HostlinkError as error:
             self._refuse(request, error)
             return
-        if isinstance(robot, RemoteRobot) and self._waiting < MAX_ANSWERS:
-            self._waiting += 1
-            self._spawn(self._wait(request, robot, velocity))
-        else:
+        answer = robot.answer(self._participant) if self._waiting < MAX_ANSWERS else None
+        if answer is None:
             self._accept(request, robot, velocity, limited)
+        else:
+            self._waiting += 1
+            self._spawn(self._wait(request, robot, velocity, answer))
 
-    async def _wait(self, request: Request, robot: RemoteRobot, velocity: PlanarVelocity) -> None:
+    async def _wait(
+        self, request: Request, robot: Robot, velocity: PlanarVelocity, answer: Awaitable[PlanarVelocity]
+    ) -> None:
         try:
-            self._accept(request, robot, velocity, await self._participant.driven(robot, velocity))
+            self._accept(request, robot, velocity, await answer)
         except HostlinkError as error:
             self._refuse(request, error)
         finally:
             self._waiting -= 1
 
-    def _accept(
-        self, request: Request, robot: Robot | RemoteRobot, velocity: PlanarVelocity, limited: PlanarVelocity
-    ) -> None:
+    def _accept(self, request: Request, robot: Robot, velocity: PlanarVelocity, limited: PlanarVelocity) -> None:
         link = None if robot.link is None else robot.link.number
         answer = {
             "op": "drive_result",
             "result": True,
             "link": link,
-            "epoch": robot.gate.admission.epoch,
-            "stops": robot.gate.admission.epoch,
+            "epoch": robot.admission.epoch,
+            "stops": robot.admission.epoch,
             "client": self._participant.name,
         }
         self._put(request, answer | velocity_answer(robot, velocity, limited))
@@ -94,7 +95,7 @@ class Drive:
     def _refuse(self, request: Request, error: HostlinkError) -> None:
         answer = {"op": "drive_result", "result": False, "kind": error.kind, "reason": str(error)}
         if isinstance(error, CommandRefused):
-            answer["epoch"] = self._robots.find(error.robot).gate.admission.epoch
+            answer["epoch"] = self._robots.find(error.robot).admission.epoch
         self._put(request, answer)
 
     def _put(self, request: Request, answer: dict[str, object]) -> None:
@@ -102,7 +103,7 @@ class Drive:
             put_json(self._queue, answer | {"id": replaced.fields.get("id"), "is_replaced": True})
         put_json(self._queue, answer | {"id": request.fields.get("id")})
 
-    def _command(self, request: Request) -> tuple[Robot | RemoteRobot, PlanarVelocity, PlanarVelocity]:
+    def _command(self, request: Request) -> tuple[Robot, PlanarVelocity, PlanarVelocity]:
         try:
             wanted = msgspec.convert(request.fields, DriveRequest)
         except msgspec.ValidationError as error:

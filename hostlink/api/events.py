@@ -83,9 +83,10 @@ class Events:
                 participant.follow(robot, news.set)
                 news.set()  # what is known already
                 while self._hub.robots.is_known(robot) and not participant.has_left:  # one that is forgotten is over
-                    odometry = odometry_view(robot) if await _wait(news, response) else None
+                    is_news, now_s = await _wait(news, response), asyncio.get_running_loop().time()
+                    odometry = robot.odometry.snapshot(now_s) if is_news else None
                     if odometry is not None:
-                        await send(encode_event("odometry", msgspec.json.encode(odometry)))
+                        await send(encode_event("odometry", msgspec.json.encode(odometry_view(odometry))))
             finally:
                 participant.leave()
         return response

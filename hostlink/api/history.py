@@ -17,8 +17,7 @@ from hostlink.api.replies import reply, reply_encoded
 from hostlink.api.routes import Route
 from hostlink.api.views import PoseView, VelocityView, velocity_view
 from hostlink.hub.hub import Hub
-from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.messages.catalog import Catalog
 from hostlink.recording.black_box import BlackBox
 from hostlink.recording.history import PastPose, Rest, RobotHistory
@@ -96,18 +95,19 @@ class HistoryRoutes:
 
     async def _history(self, request: web.Request) -> web.Response:
         async with self._turn:
-            robot = self._hub.robots.find(request.match_info["name"])
-            if isinstance(robot, RemoteRobot):  # its daemon has its past
+            found = self._hub.robots.find(request.match_info["name"])
+            robot = self._hub.robots.get_here(found.name)
+            if robot is None or robot is not found:  # another daemon has its past
                 return reply({"poses": [], "commands": [], "plot_data": [], "events": []})
             body = await asyncio.to_thread(self._body, robot, *self._collect(robot))
         return reply_encoded(body)
 
-    def _collect(self, robot: Robot) -> tuple[list[Iterator[Entry]], Pose | None]:
+    def _collect(self, robot: LocalRobot) -> tuple[list[Iterator[Entry]], Pose | None]:
         """In the loop's thread: what belongs together."""
         snapshot = robot.odometry.snapshot(asyncio.get_running_loop().time())
         return self._black_box.rings.copies(robot.name), None if snapshot is None else snapshot.pose
 
-    def _body(self, robot: Robot, copies: list[Iterator[Entry]], present: Pose | None) -> bytes:
+    def _body(self, robot: LocalRobot, copies: list[Iterator[Entry]], present: Pose | None) -> bytes:
         """In a thread: thousands of messages are read."""
         rest = Pauses()
         topics = robot.shown

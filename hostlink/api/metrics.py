@@ -18,7 +18,6 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from hostlink import logs
-from hostlink.api.batteries import Batteries
 from hostlink.api.clients import Clients
 from hostlink.api.connections import Connections
 from hostlink.api.owners import Owners
@@ -97,7 +96,6 @@ class _Graph(Collector):
     def __init__(self, hub: Hub, clients: Clients, limit: RateLimit, connections: Connections, owners: Owners) -> None:
         self._hub, self._clients, self._limit, self._connections = hub, clients, limit, connections
         self._owners = owners
-        self._batteries = Batteries(hub)
 
     def describe(self) -> list[Metric]:
         """Nothing at registration: there is no event loop yet."""
@@ -214,11 +212,11 @@ class _Graph(Collector):
         )
         measured = GaugeMetricFamily("hostlink_robot_speed", "By its odometry, m/s and rad/s", labels=["robot", "axis"])
         battery = GaugeMetricFamily("hostlink_robot_battery_volts", "As its device measures it", labels=["robot"])
-        for name, volts in self._batteries.volts().items():
-            battery.add_metric([name], volts)
         for robot in self._hub.robots.here():
             locked.add_metric([robot.name], robot.gate.lock_reason is not None)
             driven.add_metric([robot.name], robot.gate.owner is not None)
+            if robot.battery is not None and robot.battery.voltage_v is not None:
+                battery.add_metric([robot.name], robot.battery.voltage_v)
             odometry = robot.odometry.snapshot(now_s)
             sent = robot.gate.current
             commanded.add_metric([robot.name, "linear"], sent.x_m_s)
@@ -231,7 +229,6 @@ class _Graph(Collector):
         yield from (locked, driven, commanded, measured, battery)
 
     def _links(self) -> Iterator[Metric]:
-        robots = {robot.link: robot.name for robot in self._hub.robots.here() if robot.link is not None}
         names = ["peer", "robot"]
         counters = {
             name: CounterMetricFamily(f"hostlink_link_{name}", help_, labels=names)
@@ -253,7 +250,8 @@ class _Graph(Collector):
             "hostlink_command_to_device_seconds", "From a velocity's command to the device's socket", labels=names
         )
         for link in self._hub.links.all():
-            labels = [link.address, robots.get(link, "")]
+            robot = self._hub.robots.of_link(link)
+            labels = [link.address, "" if robot is None else robot.name]
             facts = link.facts()
             for name, counter in counters.items():
                 counter.add_metric(labels, getattr(facts.counts, name))

@@ -28,14 +28,13 @@ from hostlink.api.views import (
     velocity_answer,
 )
 from hostlink.errors import BadRequest, DeviceGone, UnknownTopic
-from hostlink.hub.emergency_stop import LOCK_REASON
 from hostlink.hub.hub import Hub
-from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
-from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.hub.robot import Robot
-from hostlink.hub.standstills import MAX_WAIT_S, WAIT_S
+from hostlink.hub.robot import LOCK_REASON, Robot
+from hostlink.hub.stops import MAX_WAIT_S, WAIT_S
+from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
 
 Body = TypeVar("Body")
@@ -161,7 +160,7 @@ class Rest:
                 max_body_bytes=LOCK_BYTES,
                 check_head=self._find,
                 is_body_optional=True,
-                on_head=lambda request: self._hub.emergency_stop.stop(self._find(request)),
+                on_head=lambda request: self._find(request).lock(),
                 is_limited=False,
                 fails=(BAD_REQUEST, NOT_FOUND, TOO_LARGE, UNAVAILABLE),
             ),
@@ -211,7 +210,7 @@ class Rest:
             ),
         ]
 
-    def _find(self, request: web.Request) -> Robot | RemoteRobot:
+    def _find(self, request: web.Request) -> Robot:
         """The robot that the path names.
 
         Raises:
@@ -227,10 +226,10 @@ class Rest:
 
     async def _odometry(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        odometry = odometry_view(robot)
+        odometry = robot.odometry.snapshot(_now_s())
         if odometry is None:
             raise DeviceGone(f"{robot.name}: no odometry came yet")
-        return reply(odometry)
+        return reply(odometry_view(odometry))
 
     async def _velocity(self, request: web.Request) -> web.Response:
         robot = self._find(request)
@@ -249,13 +248,13 @@ class Rest:
 
     async def _stop(self, request: web.Request) -> web.Response:
         robot, since_s = self._find(request), _now_s()
-        self._hub.gates.stop(robot)
+        robot.stop()
         await self._hub.gates.settled()
         return await self._measured(request, robot, since_s)
 
     async def _stop_all(self, request: web.Request) -> web.Response:
         since_s = _now_s()
-        self._hub.gates.stop_all()
+        self._hub.robots.stop_all()
         await self._hub.gates.settled()
         return await self._all_measured(request, since_s)
 
@@ -265,7 +264,7 @@ class Rest:
     async def _standstills(self, request: web.Request) -> web.Response:
         return await self._all_measured(request, _now_s())
 
-    async def _measured(self, request: web.Request, robot: Robot | RemoteRobot, since_s: float) -> web.Response:
+    async def _measured(self, request: web.Request, robot: Robot, since_s: float) -> web.Response:
         """Every stop has been sent before this waits."""
         measured = await self._hub.standstills.measure([robot], since_s, wait_s=_wait_s(request))
         return reply(stopped_view(robot, measured[0]))
@@ -281,26 +280,27 @@ class Rest:
         try:
             body = decode_body(request[BODY] or b"{}", LockRequest, '{"reason": a text} or empty; it is locked')
         except BadRequest:
-            self._hub.emergency_stop.stop(robot)
+            robot.lock()
             raise
-        self._hub.emergency_stop.stop(robot, body.reason)
+        robot.lock(body.reason)
         await self._hub.gates.settled()
         return await self._measured(request, robot, since_s)
 
     async def _unlock(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        self._hub.emergency_stop.release(robot)
+        robot.unlock()
         await self._hub.gates.settled()
         return reply(robot_view(robot))
 
     async def _reset_odometry(self, request: web.Request) -> web.Response:
         robot = self._find(request)
-        if robot.shown.reset is None:
+        reset = robot.state(_now_s()).reset_topic
+        if reset is None:
             raise UnknownTopic("reset topic", f"{robot.name}/reset_odometry")
         if robot.link is None:
             raise DeviceGone(robot.name)
-        self._owner(request).publish(robot.shown.reset, b"")  # a std_msgs/Empty
-        return reply({"reset": robot.shown.reset})
+        self._owner(request).publish(reset, b"")  # a std_msgs/Empty
+        return reply({"reset": reset})
 
     async def _links(self, _: web.Request) -> web.Response:
         return reply(await links_view(self._hub, Slices(self._hub)))

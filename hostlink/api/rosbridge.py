@@ -22,11 +22,12 @@ from hostlink.api.stamps import fill_stamps
 from hostlink.api.velocities import velocity_of_request
 from hostlink.errors import BadRequest, HostlinkError
 from hostlink.hub.hub import Hub
-from hostlink.hub.message import MAX_PRIORITY, PROGRAM_PRIORITY
+from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Role
 from hostlink.hub.participant import MAX_CALLS
 from hostlink.logs import printable
 from hostlink.messages.message_type import MessageType, ServiceType
+from hostlink.robot.state import MAX_PRIORITY
 
 log = structlog.get_logger()
 

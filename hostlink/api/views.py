@@ -11,9 +11,8 @@ from hostlink.api.slices import Slices
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.hub import Hub
-from hostlink.hub.node import address_of
-from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
+from hostlink.robot.odometry_estimator import OdometrySnapshot
 from hostlink.robot.standstill import Standstill
 from hostlink.robot.velocity import PlanarVelocity
 
@@ -60,13 +59,17 @@ class OdometryView(TypedDict):
 
 
 class RobotView(TypedDict):
-    """One robot: its topics, its driver, its velocity, its odometry.
+    """One robot: its topics, its driver, its velocity, its odometry, its device.
 
     holder_address: from which who drives it is connected; null: nobody, a part of a daemon, or at another daemon.
     played: its device is a recording, which obeys nobody. unreachable: why its device could not receive the last
     velocity; null: it could. host: the daemon that has its link; null: this one. also_at: other daemons that have a
-    robot of this name. wheel_separation_m: as it is configured. frames: how many its device has sent on this link, so
-    that a reader notices when it falls silent; null: it is not connected, or not here.
+    robot of this name. wheel_separation_m, kinematics: as they are configured. frames: how many its device has sent on
+    this link, so that a reader notices when it falls silent; null: it is not connected, or not here. epoch: counts
+    interruptions: stops, locks, reconnections. battery_v, battery_percent: the newest that its device has sent on this
+    link; null: it sends none. signal_dbm: of its device's WiFi; null: it does not report it. device_errors: the codes
+    of what `hostlink doctor` finds wrong with the device, the likeliest cause first. firmware: name and version, as
+    the device logs them; null: it does not.
     """
 
     name: str
@@ -83,11 +86,18 @@ class RobotView(TypedDict):
     priority: int | None
     locked: bool
     lock_reason: str | None
-    epoch: int  # counts interruptions: stops, locks, reconnections
+    epoch: int
     unreachable: str | None
     wheel_separation_m: float | None
+    kinematics: str
+    lease_s: float
     velocity: VelocityView
     odometry: OdometryView | None
+    battery_v: float | None
+    battery_percent: float | None
+    signal_dbm: int | None
+    device_errors: list[str]
+    firmware: str | None
 
 
 class StandstillView(TypedDict):
@@ -225,32 +235,40 @@ class TopicView(TypedDict):
     messages: int
 
 
-def robot_view(robot: Robot | RemoteRobot) -> RobotView:
+def robot_view(robot: Robot) -> RobotView:
     """One robot as it is now."""
+    state = robot.state(asyncio.get_running_loop().time())
     return {
-        "name": robot.name,
-        "host": robot.host,
-        "also_at": list(robot.also_at),
-        "connected": robot.link is not None,
-        "link": None if robot.link is None else robot.link.number,
-        "frames": _frames(robot),
-        "velocity_topic": robot.shown.velocity,
-        "odometry_topic": robot.shown.odometry,
-        "played": robot.is_played,
-        "holder": robot.gate.owner_name,
-        "holder_address": _holder_address(robot),
-        "priority": robot.gate.priority,
-        "locked": robot.gate.lock_reason is not None,
-        "lock_reason": robot.gate.lock_reason,
-        "epoch": robot.gate.admission.epoch,
-        "unreachable": robot.refusals.cause,
-        "wheel_separation_m": robot.config.wheel_separation_m if isinstance(robot, Robot) else None,
-        "velocity": velocity_view(robot.gate.current),
-        "odometry": odometry_view(robot),
+        "name": state.name,
+        "host": state.host,
+        "also_at": list(state.also_at),
+        "connected": state.link is not None,
+        "link": state.link,
+        "frames": state.frames,
+        "velocity_topic": state.velocity_topic,
+        "odometry_topic": state.odometry_topic,
+        "played": state.is_played,
+        "holder": state.holder,
+        "holder_address": state.holder_address,
+        "priority": state.priority,
+        "locked": state.lock_reason is not None,
+        "lock_reason": state.lock_reason,
+        "epoch": state.epoch,
+        "unreachable": state.unreachable,
+        "wheel_separation_m": state.wheel_separation_m,
+        "kinematics": state.kinematics,
+        "lease_s": state.lease_s,
+        "velocity": velocity_view(state.velocity),
+        "odometry": None if state.odometry is None else odometry_view(state.odometry),
+        "battery_v": state.battery_v,
+        "battery_percent": state.battery_percent,
+        "signal_dbm": state.signal_dbm,
+        "device_errors": list(state.device_errors),
+        "firmware": state.firmware,
     }
 
 
-def stopped_view(robot: Robot | RemoteRobot, measured: Standstill) -> StoppedRobotView:
+def stopped_view(robot: Robot, measured: Standstill) -> StoppedRobotView:
     """One robot as it is now, and what was measured after a stop."""
     return {
         **robot_view(robot),
@@ -264,16 +282,6 @@ def stopped_view(robot: Robot | RemoteRobot, measured: Standstill) -> StoppedRob
     }
 
 
-def _holder_address(robot: Robot | RemoteRobot) -> str | None:
-    return address_of(robot.gate.owner) or None if isinstance(robot, Robot) else None
-
-
-def _frames(robot: Robot | RemoteRobot) -> int | None:
-    if not isinstance(robot, Robot) or robot.link is None:
-        return None
-    return robot.link.session.counts.frames_from_device
-
-
 def velocity_view(velocity: PlanarVelocity) -> VelocityView:
     """The three numbers of a robot on a floor."""
     return {
@@ -283,21 +291,18 @@ def velocity_view(velocity: PlanarVelocity) -> VelocityView:
     }
 
 
-def velocity_answer(robot: Robot | RemoteRobot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
+def velocity_answer(robot: Robot, requested: PlanarVelocity, limited: PlanarVelocity) -> VelocityAnswer:
     """The velocity after the limits, beside the requested one."""
     return {
         "velocity": velocity_view(limited),
         "is_limited": limited != requested,
-        "limited_by": robot.gate.limits.slowest(requested) if isinstance(robot, Robot) else None,
-        "lease_s": robot.gate.admission.lease_s,
+        "limited_by": robot.limited_by(requested),
+        "lease_s": robot.admission.lease_s,
     }
 
 
-def odometry_view(robot: Robot | RemoteRobot) -> OdometryView | None:
-    """The newest pose with its age; None before the first."""
-    known = robot.odometry.snapshot(asyncio.get_running_loop().time())
-    if known is None:
-        return None
+def odometry_view(known: OdometrySnapshot) -> OdometryView:
+    """The newest pose with its age."""
     return {
         "pose": {"x_m": known.pose.x_m, "y_m": known.pose.y_m, "theta_rad": known.pose.theta_rad},
         "twist": velocity_view(known.twist),

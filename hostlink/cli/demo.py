@@ -18,7 +18,7 @@ from hostlink.config import Config, RobotConfig
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.robot.velocity import PlanarVelocity
 from hostlink.sim.controller import RobotKind
 from hostlink.sim.run import run_fleet
@@ -126,7 +126,7 @@ class DemoDriver:
                 self._drive(robot)
             await asyncio.sleep(COMMAND_INTERVAL_S)
 
-    def _drive(self, robot: Robot) -> None:
+    def _drive(self, robot: LocalRobot) -> None:
         now_s = asyncio.get_running_loop().time()
         if robot.link is None:
             return
@@ -158,7 +158,7 @@ async def _show(hub: Hub, demo: DemoDriver, output: Output) -> None:
         await asyncio.sleep(LINE_INTERVAL_S if is_terminal else 1.0)
 
 
-def _describe(robot: Robot, *, is_stopped: bool) -> str:
+def _describe(robot: LocalRobot, *, is_stopped: bool) -> str:
     estimate = robot.odometry.snapshot(asyncio.get_running_loop().time())
     if estimate is None or robot.link is None:
         return f"{robot.name} waits for its odometry"

@@ -8,6 +8,7 @@ from hostlink.cli.names import natural
 
 LINK_COLUMNS = ("link", "peer", "robot", "topics", "from/s", "to/s", "bytes/s", "lost %", "silent s", "diagnosis")
 ROBOT_COLUMNS = ("robot", "link", "driven by", "m/s", "rad/s", "x m", "y m", "heading °", "Hz", "age s")
+DEVICE_COLUMNS = ("battery", "dBm", "errors", "firmware")  # of a robot, too: shown where any robot has one
 _DEGREES = 57.29577951308232
 
 
@@ -67,9 +68,30 @@ def link_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
     ]
 
 
-def robot_rows(shown: dict[str, Any]) -> list[tuple[str, ...]]:
-    """The cells of each robot under ROBOT_COLUMNS, in the natural order of their names."""
-    return [_robot_row(robot) for robot in sorted(shown["robots"], key=lambda robot: natural(robot["name"]))]
+def robot_table(shown: dict[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """The columns of the robots, and the cells of each robot, in the natural order of their names.
+
+    A column of DEVICE_COLUMNS is left out where no robot has what it shows.
+    """
+    robots = sorted(shown["robots"], key=lambda robot: natural(robot["name"]))
+    device = [_device_row(robot) for robot in robots]
+    used = [number for number in range(len(DEVICE_COLUMNS)) if any(row[number] != "-" for row in device)]
+    columns = (*ROBOT_COLUMNS, *(DEVICE_COLUMNS[number] for number in used))
+    rows = zip(map(_robot_row, robots), device, strict=True)
+    return columns, [(*row, *(cells[number] for number in used)) for row, cells in rows]
+
+
+def _device_row(robot: dict[str, Any]) -> tuple[str, ...]:
+    """The cells under DEVICE_COLUMNS; an older daemon sends none of this."""
+    volts, percent, dbm = robot.get("battery_v"), robot.get("battery_percent"), robot.get("signal_dbm")
+    battery = [f"{volts:.1f} V"] if volts is not None else []
+    battery += [f"{percent:.0f} %"] if percent is not None else []
+    return (
+        " ".join(battery) or "-",
+        "-" if dbm is None else str(dbm),
+        ", ".join(robot.get("device_errors", ())) or "-",
+        robot.get("firmware") or "-",
+    )
 
 
 def _robot_row(robot: dict[str, Any]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from hostlink.cli.arguments import Json, Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.figures import ROBOT_COLUMNS, robot_rows
+from hostlink.cli.figures import robot_table
 from hostlink.cli.output import table, write, write_error
 from hostlink.client import DEFAULT_URL, RobotState
 
@@ -18,7 +18,8 @@ def command(*, url: Url = DEFAULT_URL, token: Token = None, json: Json = False) 
         write(json_text.dumps(robots))
     elif robots:
         shown: dict[str, Any] = {"robots": robots}
-        write(*table(list(ROBOT_COLUMNS), [list(row) for row in robot_rows(shown)])[1:])
+        columns, rows = robot_table(shown)
+        write(*table(list(columns), [list(row) for row in rows])[1:])
     else:
         write_error("no robot has connected yet; `hostlink doctor` finds out why, `hostlink sim` runs one")
 

@@ -9,7 +9,7 @@ import typer
 
 from hostlink.cli.arguments import Token, Url
 from hostlink.cli.connecting import connected
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
+from hostlink.cli.figures import LINK_COLUMNS, advice, link_rows, robot_table
 from hostlink.cli.live_figures import live_figures
 from hostlink.cli.output import table, write
 from hostlink.client import DEFAULT_URL
@@ -50,5 +50,6 @@ async def _print(url: str, token: str | None, interval_s: float, *, is_once: boo
 
 def _lines(shown: dict[str, Any]) -> list[str]:
     links = table(list(LINK_COLUMNS), [list(row) for row in link_rows(shown)])
-    robots = table(list(ROBOT_COLUMNS), [list(row) for row in robot_rows(shown)])
+    columns, rows = robot_table(shown)
+    robots = table(list(columns), [list(row) for row in rows])
     return [*(links[1:] or ["no device is connected"]), *robots, *(["", *advice(shown)] if advice(shown) else [])]

@@ -9,7 +9,7 @@ from textual.binding import BindingType
 from textual.containers import VerticalScroll
 from textual.widgets import DataTable, Footer, Static
 
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_rows
+from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, advice, link_rows, robot_table
 from hostlink.cli.live_figures import live_figures
 from hostlink.cli.output import plain
 from hostlink.client import connect
@@ -32,6 +32,7 @@ class TopScreen(App[None]):
         super().__init__()
         self.failure: HostlinkError | None = None
         self._url, self._token, self._interval_s = url, token, interval_s
+        self._robot_columns: tuple[str, ...] = ROBOT_COLUMNS
 
     def compose(self) -> ComposeResult:
         """The parts of the screen."""
@@ -61,7 +62,13 @@ class TopScreen(App[None]):
 
     def _show(self, shown: dict[str, Any]) -> None:
         _fill(self.query_one("#links", DataTable), link_rows(shown))
-        _fill(self.query_one("#robots", DataTable), robot_rows(shown))
+        columns, rows = robot_table(shown)
+        robots = self.query_one("#robots", DataTable)
+        if columns != self._robot_columns:
+            robots.clear(columns=True)
+            robots.add_columns(*columns)
+            self._robot_columns = columns
+        _fill(robots, rows)
         self.query_one("#advice", Static).update("\n".join(map(plain, advice(shown))) or "nothing is wrong")
 
 

@@ -51,7 +51,16 @@ class RobotState(TypedDict):
     host: NotRequired[str | None]  # the daemon that has it; None: the one that sent this
     also_at: NotRequired[list[str]]  # other daemons that have a robot of this name; then it is driven only here
     wheel_separation_m: NotRequired[float | None]  # as it is configured
+    kinematics: NotRequired[str]  # as it is configured: "differential", or empty
     unreachable: NotRequired[str | None]  # why its device could not take the last velocity
+    epoch: NotRequired[int]  # counts interruptions: stops, locks, reconnections
+    lease_s: NotRequired[float]  # how long a command lasts
+    frames: NotRequired[int | None]  # that its device has sent on this link; None: not connected, or not here
+    battery_v: NotRequired[float | None]  # None: its device sends no voltage
+    battery_percent: NotRequired[float | None]  # None: its device sends no charge
+    signal_dbm: NotRequired[int | None]  # of its device's WiFi; None: the device does not report it
+    device_errors: NotRequired[list[str]]  # codes of what `hostlink doctor` finds wrong, the likeliest cause first
+    firmware: NotRequired[str | None]  # name and version, as its device logs them
 
 
 class TopicState(TypedDict):

@@ -23,6 +23,7 @@ _COMPLAINT = re.compile(  # firmware/due, hostlink sim
     r"(?:(?:left|right) wheel (stalled|runs away)|(battery low|started by its watchdog))\b[ -~]{0,100}"
 )
 _SIGNAL = re.compile(r"WiFi signal (-\d{1,3}) dBm")  # firmware/esp8266
+_FIRMWARE = re.compile(r"firmware ([\w.+-]{1,40} v?\d[\w.+-]{0,23})", re.ASCII)  # any device: docs/robot.md
 SIGNAL_S = 150.0  # it comes once a minute, or when it has changed
 _TOO_LARGE_TEXT = "larger than buffer"  # rosserial: "Message from device dropped: message larger than buffer."
 
@@ -53,6 +54,7 @@ class LinkMonitor:
         self._device_complaint = ""
         self._complaints: dict[str, tuple[str, float]] = {}  # what is wrong: the last line of it, and when it came
         self._signal = (0, -math.inf)  # dBm, and when they came
+        self.firmware: str | None = None  # name and version, as the device logs them
 
     def set_baud(self, baud: int, now_s: float) -> None:
         """The line is read at this speed from now on: earlier counts do not apply to it."""
@@ -82,6 +84,8 @@ class LinkMonitor:
                 self._complaints[found[1] or found[2]] = text, now_s
             case events.DeviceLogged(_, text) if found := _SIGNAL.fullmatch(text):
                 self._signal = int(found[1]), now_s
+            case events.DeviceLogged(_, text) if found := _FIRMWARE.fullmatch(text):
+                self.firmware = found[1]
 
     def sample(self, now_s: float) -> None:
         """Remember the counts: the recent ones are a difference to them."""

@@ -9,11 +9,12 @@ from functools import partial
 import structlog
 
 from hostlink.errors import BadRequest, HostlinkError, WrongType
-from hostlink.hub.drivable import Drivable, is_velocity
+from hostlink.hub.diagnoses import Diagnosis
+from hostlink.hub.gates import Drivable, is_velocity
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
 from hostlink.hub.participant import Parts
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_settings import limits_of
 from hostlink.hub.services import DeviceService
 from hostlink.hub.shown_names import ShownNames
@@ -27,6 +28,7 @@ from hostlink.protocol.events import MessageReceived
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import Admission
 from hostlink.robot.directory import is_played
+from hostlink.robot.state import BATTERY_TYPE
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, Twist
 from hostlink.robot.velocity_gate import Unlimited, VelocityGate
 
@@ -55,16 +57,24 @@ def check_type(catalog: Catalog, info: TopicInfo) -> int | None:
 
 
 class Device:
-    """A link in the graph, from its first negotiation to its end."""
+    """What belongs to a link: its device in the graph, its robot, what is driven by it, and what is wrong with it.
+
+    `Robots` has the devices of all live links.
+    """
 
     __slots__ = (
-        "_awaited", "_node", "_odometry", "_parts", "_stamped", "early", "infos", "is_played", "is_undecided", "link",
-        "names", "parameters", "received_at_s", "routes", "services", "shown",
+        "_awaited", "_node", "_observers", "_odometry", "_parts", "diagnosis", "drivables", "early", "guarded_ids",
+        "infos", "is_played", "is_undecided", "link", "names", "parameters", "received_at_s", "robot", "routes",
+        "services", "shown",
     )  # fmt: skip
 
-    def __init__(self, link: Link, parts: Parts, node: Node) -> None:
+    def __init__(self, link: Link, diagnosis: Diagnosis, parts: Parts, node: Node) -> None:
         """`node` is the key under which hostlink itself subscribes to the odometry."""
         self.link = link
+        self.diagnosis = diagnosis
+        self.robot: LocalRobot | None = None  # that it is; Robots sets it
+        self.drivables: list[Drivable] = []  # Gates sets them
+        self.guarded_ids: list[int] = []  # the velocity topics that the guardian stops; Gates sets them
         self.routes: dict[int, Topic] = {}  # where the messages of an id go
         self.shown = ShownNames()
         self.names: frozenset[str] = frozenset()  # of its topics, as they are shown
@@ -75,12 +85,12 @@ class Device:
         self.is_played = False  # it is a recording
         self.received_at_s = float("-inf")  # of the last read that was noted
         self.parameters: dict[str, Parameter] = {}  # what it was answered, by the names that are shown
-        self._stamped: set[int] = set()  # the ids of messages that begin with a header
+        self._observers: dict[int, Callable[[bytes], None]] = {}  # by id: what the hub itself reads of a message
         self._awaited: set[str] = set()  # its services that may still answer a call of before it left the graph
         self._odometry: list[Callable[[], None]] = []  # ends the robot's subscription
         self._parts, self._node = parts, node
 
-    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: Robot | None = None) -> None:
+    def announce(self, infos: tuple[TopicInfo, ...], shown: ShownNames, robot: LocalRobot | None = None) -> None:
         """Put the device's endpoints into the graph in place of those that it had."""
         self.leave()
         self.shown = shown
@@ -101,12 +111,12 @@ class Device:
             self.services[name].expect_late()
         self._awaited.clear()
 
-    def displace(self, name: str, type_name: str, robot: Robot | None) -> None:
+    def displace(self, name: str, type_name: str, robot: LocalRobot | None) -> None:
         """End what the device has by a name in the graph: it is another robot's own, with this type."""
         topic = self._parts.topics.find(name)
         log.warning("topic.refused", topic=printable(name), reason=str(WrongType(name, type_name, topic.type_name)))
         self.routes = {topic_id: each for topic_id, each in self.routes.items() if each is not topic}
-        for drivable in self._parts.gates.of_link(self.link):
+        for drivable in self.drivables:
             drivable.echoes.pop(name, None)
         self._parts.topics.unadvertise(name, self.link)
         self._parts.topics.unsubscribe_device(name, self.link)
@@ -121,8 +131,9 @@ class Device:
         What was recorded drives no robot.
         """
         topic_id, now_s = message.topic.topic_id, self.link.received_at_s
-        if topic_id in self._stamped:
-            self._observe_stamp(message.payload, now_s)
+        observe = self._observers.get(topic_id)
+        if observe is not None:
+            observe(message.payload)
         topic = self.routes.get(topic_id)
         if topic is not None and not (self.is_played and topic.is_gated):
             try:
@@ -137,7 +148,7 @@ class Device:
     def stand(self) -> None:
         """Zero to whatever it can be driven by: it may be a robot that has come back and obeys an old command."""
         for info in filter(is_velocity, self.infos):
-            self._parts.gates.attach(self._drivable(info, None), self.link)
+            self._parts.gates.attach(self._drivable(info, None), self)
 
     def note_parameter(self, name: str, parameter: Parameter) -> None:
         """It was answered this; of too many names the first ones are kept."""
@@ -148,14 +159,14 @@ class Device:
         """Remove everything of this device from the graph."""
         self._end_odometry()
         self.routes.clear()
-        self._stamped.clear()
+        self._observers.clear()
         self.names = frozenset()
         self._parts.topics.leave(self.link)
         self._awaited.update(name for name, service in self.services.items() if service.is_awaited)
         self._parts.services.leave(self.link)
         self.services.clear()
 
-    def _add(self, info: TopicInfo, robot: Robot | None) -> None:
+    def _add(self, info: TopicInfo, robot: LocalRobot | None) -> None:
         name = self.shown.of(info.name)
         if info.kind is Id.PUBLISHER:
             topic = self._parts.topics.advertise(name, self.link, type_name=info.type)
@@ -171,26 +182,28 @@ class Device:
 
     # -- from the device ----------------------------------------------------------------------------------------------
 
-    def _route(self, info: TopicInfo, topic: Topic, robot: Robot | None) -> None:
+    def _route(self, info: TopicInfo, topic: Topic, robot: LocalRobot | None) -> None:
         """A robot reads the topic of its own odometry by the link and the id, whatever others publish there."""
         self.routes[info.topic_id] = topic
-        if topic.type is not None and topic.type.fields[:1] == (_HEADER,):
-            self._stamped.add(info.topic_id)
+        if robot is not None and info == self._battery_info():
+            self._observers[info.topic_id] = partial(self._observe_battery, robot)
+        elif topic.type is not None and topic.type.fields[:1] == (_HEADER,):
+            self._observers[info.topic_id] = self._observe_stamp
         if robot is not None and (info.name, info.type) == (robot.topics.odometry, robot.topics.odometry_type):
             self._subscribe_robot(topic, robot)
 
-    def _route_refused(self, info: TopicInfo, robot: Robot | None) -> None:
+    def _route_refused(self, info: TopicInfo, robot: LocalRobot | None) -> None:
         """A robot receives its odometry also where the graph has another type by this name."""
         if robot is not None and info.kind is Id.PUBLISHER and info.name == robot.topics.odometry:
             topic = Topic(self.shown.of(info.name))
             topic.type, topic.type_name = self._parts.catalog.message(info.type), info.type
             self._route(info, topic, robot)
 
-    def _subscribe_robot(self, topic: Topic, robot: Robot) -> None:
+    def _subscribe_robot(self, topic: Topic, robot: LocalRobot) -> None:
         number = topic.add_subscriber(Subscriber(robot.receive_odometry, self._node, "", self._fail(robot)))
         self._odometry.append(lambda: topic.remove_subscriber(number))
 
-    def _fail(self, robot: Robot) -> Callable[[Exception], None]:
+    def _fail(self, robot: LocalRobot) -> Callable[[Exception], None]:
         """What ends a link whose robot's odometry cannot be read: it begins anew, at rest."""
 
         def fail(error: Exception) -> None:
@@ -199,11 +212,21 @@ class Device:
 
         return fail
 
-    def _observe_stamp(self, payload: bytes, now_s: float) -> None:
+    def _battery_info(self) -> TopicInfo | None:
+        """The topic of the robot's battery: the first of its type; None: the device has none."""
+        kind = (Id.PUBLISHER, BATTERY_TYPE)
+        return next((info for info in self.infos if (info.kind, info.type) == kind), None)
+
+    def _observe_battery(self, robot: LocalRobot, payload: bytes) -> None:
+        self._observe_stamp(payload)
+        robot.receive_battery(payload)
+
+    def _observe_stamp(self, payload: bytes) -> None:
         """The stamp of a header is a sample of the device's clock."""
         if len(payload) >= _STAMP.size:
             secs, nsecs = _STAMP.unpack_from(payload)
-            self.link.session.device_clock.update(secs * _NS_PER_S + nsecs, at_ns=time.time_ns(), now_s=now_s)
+            stamp_ns, now_s = secs * _NS_PER_S + nsecs, self.link.received_at_s
+            self.link.session.device_clock.update(stamp_ns, at_ns=time.time_ns(), now_s=now_s)
 
     def _end_odometry(self) -> None:
         for end in self._odometry:
@@ -212,25 +235,25 @@ class Device:
 
     # -- to the device ------------------------------------------------------------------------------------------------
 
-    def _subscribe(self, info: TopicInfo, name: str, robot: Robot | None) -> None:
+    def _subscribe(self, info: TopicInfo, name: str, robot: LocalRobot | None) -> None:
         drivable: Drivable | None = None
         if robot is not None and info.name == robot.topics.velocity and info.type == TWIST_TYPE:
             drivable = robot
         elif is_velocity(info):
             drivable = self._drivable(info, robot)
-            self._parts.gates.attach(drivable, self.link)
+            self._parts.gates.attach(drivable, self)
         if drivable is None:
             is_reset = _is_reset(info, robot)
             subscription = DeviceSubscription(self._sender(info, robot), is_gate=False, is_command=is_reset)
         else:
-            subscription = DeviceSubscription(partial(self._parts.gates.receive, drivable), is_gate=True)
+            subscription = DeviceSubscription(drivable.receive, is_gate=True)
         topic = self._parts.topics.subscribe_device(name, self.link, subscription, type_name=info.type)
         if drivable is not None:
             drivable.echoes[topic.name] = topic
             if robot is None:  # nothing of it is known from before
-                self._parts.gates.join(drivable, topic)
+                drivable.join(topic)
 
-    def _drivable(self, info: TopicInfo, robot: Robot | None) -> Drivable:
+    def _drivable(self, info: TopicInfo, robot: LocalRobot | None) -> Drivable:
         """Another velocity of a robot, with its limits and its lock, or one of a device that publishes no pose.
 
         Nothing is configured for the second: its six numbers stay as they are.
@@ -239,11 +262,11 @@ class Device:
             shown = self.shown.of(info.name)
             admission = Admission(shown, kinematics=Kinematics.SPATIAL)
             spatial: VelocityGate[Twist] = VelocityGate(admission, Unlimited(), Twist())
-            return Drivable(name=shown, velocity_topic=info.name, gate=spatial)
+            return Drivable(name=shown, velocity_topic=info.name, gate=spatial, gates=self._parts.gates)
         gate = VelocityGate(robot.gate.admission, limits_of(robot.config), ZERO)
-        return Drivable(name=robot.name, velocity_topic=info.name, gate=gate)
+        return Drivable(name=robot.name, velocity_topic=info.name, gate=gate, gates=self._parts.gates)
 
-    def _sender(self, info: TopicInfo, robot: Robot | None) -> Receive:
+    def _sender(self, info: TopicInfo, robot: LocalRobot | None) -> Receive:
         def send(message: Message) -> None:
             self.link.session.publish(info.name, message.payload, depth=COMMAND_DEPTH)
             self.link.wake()
@@ -264,7 +287,7 @@ class Device:
         self.link.wake()
 
 
-def _is_reset(info: TopicInfo, robot: Robot | None) -> bool:
+def _is_reset(info: TopicInfo, robot: LocalRobot | None) -> bool:
     return robot is not None and info.name == robot.topics.reset
 
 

@@ -76,7 +76,7 @@ class DeviceEvents:
             self._devices[link.number].announced_again()
 
     def _log_line(self, link: Link, event: events.DeviceLogged) -> None:
-        drivables = self._receivers.gates.of_link(link)
+        drivables = self._devices[link.number].drivables
         facts = {"link": link.number, "level": event.level, "text": event.text}
         self._receivers.gates.events.note(EventKind.LOGGED, drivables[0].name if drivables else "", **facts)
         self._receivers.rosout.log(link, event)

@@ -48,7 +48,7 @@ class Diagnosis:
     ended_at_s: float = 0.0
     was_host_away: bool = False  # shortly before the link ended: why it did is not the device's doing
     last_evidence: Evidence | None = None  # of a link that has ended, until it is evaluated
-    robot: str = ""  # what its robot is called here
+    robot: str = ""  # what its robot is called here; also once the link has ended
     own_name: str = ""  # what that calls itself, if it had to be given a number
     _announced: deque[tuple[int, Announced]] = field(default_factory=lambda: deque(maxlen=MAX_ANNOUNCED))
 
@@ -124,21 +124,17 @@ class Diagnoses:
         else:
             self.ports[name] = port_finding(error)
 
-    def begin(self, link: Link) -> None:
+    def begin(self, link: Link) -> Diagnosis:
         """A link has opened."""
-        self._live[link.number] = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s))
+        diagnosis = Diagnosis(link, LinkMonitor(link.session, now_s=link.opened_at_s))
+        self._live[link.number] = diagnosis
+        return diagnosis
 
     def observe_baud(self, link: Link, baud: int) -> None:
         """The link's serial port is read at this speed from now on."""
         diagnosis = self._live.get(link.number)
         if diagnosis is not None:
             diagnosis.monitor.set_baud(baud, _now_s())
-
-    def identify(self, link: Link, robot: str, *, own_name: str = "") -> None:
-        """It is known which robot the link's device is, if any; `own_name` if it had to be given a number."""
-        diagnosis = self._live.get(link.number)
-        if diagnosis is not None:
-            diagnosis.robot, diagnosis.own_name = robot, own_name
 
     def note(self, link: Link, event: events.Event) -> None:
         """The session of a live link has an event other than a message."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from hostlink.diagnosis.finding import Finding
 from hostlink.hub.diagnoses import Diagnosis
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 
 STALE_AFTER_S = 10.0  # a robot that comes back sooner has only rebooted, or its network had a gap
 
@@ -35,7 +35,7 @@ def level_of(findings: Iterable[Finding]) -> Level:
     return max((Level.WARN if each.code in WARNINGS else Level.ERROR for each in findings), default=Level.OK)
 
 
-def robot_status(robot: Robot, diagnosis: Diagnosis, now_s: float) -> Status:
+def robot_status(robot: LocalRobot, diagnosis: Diagnosis, now_s: float) -> Status:
     """A robot whose device is connected."""
     lock = robot.gate.lock_reason
     odometry = robot.odometry.snapshot(now_s)
@@ -53,7 +53,7 @@ def device_status(name: str, diagnosis: Diagnosis) -> Status:
     return _connected(name, diagnosis, {}, "")
 
 
-def absent_status(robot: Robot, address: str, gone_s: float | None, why: str) -> Status:
+def absent_status(robot: LocalRobot, address: str, gone_s: float | None, why: str) -> Status:
     """A robot without a device; `gone_s`: for how long, if that is known; `why`: how its last link ended."""
     is_stale = gone_s is None or gone_s >= STALE_AFTER_S
     since = "" if gone_s is None else f" for {gone_s:.0f} s"

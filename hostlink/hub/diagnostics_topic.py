@@ -24,7 +24,7 @@ from hostlink.hub.diagnostic_status import (
 )
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robots import Robots
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/DiagnosticArray"
@@ -107,7 +107,7 @@ class DiagnosticsTopic:
         return daemon_status(counts, self._refused, self._isolation.crashes.total())
 
 
-def _absent(robot: Robot, last: Diagnosis | None, now_s: float) -> Status:
+def _absent(robot: LocalRobot, last: Diagnosis | None, now_s: float) -> Status:
     address = robot.config.address or ""
     if last is None:
         return absent_status(robot, address, None, "")

@@ -1,28 +1,43 @@
-"""Gates: every velocity gate, and the one clock of all. No velocity reaches a device but through here."""
+"""Gates: every velocity gate, and the one clock of all. No velocity reaches a device but through here.
+
+`Driven` is whatever velocities can be published to, `Drivable` a velocity topic of a device here with its gate.
+"""
 
 import asyncio
 import contextlib
+import time
 import weakref
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import structlog
 
 from hostlink.errors import CommandRefused, DeviceGone, HostlinkError, RefusalKind, WrongType
 from hostlink.host_pauses import HostPauses
-from hostlink.hub.drivable import Drivable
+from hostlink.hub.diagnoses import Diagnosis
 from hostlink.hub.guard import Guard
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import Message
 from hostlink.hub.node import address_of
-from hostlink.hub.remote_robot import Elsewhere, RemoteRobot
-from hostlink.hub.robot import Robot
+from hostlink.hub.refusals import Refusals
 from hostlink.hub.robot_events import HOST_AWAY, LEASE_ENDED, LET_GO, OWNER_LEFT, WAS_STOPPED, EventKind, RobotEvents
 from hostlink.hub.stall_watch import BEAT_S, StallWatch
 from hostlink.hub.topic import Topic
 from hostlink.link.link import Link, LinkEnd
+from hostlink.protocol.control import TopicInfo
+from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S, Admission, Command
-from hostlink.robot.velocity import TWIST_TYPE, ZERO, Kinematics, PlanarVelocity, Twist
+from hostlink.robot.velocity import (
+    TWIST_STAMPED_TYPE,
+    TWIST_TYPE,
+    ZERO,
+    AnyVelocity,
+    Kinematics,
+    PlanarVelocity,
+    Twist,
+)
 from hostlink.robot.velocity_gate import V, VelocityGate
 
 log = structlog.get_logger()
@@ -31,97 +46,55 @@ TICK_S = 0.05  # between two steps of a ramp; the end of a lease is not waited p
 MAX_STEPS = 64  # of gates in one turn of the loop: a device may have 256, and a stop comes in between
 FEED_INTERVAL_S = 0.125  # a source that commands at 10 Hz feeds the device by itself; a quarter of its own watchdog
 MAX_GUARDED = 16  # velocity topics of a device that the guard stops; each that comes must be sent to it
+_NS_PER_S = 1_000_000_000
 ENDING = "hostlink is stopping, and drives no robot any more"
 
 
-class Gates:
-    """What each link can be driven by. Methods are synchronous; `run` is the clock."""
+class Driven(ABC):
+    """Whatever velocities can be published to: a velocity topic of a device here, or a robot of another daemon."""
 
-    def __init__(self, isolation: Isolation, guard: Guard | None = None, events: RobotEvents | None = None) -> None:
-        """`guard` stops the devices when this process cannot any more; `events` has what is commanded and stopped."""
-        self.events = RobotEvents() if events is None else events
-        self.is_closed = False  # the daemon ends, and drives nobody any more
-        self.elsewhere: Elsewhere | None = None  # the way to the gates of other daemons
-        self._isolation, self._guardian = isolation, guard
-        self._of_link: dict[Link, list[Drivable]] = {}
-        self._topic_ids: dict[Link, list[int]] = {}  # that the guard knows
-        self._driven = set[int]()  # links, as the guard knows them
-        self._remote: weakref.WeakSet[RemoteRobot] = weakref.WeakSet()  # that were commanded here
-        self._active: dict[Drivable, None] = {}  # whose gate may have something to send
-        self._wake = asyncio.Event()
-        self._stalls = StallWatch()
+    __slots__ = ()
 
-    # -- which there are ----------------------------------------------------------------------------------------------
+    name: str
 
-    def attach(self, drivable: Drivable, link: Link) -> None:
-        """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
-        drivable.link, drivable.last_frame = link, b""
-        if drivable.gate.admission.connect(_now_s()) and isinstance(drivable, Robot):
-            drivable.resumed_link = link.number
-        drivable.gate.restart()
-        if link not in self._of_link:
-            self._of_link[link], self._topic_ids[link] = [], []
-            link.last_frame = b""
-        self._of_link[link].append(drivable)
-        self._guard(drivable, link)
-        self._activate(drivable)
+    @property
+    @abstractmethod
+    def admission(self) -> Admission:
+        """What decides whether a command may move it."""
 
-    def detach(self, link: Link) -> None:
-        """Nothing is driven by this link any more: what may move is sent a zero."""
-        drivables = self._of_link.pop(link, [])
-        for drivable in drivables:
-            with self._isolation.around("robot", robot=drivable.name):  # the others must be detached, too
-                self._send_last_zero(drivable, link)
-            drivable.link = None
-            drivable.echoes.clear()
-            drivable.gate.admission.disconnect(_now_s())
-            drivable.gate.restart()
-            self._activate(drivable)
-        if self._topic_ids.pop(link, None) and self._guardian is not None:
-            self._guardian.release(link.number)
+    def join(self, topic: Topic) -> None:
+        """Note that it subscribes to a topic which others may be publishing already."""
+        self.admission.join(topic.publishers, _now_s())
 
-    def all(self) -> list[Drivable]:
-        """Whatever can be driven now."""
-        return [drivable for drivables in self._of_link.values() for drivable in drivables]
+    @abstractmethod
+    def command(self, command: Command[Any]) -> Any:
+        """Drive for the length of a lease, if the command is admitted; returns the velocity after the limits.
 
-    def of_link(self, link: Link | None) -> list[Drivable]:
-        """What is driven by this link, a robot's own velocity first."""
-        return [] if link is None else list(self._of_link.get(link, ()))
+        Raises:
+            CommandRefused: the robot's admission has refused it, or the daemon stops.
+            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then its source drives no more.
+            DeviceGone: another daemon has the robot, and does not answer.
+        """
 
-    def beside(self, drivable: Drivable) -> list[Drivable]:
-        """This one, and whatever else is driven by the same link."""
-        return self.of_link(drivable.link) or [drivable]
-
-    def reach(self, elsewhere: Elsewhere | None) -> None:
-        """This is the way to the gates of other daemons from now on; None: there is none any more."""
-        self.elsewhere = elsewhere
-        self._wake.set()
-
-    # -- driving ------------------------------------------------------------------------------------------------------
-
-    def join(self, drivable: Drivable | RemoteRobot, topic: Topic) -> None:
-        """Note that a gate subscribes to a topic which others may be publishing already."""
-        drivable.gate.admission.join(topic.publishers, _now_s())
-
-    def receive(self, drivable: Drivable, message: Message) -> None:
-        """The gate's end of a velocity topic: a Twist is a command of its publisher.
+    def receive(self, message: Message) -> None:
+        """Obey a Twist or a TwistStamped that was published, as a command of its publisher. A stamp of 0 is none.
 
         Raises:
             HostlinkError: as `command`.
-            WrongType: it is not a Twist.
+            WrongType: it is neither.
         """
-        if message.type_name != TWIST_TYPE:
+        if message.type_name == TWIST_TYPE:
+            self.follow(Twist.decode(message.payload), message)
+            return
+        if message.type_name != TWIST_STAMPED_TYPE:
             raise WrongType(message.topic, TWIST_TYPE, message.type_name)
-        self.follow(drivable, Twist.decode(message.payload), message)
+        fields: Any = message.decoded
+        stamp = fields["header"]["stamp"]
+        stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
+        stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
+        self.follow(Twist.from_fields(fields["twist"]), message, stamp_age_s=stamp_age_s)
 
-    def follow(
-        self,
-        drivable: Drivable | RemoteRobot,
-        twist: Twist,
-        message: Message,
-        *,
-        stamp_age_s: float | None = None,
-    ) -> None:
+    def follow(self, twist: Twist, message: Message, *, stamp_age_s: float | None = None) -> None:
         """Obey a velocity that was published. A joystick at rest publishes zeros beside the driver: that is no error.
 
         A robot has three of the six numbers; a velocity topic that belongs to no robot has them all.
@@ -129,7 +102,7 @@ class Gates:
         Raises:
             HostlinkError: as `command`.
         """
-        is_spatial = drivable.gate.admission.kinematics is Kinematics.SPATIAL
+        is_spatial = self.admission.kinematics is Kinematics.SPATIAL
         velocity: PlanarVelocity | Twist = twist if is_spatial else twist.planar
         command: Command[Any] = Command(
             velocity,
@@ -141,42 +114,171 @@ class Gates:
             is_planar=is_spatial or twist.is_planar,
         )
         try:
-            self.command(drivable, command)
+            self.command(command)
         except CommandRefused as refused:
             if not (velocity.is_zero and refused.kind is RefusalKind.HELD):
                 raise
 
-    def command(self, drivable: Drivable | RemoteRobot, command: Command[V]) -> V:
-        """Drive for the length of a lease, if the command is admitted; returns the velocity after the limits.
 
-        Raises:
-            CommandRefused: the robot's admission has refused it, or the daemon stops.
-            FrameTooLarge, WrongType, UnknownTopic: the command does not fit the device; then its source drives no more.
-            DeviceGone: another daemon has the robot, and does not answer.
-        """
-        velocity = command.velocity
-        owner = command.source
+class Connection(Protocol):
+    """A device's place in the registry of links (`Robots.devices`), as gates and robots use it."""
+
+    link: Link
+    drivables: list["Drivable"]  # what is driven by this link, a robot's own velocity first
+    guarded_ids: list[int]  # the velocity topics that the guardian stops
+    diagnosis: Diagnosis
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class Drivable(Driven):
+    """A velocity topic of a device, behind the gate that is its only subscriber in the graph.
+
+    It is a robot's own velocity topic, another one of it, or that of a device which publishes no pose.
+    """
+
+    name: str  # of the robot, or of the topic in the graph
+    velocity_topic: str  # as the device names it
+    gate: VelocityGate[Any]  # of a PlanarVelocity for a robot, else of a Twist
+    gates: "Gates"
+    connection: Connection | None = None
+    echoes: dict[str, Topic] = field(default_factory=dict)  # topics of its gate, where all receive what it sent
+    last_frame: bytes = b""  # its zero, as the device receives it
+    resumed_link: int = 0  # the link since which no reconnection was an interruption
+    sent: AnyVelocity = ZERO
+    sent_at_s: float = 0.0
+    refusals: Refusals = field(default_factory=Refusals)
+
+    @property
+    def link(self) -> Link | None:
+        """The link of its device; None: the device is not connected."""
+        return None if self.connection is None else self.connection.link
+
+    @property
+    def admission(self) -> Admission:
+        """That of its gate."""
+        return self.gate.admission
+
+    @property
+    def beside(self) -> list["Drivable"]:
+        """This one, and whatever else is driven by the same link."""
+        return [self] if self.connection is None else list(self.connection.drivables)
+
+    def command(self, command: Command[V]) -> V:
+        """Drive through its gate."""
+        return self.gates.command(self, command)
+
+
+def is_velocity(info: TopicInfo) -> bool:
+    """Whether a device is driven by this topic, by type and name: a Twist may mean other things."""
+    leaf = info.name.rpartition("/")[2].lower()
+    return info.kind is Id.SUBSCRIBER and info.type == TWIST_TYPE and "vel" in leaf
+
+
+class RemoteHosts(Protocol):
+    """What is requested of all other daemons of the fleet. What is no coroutine does not wait."""
+
+    def release(self, owner: Hashable) -> None:
+        """A source of commands is gone."""
+        ...
+
+    def stop(self, name: str | None) -> None:
+        """Stop whatever has this name, wherever it is; None: every robot."""
+        ...
+
+    def lock(self, name: str, reason: str) -> None:
+        """Lock whatever has this name, wherever it is."""
+        ...
+
+    async def settled(self) -> None:
+        """Wait until every daemon has answered the stops, locks and unlocks so far."""
+        ...
+
+
+class Gates:
+    """Sends what the gates give. Methods are synchronous; `run` is the clock."""
+
+    def __init__(self, isolation: Isolation, guard: Guard | None = None, events: RobotEvents | None = None) -> None:
+        """`guard` stops the devices when this process cannot any more; `events` has what is commanded and stopped."""
+        self.events = RobotEvents() if events is None else events
+        self.is_closed = False  # the daemon ends, and drives nobody any more
+        self.hosts: RemoteHosts | None = None  # the way to the other daemons of the fleet
+        self._isolation, self._guardian = isolation, guard
+        self._driven = set[int]()  # links, as the guard knows them
+        self._remote: weakref.WeakSet[Admission] = weakref.WeakSet()  # of robots elsewhere that were commanded here
+        self._active: dict[Drivable, None] = {}  # whose gate may have something to send
+        self._wake = asyncio.Event()
+        self._stalls = StallWatch()
+
+    # -- which there are ----------------------------------------------------------------------------------------------
+
+    def attach(self, drivable: Drivable, connection: Connection) -> None:
+        """Its device is ready: no earlier command is valid any more, and its first velocity is zero."""
+        drivable.connection, drivable.last_frame = connection, b""
+        if drivable.gate.admission.connect(_now_s()):
+            drivable.resumed_link = connection.link.number
+        drivable.gate.restart()
+        if not connection.drivables:
+            connection.link.last_frame = b""
+        connection.drivables.append(drivable)
+        self._guard(drivable, connection)
+        self._activate(drivable)
+
+    def detach(self, connection: Connection) -> None:
+        """Nothing is driven by this link any more: what may move is sent a zero."""
+        drivables, connection.drivables = connection.drivables, []
+        for drivable in drivables:
+            with self._isolation.around("robot", robot=drivable.name):  # the others must be detached, too
+                self._send_last_zero(drivable, connection.link)
+            drivable.connection = None
+            drivable.echoes.clear()
+            drivable.gate.admission.disconnect(_now_s())
+            drivable.gate.restart()
+            self._activate(drivable)
+        guarded_ids, connection.guarded_ids = connection.guarded_ids, []
+        if guarded_ids and self._guardian is not None:
+            self._guardian.release(connection.link.number)
+
+    def reach(self, hosts: RemoteHosts | None) -> None:
+        """This is the way to the other daemons of the fleet from now on; None: there is none any more."""
+        self.hosts = hosts
+        self._wake.set()
+
+    # -- driving ------------------------------------------------------------------------------------------------------
+
+    def command(self, drivable: Drivable, command: Command[V]) -> V:
+        """Drive a device here for the length of a lease, if the command is admitted; as `Driven.command`."""
+        velocity, owner = command.velocity, command.source
         facts = {"owner": str(owner), "address": address_of(owner), "priority": command.priority, "velocity": velocity}
         try:
-            limited: V = self._command(drivable, command)
+            limited = self._command(drivable, self.timed(drivable.name, command))
         except HostlinkError as error:
-            if isinstance(drivable, Drivable) and not (velocity.is_zero and command.is_planar):
+            if not (velocity.is_zero and command.is_planar):
                 self.events.note(EventKind.REFUSED, drivable.name, **facts, reason=str(error))
             raise
-        if isinstance(drivable, Drivable):
-            self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
+        self.events.note(EventKind.COMMANDED, drivable.name, **facts, limited=limited)
         return limited
 
-    def _command(self, drivable: Drivable | RemoteRobot, command: Command[Any]) -> Any:
+    def timed(self, name: str, command: Command[V]) -> Command[V]:
+        """The command with the time at which it may have come: it may have waited while the loop was late.
+
+        Every command of a robot, here or of another daemon, goes through here before its admission decides.
+
+        Raises:
+            CommandRefused: the daemon stops.
+        """
         if self.is_closed:
-            raise CommandRefused(drivable.name, RefusalKind.ENDING, f"{drivable.name}: {ENDING}")
+            raise CommandRefused(name, RefusalKind.ENDING, f"{name}: {ENDING}")
         now_s = _now_s()
         self._notice_pause(now_s)
-        command = command._replace(received_s=min(command.received_s, self.came_s(now_s)))
-        if isinstance(drivable, RemoteRobot):
-            self._remote.add(drivable)
-            return drivable.command(command, now_s)
-        gate, velocity = drivable.gate, command.velocity
+        return command._replace(received_s=min(command.received_s, self.came_s(now_s)))
+
+    def note_remote(self, admission: Admission) -> None:
+        """Commands are sent from here to a robot of another daemon: a pause and an owner that leaves concern it."""
+        self._remote.add(admission)
+
+    def _command(self, drivable: Drivable, command: Command[V]) -> V:
+        gate: VelocityGate[V] = drivable.gate
+        velocity, now_s = command.velocity, _now_s()
         # Two zeros of one moment would leave a slow line as one.
         is_stopping = velocity.is_zero and gate.is_stopping and drivable.refusals.cause is None
         limited = gate.command(command, now_s=now_s)
@@ -186,9 +288,9 @@ class Gates:
                 gate.admission.withdraw(command.source)
                 gate.stop(now_s=now_s)
                 raise refusal
-        beside = self._of_link.get(drivable.link, []) if drivable.link is not None else []
-        if len(beside) > 1 and not velocity.is_zero:
-            self._overrule(beside, drivable, command.source, command.priority)
+        connection = drivable.connection
+        if connection is not None and len(connection.drivables) > 1 and not velocity.is_zero:
+            self._overrule(connection.drivables, drivable, command.source, command.priority)
         return limited
 
     def came_s(self, now_s: float) -> float:
@@ -199,7 +301,7 @@ class Gates:
         """Interrupt every robot, here or of another daemon, if this process has just gone on after a pause."""
         since_s = self._stalls.pop_pause(now_s)
         if since_s is not None:
-            for admission in self._admissions(self._active) | {robot.gate.admission for robot in self._remote}:
+            for admission in self._admissions(self._active) | set(self._remote):
                 admission.interrupt(now_s, since_s=since_s)
 
     def _overrule(self, beside: list[Drivable], drivable: Drivable, owner: Hashable, priority: int) -> None:
@@ -214,10 +316,10 @@ class Gates:
 
     def release(self, owner: Hashable) -> None:
         """A source of commands is gone: what it drives stops."""
-        if self.elsewhere is not None:
-            self.elsewhere.release(owner)
-        for robot in self._remote:
-            robot.gate.admission.withdraw(owner)
+        if self.hosts is not None:
+            self.hosts.release(owner)
+        for admission in self._remote:
+            admission.withdraw(owner)
         now_s = _now_s()
         for drivable in list(self._active):
             gate = drivable.gate
@@ -228,42 +330,20 @@ class Gates:
                 self._note_stop(drivable, OWNER_LEFT, str(owner))
                 self._send_news(drivable)
 
-    def stop(self, robot: Robot | RemoteRobot) -> None:
-        """Stop it, and whatever else its link drives, as fast as decelerations allow, whoever drives.
-
-        Raises:
-            HostlinkError: the zero does not fit the device.
-        """
-        if self.elsewhere is not None and (isinstance(robot, RemoteRobot) or robot.also_at):
-            self.elsewhere.stop(robot.name)
-        if not isinstance(robot, RemoteRobot):
-            self.stop_here(robot)
-
-    def stop_here(self, robot: Robot) -> None:
-        """Stop a robot of this daemon.
-
-        Raises:
-            HostlinkError: the zero does not fit the device.
-        """
-        self._stop(self.beside(robot))
-
-    def stop_all(self) -> None:
-        """Stop whatever can be driven.
+    def stop(self, drivables: Iterable[Drivable]) -> None:
+        """Stop these as fast as decelerations allow, whoever drives.
 
         Raises:
             HostlinkError: the zero does not fit a device; all others have been stopped.
         """
-        if self.elsewhere is not None:
-            self.elsewhere.stop(None)
-        self.stop_all_here()
-
-    def stop_all_here(self) -> None:
-        """Stop whatever this daemon drives.
-
-        Raises:
-            HostlinkError: the zero does not fit a device; all others have been stopped.
-        """
-        self._stop(self.all())
+        drivables, now_s = list(drivables), _now_s()
+        for admission in self._admissions(drivables):
+            admission.interrupt(now_s)
+        for drivable in drivables:
+            drivable.gate.counts.stops += 1
+            if drivable.gate.owner is not None:
+                self._note_stop(drivable, WAS_STOPPED, str(drivable.gate.owner))
+        self._apply(lambda gate: gate.stop(now_s=now_s), drivables)
 
     async def settled(self) -> None:
         """Wait until other daemons have answered the stops, locks and unlocks so far.
@@ -271,8 +351,8 @@ class Gates:
         Raises:
             DeviceGone: one of them has not answered.
         """
-        if self.elsewhere is not None:
-            await self.elsewhere.settled()
+        if self.hosts is not None:
+            await self.hosts.settled()
 
     def stop_at_once(self, drivables: Iterable[Drivable]) -> None:
         """Zero, whatever the limits; a device that it does not fit is passed over."""
@@ -319,12 +399,13 @@ class Gates:
                 if number % MAX_STEPS == 0:
                     await asyncio.sleep(0)
                     now_s = _now_s()
-                if drivable.gate.may_move or (drivable.gate.is_active and drivable.link is not None):
+                connection = drivable.connection
+                if drivable.gate.may_move or (drivable.gate.is_active and connection is not None):
                     self._step(drivable, now_s)
                 elif not drivable.gate.admission.is_held(now_s):
                     self._active.pop(drivable, None)
-                if drivable.link is not None and drivable.gate.may_move:
-                    driven.add(drivable.link.number)
+                if connection is not None and drivable.gate.may_move:
+                    driven.add(connection.link.number)
             self._beat(driven)
             if self._active:
                 due_s = min(now_s + TICK_S, *(drivable.gate.lease_ends_s for drivable in self._active))
@@ -339,16 +420,6 @@ class Gates:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(BEAT_S):
                 await self._wake.wait()
-
-    def _stop(self, drivables: Iterable[Drivable]) -> None:
-        now_s, drivables = _now_s(), list(drivables)
-        for admission in self._admissions(drivables):
-            admission.interrupt(now_s)
-        for drivable in drivables:
-            drivable.gate.counts.stops += 1
-            if drivable.gate.owner is not None:
-                self._note_stop(drivable, WAS_STOPPED, str(drivable.gate.owner))
-        self._apply(lambda gate: gate.stop(now_s=now_s), drivables)
 
     def _apply(self, change: Callable[[VelocityGate[Any]], None], drivables: Iterable[Drivable]) -> None:
         """Change each gate and send what follows; the last refusal is raised once all are done."""
@@ -380,21 +451,22 @@ class Gates:
         try:
             return self._send(drivable, now_s, is_news=is_news)
         except Exception as error:  # noqa: BLE001 - counted; no other gate may miss its turn
-            if drivable.link is not None:
-                drivable.link.end(LinkEnd.CRASHED)
+            if drivable.connection is not None:
+                drivable.connection.link.end(LinkEnd.CRASHED)
             self._isolation.crashed("robot", error, robot=drivable.name)
             return DeviceGone(drivable.name)
 
     def _send(self, drivable: Drivable, now_s: float, *, is_news: bool) -> HostlinkError | None:
-        gate, link = drivable.gate, drivable.link
+        gate, connection = drivable.gate, drivable.connection
         previous_owner, is_first, was_let_go = gate.owner, gate.is_new_device, gate.is_let_go
         velocity = gate.step(now_s)
         if previous_owner is not None and gate.owner is None:
             was_away = self._stalls.pauses(now_s).was_paused(now_s - LEASE_S)
             reason = HOST_AWAY if was_away else LET_GO if was_let_go else LEASE_ENDED
             self._note_stop(drivable, reason, str(previous_owner))
-        if velocity is None or link is None:
+        if velocity is None or connection is None:
             return None
+        link = connection.link
         if not velocity.is_zero and link.number not in self._driven:
             self._beat(self._driven | {link.number})  # before it moves
         is_repeat = velocity == drivable.sent and not velocity.is_zero and not is_news
@@ -403,7 +475,7 @@ class Gates:
         payload = velocity.encode()
         try:
             link.session.publish(drivable.velocity_topic, payload, is_urgent=True, is_kept=is_first)
-            link.session.keep_clear(robot_moves=any(each.gate.may_move for each in self._of_link.get(link, ())))
+            link.session.keep_clear(robot_moves=any(each.gate.may_move for each in connection.drivables))
         except HostlinkError as error:
             drivable.refusals.add(drivable.name, error)
             return error
@@ -434,16 +506,16 @@ class Gates:
         if self._guardian is not None:
             self._guardian.beat(driven)
 
-    def _guard(self, drivable: Drivable, link: Link) -> None:
+    def _guard(self, drivable: Drivable, connection: Connection) -> None:
         """Let link and guard stop it when nobody else can; what subscribes to no velocity cannot be driven."""
+        link, guarded_ids = connection.link, connection.guarded_ids
         with contextlib.suppress(HostlinkError):
             drivable.last_frame = link.session.frame_to(drivable.velocity_topic, ZERO.encode())
             link.last_frame += drivable.last_frame
-            topic_ids = self._topic_ids[link]
-            if self._guardian is not None and len(topic_ids) < MAX_GUARDED:
-                topic_ids.append(link.session.topic_id(drivable.velocity_topic))
+            if self._guardian is not None and len(guarded_ids) < MAX_GUARDED:
+                guarded_ids.append(link.session.topic_id(drivable.velocity_topic))
                 longest_bytes = link.session.longest_to_device_bytes
-                self._guardian.watch(link.number, link.descriptor, topic_ids=topic_ids, claim_bytes=longest_bytes)
+                self._guardian.watch(link.number, link.descriptor, topic_ids=guarded_ids, claim_bytes=longest_bytes)
 
 
 def _now_s() -> float:

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import functools
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -13,7 +12,6 @@ from hostlink.hub.byte_budget import ByteBudget
 from hostlink.hub.counts import Counts
 from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.diagnostics_topic import DiagnosticsTopic
-from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import Gates
 from hostlink.hub.graph_changes import GraphChanges, Kind
 from hostlink.hub.graph_view import GraphViews
@@ -25,15 +23,14 @@ from hostlink.hub.listening import Listening
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
 from hostlink.hub.participant import Participant, Parts
-from hostlink.hub.remote_robots import RemoteRobots
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import RobotEvents
 from hostlink.hub.robot_settings import limits_of
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.rosout import Rosout
 from hostlink.hub.services import Services
-from hostlink.hub.standstills import Standstills
+from hostlink.hub.stops import LockServices, Standstills
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.fair_share import FairShare, Turns
 from hostlink.logs import log_what_is_missing
@@ -62,7 +59,7 @@ class Hub:
         self.listening = Listening()  # who listens sets it
         self.parameters = dict(config.parameters)  # what devices request; clients may change it
         self.isolation = Isolation(reraises=reraises)
-        changes = GraphChanges()
+        self._changes = changes = GraphChanges()
         self.budget = ByteBudget()
         self.topics = TopicGraph(catalog, changes, self.budget)
         self.services = Services(catalog, changes)
@@ -77,19 +74,16 @@ class Hub:
             self.gates,
             forget_after_s=config.link.forget_robot_after_s,
             on_forgotten=self._forget_robot,
-            on_change=functools.partial(changes.note, Kind.ROBOT),
+            on_change=self._note_robot,
         )
-        self.standstills = Standstills(self.gates)
-        self.emergency_stop = EmergencyStop(self.robots, self.gates, self.standstills, self.join_daemon())
+        self.standstills = Standstills()
+        self._lock_services = LockServices(self.robots, self.gates, self.standstills, self.join_daemon())
         node = Node(DAEMON, is_daemon=True)
-        robot_topics = RobotTopicPublisher(self.topics, self.gates, node, catalog)
-        affected = Affected(self.topics, self.gates, self.robots, robot_topics, self.emergency_stop, self.diagnoses)
+        robot_topics = RobotTopicPublisher(self.topics, node, catalog)
+        affected = Affected(self.topics, self.gates, self.robots, robot_topics)
         self.rosout = Rosout(self.join_daemon())
-        around = Surroundings(self._parts, affected, node, self.rosout, self._share, self.spawn)
+        around = Surroundings(self._parts, affected, self.diagnoses, node, self.rosout, self._share, self.spawn)
         self.links = Links(around, config, self.parameters)
-        self.remote_robots = RemoteRobots(
-            self.robots, self.topics, self.gates, self.emergency_stop, self.links.new_number
-        )
         self._tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
@@ -159,13 +153,18 @@ class Hub:
         self.gates.close()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SHUTDOWN_TIMEOUT_S):
-                for _ in range(STOP_REPEATS if self.gates.all() else 0):
-                    self.gates.stop_at_once(self.gates.all())
+                for _ in range(STOP_REPEATS if self.robots.drivables() else 0):
+                    self.gates.stop_at_once(self.robots.drivables())
                     await asyncio.sleep(STOP_INTERVAL_S)
                 await self.links.silence()
         self.links.end_all()
 
-    def _forget_robot(self, robot: Robot) -> None:
+    def _note_robot(self, name: str) -> None:
+        """A robot of this name has come, has left or is forgotten."""
+        self._changes.note(Kind.ROBOT, name)
+        self._lock_services.update(name)
+
+    def _forget_robot(self, robot: LocalRobot) -> None:
         self.links.forget_robot(robot)
 
     def _diagnostics(self) -> DiagnosticsTopic:

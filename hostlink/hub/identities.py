@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import structlog
 
-from hostlink.errors import ReloadRefused
+from hostlink.errors import HostlinkError, ReloadRefused
 from hostlink.hub.device import Device
-from hostlink.hub.diagnoses import Diagnoses
-from hostlink.hub.emergency_stop import EmergencyStop
 from hostlink.hub.gates import Gates
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_topic_publisher import RobotTopicPublisher
 from hostlink.hub.robots import Robots
 from hostlink.hub.shown_names import ShownNames
@@ -38,15 +36,13 @@ class Affected(NamedTuple):
     gates: Gates
     robots: Robots
     robot_topics: RobotTopicPublisher
-    emergency_stop: EmergencyStop
-    diagnoses: Diagnoses
 
 
 class Identities:
-    """Owns the devices of the live links. The Directory decides, this does what was decided."""
+    """The Directory decides which robot a device is, this does what was decided."""
 
     def __init__(self, affected: Affected, directory: Directory, *, spawn: Spawn) -> None:
-        self.devices: dict[int, Device] = {}
+        self.devices = affected.robots.devices
         self.undelivered = 0  # messages of devices that left before it was known who they are, or had too many
         self._affected, self._directory = affected, directory
         self._spawn = spawn
@@ -73,11 +69,10 @@ class Identities:
             self._affected.gates.release(link)  # a device may drive another
             self._directory.leave(link.number)
 
-    def forget_robot(self, robot: Robot) -> None:
+    def forget_robot(self, robot: LocalRobot) -> None:
         """It has been away for long."""
         self._directory.forget(robot.name)
         self._affected.robot_topics.forget(robot)
-        self._affected.emergency_stop.withdraw(robot.name)
 
     def check_places(self, places: Places) -> None:
         """Whether robots may be named by these.
@@ -89,7 +84,7 @@ class Identities:
             robot = self._affected.robots.get_here(name)
             if robot is None:
                 continue
-            if any(drivable.gate.is_driven for drivable in self._affected.gates.beside(robot)):
+            if any(drivable.gate.is_driven for drivable in robot.beside):
                 raise ReloadRefused(f"{name} is driven: stop it before its name changes")
             if robot.gate.lock_reason is not None:
                 raise ReloadRefused(f"{name} is locked: unlock it before its name changes")
@@ -104,7 +99,7 @@ class Identities:
             self._affected.robots.forget(name)
         for link in links.values():
             self._identify(self.devices[link])
-        found = {name: self._affected.robots.of_link(self.devices[link].link) for name, link in links.items()}
+        found = {name: self.devices[link].robot for name, link in links.items()}
         return {name: robot.name for name, robot in found.items() if robot is not None}
 
     def _identify(self, device: Device) -> None:
@@ -152,57 +147,59 @@ class Identities:
 
     def _accept(self, device: Device, claim: Accepted) -> None:
         """Put the device into the graph, as the robot that it is."""
-        robots, link = self._affected.robots, device.link
         if claim.replaces is not None:
             self._replace(claim.replaces)
-        touched, before = device.names, robots.of_link(link)
+        touched, before = device.names, device.robot
         changed = [] if before is None else [before]
         if claim.robot is None:
-            robots.vanish(link)
+            self._affected.robots.vanish(device)
             device.announce(device.infos, ShownNames())
         else:
             changed.append(self._accept_robot(device, claim, claim.robot))
         self._affected.robot_topics.update(changed, touched | device.names)
-        self._log_name(link, claim)
+        self._log_name(device, claim)
         device.is_undecided = False
         for message, at_s in device.early.pop_all():
             device.receive(message, at_s)
 
-    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> Robot:
-        before = self._affected.robots.of_link(device.link)
+    def _accept_robot(self, device: Device, claim: Accepted, names: RobotTopicNames) -> LocalRobot:
+        before, robots = device.robot, self._affected.robots
         own = dataclasses.replace(names, name=claim.own_name)
         shown = ShownNames(own, names.name)
-        robot = self._affected.robots.appear(names.name, own, shown.of_robot(own), device.link)
+        robot = robots.appear(names.name, own, shown.of_robot(own), device)
         self._displace(robot)
         device.announce(device.infos, shown, robot)
-        if not claim.is_certain and before is not robot:
-            self._affected.emergency_stop.lock_likewise(robot)
-        self._affected.emergency_stop.serve(robot.name)
+        if not claim.is_certain and before is not robot and robot.gate.lock_reason is None:
+            other = robots.locked_likewise(robot)
+            if other is not None:
+                with contextlib.suppress(HostlinkError):  # it is locked; a device that refuses a zero obeys nobody
+                    robot.lock(f"it may be {other.name}: {other.gate.lock_reason}")
         return robot
 
-    def _displace(self, robot: Robot) -> None:
+    def _displace(self, robot: LocalRobot) -> None:
         """End what other devices have by the robot's own names with another type.
 
         Another robot whose own name it is keeps it, but not against a velocity.
         """
         for name, type_name in robot.shown.own.items():
             for key in self._affected.topics.devices_against(name, type_name):
-                other = self._affected.robots.of_link(key)
+                device = self._affected.robots.device(key)
+                other = None if device is None else device.robot
                 is_own = other is not None and name in other.shown.own and name != robot.shown.velocity
-                device = self.devices.get(key.number) if isinstance(key, Link) else None
                 if device is not None and other is not robot and not is_own:
                     device.displace(name, type_name, other)
 
-    def _log_name(self, link: Link, claim: Accepted) -> None:
+    def _log_name(self, device: Device, claim: Accepted) -> None:
         """Which links are one device's distinguishes a reboot from another board; a number in a name is logged."""
         name = "" if claim.robot is None else claim.robot.name
-        self._affected.diagnoses.identify(link, name, own_name=claim.own_name if claim.is_numbered else "")
+        device.diagnosis.robot = name
+        device.diagnosis.own_name = claim.own_name if claim.is_numbered else ""
         if claim.is_numbered:
             log.warning(
                 "robot.numbered",
                 robot=name,
                 own_name=claim.own_name,
-                advice=f'choose its name in hostlink.toml: [robots.NAME] address = "{printable(link.address)}"',
+                advice=f'choose its name in hostlink.toml: [robots.NAME] address = "{printable(device.link.address)}"',
             )
 
     def _replace(self, number: int) -> None:
@@ -210,8 +207,7 @@ class Identities:
         old = self.devices.get(number)
         if old is None:
             return
-        robot = self._affected.robots.of_link(old.link)
-        is_moving = robot is not None and robot.gate.may_move
+        is_moving = old.robot is not None and old.robot.gate.may_move
         self.forget(old.link)
         if is_moving:
             self._spawn(_end_replaced(old.link), name=f"end of link {number}")
@@ -219,7 +215,7 @@ class Identities:
             old.link.end(LinkEnd.REPLACED)
 
     def _leave_graph(self, device: Device) -> None:
-        touched, robot = device.names, self._affected.robots.vanish(device.link)
+        touched, robot = device.names, self._affected.robots.vanish(device)
         device.leave()
         if robot is not None or touched:
             self._affected.robot_topics.update([] if robot is None else [robot], touched)

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import dataclasses
-import itertools
 import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -15,11 +14,12 @@ from hostlink.config import Config, LinkConfig, ParameterValue
 from hostlink.hub.device import Device, check_type
 from hostlink.hub.device_calls import DeviceCalls
 from hostlink.hub.device_events import DeviceEvents, Receivers
+from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.identities import Affected, Identities
 from hostlink.hub.node import Node
 from hostlink.hub.parameters import ParameterAnswers, ParameterSource
 from hostlink.hub.participant import Parts
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.rosout import Rosout
 from hostlink.hub.spawn import Spawn
@@ -43,6 +43,7 @@ class Surroundings(NamedTuple):
 
     parts: Parts
     affected: Affected
+    diagnoses: Diagnoses
     node: Node
     rosout: Rosout
     share: FairShare
@@ -50,14 +51,14 @@ class Surroundings(NamedTuple):
 
 
 class Links:
-    """Owns the links, and what devices ask of the host: services, parameters and the time."""
+    """Opens, serves and ends the links, and answers what devices ask of the host: services, parameters, the time."""
 
     def __init__(self, around: Surroundings, config: Config, parameters: Mapping[str, ParameterValue]) -> None:
         """`parameters`: what devices request; they may change at any time."""
         self.parameter_source: ParameterSource | None = None  # of those that are not set here
         self.wall_ns: Callable[[], int] = time.time_ns  # the time that devices are given
         self._around, self._config, self._events = around, config, around.affected.gates.events
-        self._numbers = itertools.count(1)
+        self._devices = around.affected.robots.devices
         self._ends = Turns(around.share)
         self.calls = DeviceCalls(
             around.parts.services,
@@ -72,7 +73,7 @@ class Links:
             Receivers(
                 around.affected.gates,
                 self._identities,
-                around.affected.diagnoses,
+                around.diagnoses,
                 self.calls,
                 ParameterAnswers(parameters, lambda: self.parameter_source, around.spawn),
                 around.rosout,
@@ -92,19 +93,15 @@ class Links:
             transport,
             session,
             config,
-            number=self.new_number(),
+            number=self._around.affected.robots.new_number(),
             on_event=self._device_events.react,
             share=self._around.share,
             wall_ns=self._read_wall_ns,
             pauses=self._around.affected.gates.pauses,
         )
-        self._identities.devices[link.number] = Device(link, self._around.parts, self._around.node)
-        self._around.affected.diagnoses.begin(link)
+        diagnosis = self._around.diagnoses.begin(link)
+        self._devices[link.number] = Device(link, diagnosis, self._around.parts, self._around.node)
         return link
-
-    def new_number(self) -> int:
-        """For one more connection of a device, here or to another daemon."""
-        return next(self._numbers)
 
     async def serve(self, link: Link, authenticate: Authenticate = trust) -> LinkEnd:
         """Serve an opened link to its end; rosserial begins when `authenticate` returns."""
@@ -130,11 +127,11 @@ class Links:
     def _leave(self, link: Link, end: LinkEnd) -> None:
         self._identities.forget(link)
         self.calls.leave(link)
-        self._around.affected.diagnoses.finish(link, end)
+        self._around.diagnoses.finish(link, end)
 
     def all(self) -> list[Link]:
         """The live links, oldest first."""
-        return [device.link for device in self._identities.devices.values()]
+        return [device.link for device in self._devices.values()]
 
     async def silence(self) -> None:
         """Request silence of every device; returns when each has been sent that."""
@@ -149,15 +146,15 @@ class Links:
 
     def shown_name(self, link: Link, name: str) -> str:
         """By which name the graph knows what a device names so."""
-        device = self._identities.devices.get(link.number)
+        device = self._devices.get(link.number)
         return name if device is None else device.shown.of(name)
 
     def answered_parameters(self, link: Link) -> Mapping[str, Parameter]:
         """What the device of a link was answered, by the shown names: it uses them until it requests them again."""
-        device = self._identities.devices.get(link.number)
+        device = self._devices.get(link.number)
         return {} if device is None else device.parameters
 
-    def forget_robot(self, robot: Robot) -> None:
+    def forget_robot(self, robot: LocalRobot) -> None:
         """It has been away for long."""
         self._identities.forget_robot(robot)
 
@@ -196,8 +193,8 @@ class Links:
 
     async def _give_up(self, link: Link) -> None:
         """End the link of a device that waits for an answer that does not fit it; it rests, and waits no more."""
-        gates = self._around.affected.gates
-        gates.stop_at_once(gates.of_link(link))
+        device = self._devices.get(link.number)
+        self._around.affected.gates.stop_at_once([] if device is None else device.drivables)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SILENCE_TIMEOUT_S):
                 await _silence([link])

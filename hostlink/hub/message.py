@@ -6,7 +6,6 @@ from hostlink.errors import BadPayload
 from hostlink.messages.message_type import MessageType
 
 PROGRAM_PRIORITY = 50  # of a program that names none
-MAX_PRIORITY = 100  # a person at keys or a joystick has 60
 
 
 class Message:

@@ -18,7 +18,6 @@ from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.isolation import Isolation
 from hostlink.hub.message import PROGRAM_PRIORITY
 from hostlink.hub.node import Node, Role
-from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.hub.robot_events import RobotEvent
 from hostlink.hub.services import Answer, Notify, Provider, Services
@@ -82,7 +81,7 @@ class Participant(Node):
         self._advertised: dict[str, bool] = {}  # whether it is latched, by topic
         self._subscriptions: dict[Subscription, None] = {}
         self._services: set[str] = set()
-        self._followed: set[Robot | RemoteRobot] = set()
+        self._followed: set[Robot] = set()
         self._calls: set[asyncio.Timeout] = set()
 
     # -- topics -------------------------------------------------------------------------------------------------------
@@ -284,7 +283,7 @@ class Participant(Node):
 
     def drive(
         self,
-        robot: Robot | RemoteRobot,
+        robot: Robot,
         velocity: PlanarVelocity,
         *,
         priority: int | None = None,
@@ -312,18 +311,19 @@ class Participant(Node):
             epoch,
         )
         with self._parts.topics.deliveries.sending(self):
-            return self._parts.gates.command(robot, command)
+            return robot.command(command)
 
-    async def driven(self, robot: Robot | RemoteRobot, limited: PlanarVelocity) -> PlanarVelocity:
+    async def driven(self, robot: Robot, limited: PlanarVelocity) -> PlanarVelocity:
         """What became of the newest `drive`, which returned `limited`: for a robot that is here, just that.
 
         Raises:
             DeviceGone: the daemon that has the robot has not answered in time, or its device is not connected.
             CommandRefused, FrameTooLarge, WrongType, UnknownTopic: it has refused the command.
         """
-        return await robot.elsewhere.answer(robot, self) if isinstance(robot, RemoteRobot) else limited
+        answer = robot.answer(self)
+        return limited if answer is None else await answer
 
-    def follow(self, robot: Robot | RemoteRobot, receive: Callable[[], None]) -> None:
+    def follow(self, robot: Robot, receive: Callable[[], None]) -> None:
         """Call `receive` after each new pose of the robot, whatever its topic is, until it leaves.
 
         Raises:

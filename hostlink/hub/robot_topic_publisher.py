@@ -1,26 +1,23 @@
 """RobotTopicPublisher: a robot's topics under the names that ROS programs expect: odom, tf, cmd_vel."""
 
 import functools
-import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import HostlinkError
-from hostlink.hub.gates import Gates
 from hostlink.hub.message import Message
 from hostlink.hub.node import Node
-from hostlink.hub.robot import Robot
-from hostlink.hub.topic import DeviceSubscription, Topic
+from hostlink.hub.robot import LocalRobot
+from hostlink.hub.topic import DeviceSubscription, Receive, Topic
 from hostlink.hub.topic_graph import TopicGraph, resolve
 from hostlink.messages.catalog import Catalog
 from hostlink.messages.message_type import MessageType
 from hostlink.robot.ros_messages import FrameIds, odometry_of, transform_of, variances_of
-from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE, Twist
+from hostlink.robot.velocity import TWIST_STAMPED_TYPE, TWIST_TYPE
 
 log = structlog.get_logger()
 
@@ -37,7 +34,7 @@ class _Offer:
     admission knows who was publishing when the device connects.
     """
 
-    robot: Robot
+    robot: LocalRobot
     frames: FrameIds
     is_away: bool
     odom: Topic | None = None
@@ -55,9 +52,9 @@ class RobotTopicPublisher:
     connects first.
     """
 
-    def __init__(self, graph: TopicGraph, gates: Gates, node: Node, catalog: Catalog) -> None:
+    def __init__(self, graph: TopicGraph, node: Node, catalog: Catalog) -> None:
         """`node` publishes and subscribes."""
-        self._graph, self._gates, self._node = graph, gates, node
+        self._graph, self._node = graph, node
         self._types = {name: _type(catalog, name) for name in (ODOMETRY_TYPE, TF_TYPE)}
         self._offers: dict[str, _Offer] = {}  # by robot
         self._commands: set[str] = set()  # topics of all offers
@@ -66,7 +63,7 @@ class RobotTopicPublisher:
         )  # robots, by the names that they would have
         self._tf: Topic | None = None  # while a robot publishes its transform
 
-    def update(self, robots: Iterable[Robot], touched: frozenset[str]) -> None:
+    def update(self, robots: Iterable[LocalRobot], touched: frozenset[str]) -> None:
         """These robots came, left, or their devices have other topics; `touched` are those, by their full names.
 
         What that changes is offered anew. With a thousand robots, one that comes touches no other.
@@ -89,7 +86,7 @@ class RobotTopicPublisher:
         if not any(offer.publishes_tf for offer in self._offers.values()):
             self._close_tf()
 
-    def forget(self, robot: Robot) -> None:
+    def forget(self, robot: LocalRobot) -> None:
         """It is not known any more."""
         offer = self._offers.pop(robot.name, None)
         if offer is not None:
@@ -117,7 +114,7 @@ class RobotTopicPublisher:
             except HostlinkError as error:
                 log.debug("message.refused", topic=topic.name, reason=str(error))
 
-    def _open(self, robot: Robot) -> None:
+    def _open(self, robot: LocalRobot) -> None:
         is_away = robot.link is None
         offer = self._offers[robot.name] = _Offer(robot, frames_of(robot.name, robot.config), is_away)
         commands = (dict.fromkeys(robot.velocities, TWIST_TYPE) if is_away else {}) | command_topics(robot)
@@ -146,10 +143,10 @@ class RobotTopicPublisher:
         heard = frozenset(offer.commands)
         heard |= {name for name in robot.velocities if self._is_gate_of(robot, name)}
         for name in heard - robot.heard:
-            self._gates.join(robot, self._graph.find(name))
+            robot.join(self._graph.find(name))
         robot.heard = heard
 
-    def _is_gate_of(self, robot: Robot, name: str) -> bool:
+    def _is_gate_of(self, robot: LocalRobot, name: str) -> bool:
         topic = self._graph.find_or_none(name)
         return topic is not None and robot.link in topic.devices
 
@@ -190,17 +187,14 @@ class RobotTopicPublisher:
             log.warning("topic.refused", topic=name, reason=str(error))
             return None
 
-    def _subscribe(self, robot: Robot, name: str, type_name: str) -> bool:
+    def _subscribe(self, robot: LocalRobot, name: str, type_name: str) -> bool:
         """False for a name that is switched off, of a device or another robot, or of another type."""
         known = self._graph.find_or_none(name)
         if not name or resolve(name) in self._commands or (known is not None and known.devices):
             return False
         is_away = robot.link is None
-        receive: Callable[[Robot, Message], None]
-        receive = self._gates.receive if type_name == TWIST_TYPE else self._receive_stamped
-        if is_away:
-            receive = self._yielding(receive)
-        subscription = DeviceSubscription(functools.partial(receive, robot), is_gate=True, is_away=is_away)
+        receive = self._yielding(robot.receive) if is_away else robot.receive
+        subscription = DeviceSubscription(receive, is_gate=True, is_away=is_away)
         try:
             topic = self._graph.subscribe_device(name, self._node, subscription, type_name=type_name)
         except HostlinkError as error:
@@ -210,28 +204,16 @@ class RobotTopicPublisher:
             robot.echoes[topic.name] = topic
         return True
 
-    def _yielding(self, receive: Callable[[Robot, Message], None]) -> Callable[[Robot, Message], None]:
+    def _yielding(self, receive: Receive) -> Receive:
         """Leave a message to another gate of the topic: the device may be connected to another daemon now."""
 
-        def receive_alone(robot: Robot, message: Message) -> None:
+        def receive_alone(message: Message) -> None:
             if len(self._graph.find(message.topic).devices) == 1:
-                receive(robot, message)
+                receive(message)
 
         return receive_alone
 
-    def _receive_stamped(self, robot: Robot, message: Message) -> None:
-        """Pass a TwistStamped on as a command of its publisher. A stamp of 0 is none.
-
-        Raises:
-            HostlinkError: as `Gates.command`.
-        """
-        fields: Mapping[str, Any] = message.decoded
-        stamp: Mapping[str, int] = fields["header"]["stamp"]
-        stamp_ns = stamp["secs"] * _NS_PER_S + stamp["nsecs"]
-        stamp_age_s = (time.time_ns() - stamp_ns) / _NS_PER_S if stamp_ns else None
-        self._gates.follow(robot, Twist.from_fields(fields["twist"]), message, stamp_age_s=stamp_age_s)
-
-    def _publishes(self, robot: Robot, name: str) -> bool:
+    def _publishes(self, robot: LocalRobot, name: str) -> bool:
         topic = self._graph.find_or_none(name)
         return topic is not None and robot.link in topic.publishers
 
@@ -241,16 +223,16 @@ def frames_of(name: str, config: RobotConfig) -> FrameIds:
     return FrameIds(config.odom_frame or f"{name}/odom", config.base_frame or f"{name}/base_link")
 
 
-def _odom(robot: Robot) -> str:
+def _odom(robot: LocalRobot) -> str:
     return _chosen(robot.config.odom_topic, f"{robot.name}/odom")
 
 
-def own_topics(robot: Robot) -> list[str]:
+def own_topics(robot: LocalRobot) -> list[str]:
     """The names of all topics that hostlink has for a robot, as they are configured: a graph may have namespaces."""
     return [name for name in (_odom(robot), *command_topics(robot)) if name]
 
 
-def command_topics(robot: Robot) -> dict[str, str]:
+def command_topics(robot: LocalRobot) -> dict[str, str]:
     """The names that its velocity topic has beside its own, with their types; empty: that one is switched off."""
     return {
         _chosen(robot.config.cmd_vel_topic, f"{robot.name}/cmd_vel"): TWIST_TYPE,

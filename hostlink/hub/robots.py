@@ -1,7 +1,8 @@
-"""Robots: which devices are robots, and which robots are known, connected or not."""
+"""Robots: the registry of links and robots: which link is which device, which device is which robot, what drives it."""
 
 import asyncio
 import contextlib
+import itertools
 import math
 import secrets
 from collections.abc import Callable, Hashable, Mapping
@@ -10,9 +11,9 @@ import structlog
 
 from hostlink.config import RobotConfig
 from hostlink.errors import UnknownTopic
-from hostlink.hub.gates import Gates
-from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.hub.robot import Robot
+from hostlink.hub.device import Device
+from hostlink.hub.gates import Drivable, Gates
+from hostlink.hub.robot import LocalRobot, RemoteRobot, Robot
 from hostlink.hub.robot_events import EventKind
 from hostlink.hub.robot_settings import correction_of, limits_of, of_namesake
 from hostlink.link.link import Link
@@ -30,7 +31,16 @@ MAX_ROBOTS = 4096  # connected or locked, which are never forgotten: over it no 
 
 
 class Robots:
-    """All robots by name. Methods are synchronous.
+    """The one place that knows what belongs to a link, and which robots there are. Methods are synchronous.
+
+    It owns:
+    - `devices`: the Device of each live link, by the number of the link. A Device has its link, its diagnosis, its
+      robot, and its drivables with their gates. A robot and each drivable know their Device as their `connection`.
+    - the robots of this daemon by name, connected or not.
+    - `remote`: the robots of other daemons by name.
+
+    The Directory decides from what devices announce which robot a device is; this is what was decided. All others ask
+    here, and keep no table of links or robots of their own.
 
     A robot is forgotten when it has been away for `forget_after_s`, or when MAX_AWAY others left after it; one that is
     configured or locked never is.
@@ -42,7 +52,7 @@ class Robots:
         gates: Gates,
         *,
         forget_after_s: float = math.inf,
-        on_forgotten: Callable[[Robot], None] = lambda _: None,
+        on_forgotten: Callable[[LocalRobot], None] = lambda _: None,
         on_change: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Make a table without robots; `on_change` is called with its name when one comes, leaves or is forgotten.
@@ -52,26 +62,48 @@ class Robots:
         """
         self.forgotten = 0
         self.max_robots = MAX_ROBOTS + len(configs)
+        self.devices: dict[int, Device] = {}  # oldest first
+        self.remote: dict[str, RemoteRobot] = {}  # to be read alone
+        self._numbers = itertools.count(1)
         self._configs, self._gates = configs, gates
         for config in configs.values():
             limits_of(config)
         self._on_forgotten, self._on_change = on_forgotten, on_change
-        self._robots: dict[str, Robot] = {}
-        self.remote: dict[str, RemoteRobot] = {}  # of other daemons; to be read alone
-        self._of_link: dict[Hashable, Robot] = {}
+        self._robots: dict[str, LocalRobot] = {}
         self._away = Away(forget_after_s)  # who may be forgotten
         self._wake = asyncio.Event()
 
-    def here(self) -> list[Robot]:
+    # -- links --------------------------------------------------------------------------------------------------------
+
+    def new_number(self) -> int:
+        """For one more connection of a device, here or to another daemon."""
+        return next(self._numbers)
+
+    def device(self, key: Hashable) -> Device | None:
+        """The device of a live link; None: it is no link, or has ended."""
+        return self.devices.get(key.number) if isinstance(key, Link) else None
+
+    def of_link(self, key: Hashable) -> LocalRobot | None:
+        """The robot whose device has this link."""
+        device = self.device(key)
+        return None if device is None else device.robot
+
+    def drivables(self) -> list[Drivable]:
+        """Whatever can be driven now."""
+        return [drivable for device in self.devices.values() for drivable in device.drivables]
+
+    # -- robots -------------------------------------------------------------------------------------------------------
+
+    def here(self) -> list[LocalRobot]:
         """Every robot that is connected to this daemon, or was and is not forgotten, by name."""
         return [self._robots[name] for name in sorted(self._robots)]
 
-    def all(self) -> list[Robot | RemoteRobot]:
+    def all(self) -> list[Robot]:
         """Every robot, also of other daemons, by name; as `find` finds it."""
         found = (self._find(name) for name in sorted(self._robots.keys() | self.remote.keys()))
         return [robot for robot in found if robot is not None]
 
-    def find(self, name: str) -> Robot | RemoteRobot:
+    def find(self, name: str) -> Robot:
         """The robot of that name, connected or not.
 
         Raises:
@@ -86,13 +118,13 @@ class Robots:
         """Whether there is one of that name, here or elsewhere."""
         return self._find(name) is not None
 
-    def _find(self, name: str) -> Robot | RemoteRobot | None:
+    def _find(self, name: str) -> Robot | None:
         """A robot of this daemon comes first, unless it has left and is connected to another one now."""
         robot, remote = self._robots.get(name), self.remote.get(name)
         is_elsewhere = robot is not None and robot.link is None and remote is not None and remote.link is not None
         return remote if robot is None or is_elsewhere else robot
 
-    def find_here(self, name: str) -> Robot:
+    def find_here(self, name: str) -> LocalRobot:
         """The robot of this daemon that has this name, connected or not.
 
         Raises:
@@ -103,17 +135,41 @@ class Robots:
             raise UnknownTopic("robot", name, self._robots)
         return robot
 
-    def get_here(self, name: str) -> Robot | None:
+    def get_here(self, name: str) -> LocalRobot | None:
         """The robot of this daemon that has this name, if any."""
         return self._robots.get(name)
 
-    def is_known(self, robot: Robot | RemoteRobot) -> bool:
+    def is_known(self, robot: Robot) -> bool:
         """Whether it is not forgotten."""
         return robot in (self._robots.get(robot.name), self.remote.get(robot.name))
 
-    def of_link(self, link: Hashable) -> Robot | None:
-        """The robot whose device has this link."""
-        return self._of_link.get(link)
+    def locked_likewise(self, robot: LocalRobot) -> LocalRobot | None:
+        """A locked robot that may be this one, which has come back under another name; None: there is none."""
+        for other in self._robots.values():
+            is_alike = other is not robot and other.topics.name == robot.topics.name
+            if is_alike and other.gate.lock_reason is not None and not other.is_surely_there():
+                return other
+        return None
+
+    def stop_all(self) -> None:
+        """Stop every robot, at other daemons too.
+
+        Raises:
+            HostlinkError: the zero does not fit a device; all others have been stopped.
+        """
+        if self._gates.hosts is not None:
+            self._gates.hosts.stop(None)
+        self.stop_all_here()
+
+    def stop_all_here(self) -> None:
+        """Stop whatever this daemon drives.
+
+        Raises:
+            HostlinkError: the zero does not fit a device; all others have been stopped.
+        """
+        self._gates.stop(self.drivables())
+
+    # -- which come and leave -----------------------------------------------------------------------------------------
 
     def make_room(self, name: str) -> bool:
         """Whether a robot of this name may come, if need be in the place of one that is away."""
@@ -121,45 +177,49 @@ class Robots:
             self._forget(self._away.pop_first())
         return name in self._robots or len(self._robots) < self.max_robots
 
-    def appear(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, link: Link) -> Robot:
+    def appear(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames, device: Device) -> LocalRobot:
         """A robot's device is ready, with these topics as it names them, and as they are shown in the graph.
 
         Whatever was commanded before means nothing now; its first velocity is zero.
         """
-        before = self._of_link.get(link)
-        if before is not None and before.name != name:
-            self.vanish(link)
-        self._gates.detach(link)
+        if device.robot is not None and device.robot.name != name:
+            self.vanish(device)
+        self._gates.detach(device)
         robot = self._robots.get(name)
         if robot is None:
             robot = self._robots[name] = self._make(name, topics, shown)
-        elif robot.link is not None:
-            self._of_link.pop(robot.link, None)
-            self._gates.detach(robot.link)
+        before = self.device(robot.link)
+        if before is not None:
+            before.robot = None
+            self._gates.detach(before)
         robot.topics, robot.shown, robot.velocity_topic = topics, shown, topics.velocity
-        self._of_link[link] = robot
+        robot.battery = None
+        device.robot = robot
         self._away.remove(name)
-        self._gates.attach(robot, link)
+        self._gates.attach(robot, device)
         self._on_change(name)
+        link = device.link
         self._gates.events.note(EventKind.APPEARED, name, link=link.number, peer=link.peer)
         log.info("robot.appeared", robot=name, velocity=shown.velocity, odometry=shown.odometry)
         return robot
 
-    def vanish(self, link: Link) -> Robot | None:
-        """A link has no robot any more: the one that it had is sent a zero, and is without a device."""
-        robot = self._of_link.pop(link, None)
+    def vanish(self, device: Device) -> LocalRobot | None:
+        """A device is no robot any more: the one that it was is sent a zero, and is without a device."""
+        robot, device.robot = device.robot, None
         was_moving = robot is not None and robot.gate.is_driven
-        self._gates.detach(link)
+        self._gates.detach(device)
         if robot is None:
             return None
+        robot.battery = None
         log.warning("robot.gone", robot=robot.name)
         self._gates.events.note(EventKind.GONE, robot.name, was_moving=was_moving)
-        self.put_away(robot)
+        self._put_away(robot)
         self._on_change(robot.name)
         return robot
 
     def put_remote(self, robot: RemoteRobot) -> None:
         """Another daemon has it."""
+        self.pop_remote(robot.name)
         self.remote[robot.name] = robot
         self._on_change(robot.name)
 
@@ -167,6 +227,7 @@ class Robots:
         """No other daemon has it any more; None: none had."""
         robot = self.remote.pop(name, None)
         if robot is not None:
+            robot.leave()
             self._on_change(name)
         return robot
 
@@ -179,12 +240,12 @@ class Robots:
             robot.odometry.change_fastest(_fastest(robot.config))
             robot.odometry.is_differential = _is_differential(robot.config)
             _configure(robot.gate.admission, robot.config)
-            for drivable in self._gates.beside(robot):
+            for drivable in robot.beside:
                 drivable.gate.change_limits(limits_of(robot.config))
             if robot.name in configs:
-                self.keep(robot)
+                self._away.remove(robot.name)
             elif robot.name in before:
-                self.put_away(robot)
+                self._put_away(robot)
 
     def forget(self, name: str) -> None:
         """A robot without a device has another name now."""
@@ -193,11 +254,14 @@ class Robots:
             self._away.remove(name)
             self._forget(name)
 
-    def keep(self, robot: Robot) -> None:
-        """It must not be forgotten."""
-        self._away.remove(robot.name)
+    def _note_lock(self, robot: LocalRobot) -> None:
+        """It was locked, and must not be forgotten; or unlocked."""
+        if robot.gate.lock_reason is not None:
+            self._away.remove(robot.name)
+        else:
+            self._put_away(robot)
 
-    def put_away(self, robot: Robot) -> None:
+    def _put_away(self, robot: LocalRobot) -> None:
         """It may be forgotten from now on, unless it is connected, configured or locked."""
         if robot.link is None and robot.gate.lock_reason is None and robot.name not in self._configs:
             self._away.put(robot.name, _now_s())
@@ -214,7 +278,7 @@ class Robots:
                     await self._wake.wait()
             self._forget_some()
 
-    def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> Robot:
+    def _make(self, name: str, topics: RobotTopicNames, shown: RobotTopicNames) -> LocalRobot:
         config = self._config_of(name, topics.name)
         odometry = OdometryEstimator(
             continues=config.odometry_after_restart == "continue",
@@ -224,8 +288,10 @@ class Robots:
         )
         admission = Admission(name, epoch=secrets.randbits(EPOCH_BITS))
         _configure(admission, config)
-        return Robot(
+        return LocalRobot(
             name=name,
+            gates=self._gates,
+            on_lock=self._note_lock,
             velocity_topic=topics.velocity,
             gate=VelocityGate(admission, limits_of(config), ZERO),
             config=config,

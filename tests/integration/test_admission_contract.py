@@ -95,18 +95,18 @@ Row = Callable[[EntryPoint, Robot], Awaitable[None]]
 
 
 async def stop(robot: Robot) -> None:
-    robot.made.hub.gates.stop(robot.made.hub.robots.find(ROBOT))
+    robot.made.hub.robots.find(ROBOT).stop()
 
 
 async def stop_all(robot: Robot) -> None:
-    robot.made.hub.gates.stop_all()
+    robot.made.hub.robots.stop_all()
 
 
 async def lock_and_unlock(robot: Robot) -> None:
     found = robot.made.hub.robots.find(ROBOT)
-    robot.made.hub.emergency_stop.stop(found, "smoke")
+    found.lock("smoke")
     await asyncio.sleep(0.2)
-    robot.made.hub.emergency_stop.release(found)
+    found.unlock()
 
 
 async def reconnect(robot: Robot) -> None:
@@ -208,7 +208,7 @@ async def late_is_refused(way: EntryPoint, robot: Robot) -> None:
 
 
 async def locked(way: EntryPoint, robot: Robot) -> None:
-    robot.made.hub.emergency_stop.stop(robot.made.hub.robots.find(ROBOT), "smoke")
+    robot.made.hub.robots.find(ROBOT).lock("smoke")
     await asyncio.sleep(0.2)  # another daemon reports the lock
     await way.start()
     await robot.stands(1.0)
@@ -398,15 +398,13 @@ SITES: dict[str, tuple[type[EntryPoint], ...]] = {
     ),
     "graphs/zenoh/fleet_exports.py: self._drivers.publish": (entry_points.FleetPublisher,),
     "hub/device.py: topic.publish": (entry_points.DevicePublisher,),
-    "hub/robot_topic_publisher.py: self._gates.follow": (entry_points.TwistStamped,),
-    "hub/gates.py: self.follow": (entry_points.RosbridgePublish,),
+    "hub/gates.py: self.follow": (entry_points.RosbridgePublish, entry_points.TwistStamped),
+    "hub/gates.py: self.gates.command": (entry_points.RosbridgeDrive, entry_points.RosbridgePublish),
     "hub/gates.py: self.command": (entry_points.RosbridgePublish,),
     "hub/participant.py: known.publish": (entry_points.RosbridgePublish,),
-    "hub/participant.py: self._parts.gates.command": (entry_points.RosbridgeDrive,),
+    "hub/participant.py: robot.command": (entry_points.RosbridgeDrive,),
     "hub/gates.py: gate.command": (entry_points.RosbridgeDrive,),
-    "hub/gates.py: drivable.command": (entry_points.FleetSender,),
-    "hub/remote_robot.py: self.elsewhere.drive": (entry_points.FleetSender,),
-    "hub/remote_robots.py: self._gates.follow": (entry_points.FleetSenderPublish,),
+    "hub/robot.py: self.hosts.drive": (entry_points.FleetSender, entry_points.FleetSenderPublish),
 }  # fmt: skip
 #: What has the same name, and gives no velocity.
 OTHERS = {
@@ -423,7 +421,6 @@ OTHERS = {
     "graphs/ros2/routes.py: publisher.publish": "to ROS 2",
     "graphs/zenoh/fleet.py: self._robots.follow": "poses",
     "graphs/zenoh/fleet_imports.py: shown.participant.publish": "what a device elsewhere sends; a velocity is no such",
-    "graphs/zenoh/fleet_robots.py: robot.follow": "poses",
     "graphs/zenoh/rmw_bridge.py: self._offered.follow": "services",
     "graphs/zenoh/rmw_bridge.py: self._publications.follow": "topics to ROS 2",
     "graphs/zenoh/rmw_bridge.py: self._subscriptions.follow": "the graph",

@@ -15,7 +15,7 @@ from hostlink.client.connection import waits
 from hostlink.client.http_client import CLOSE_TIMEOUT_S
 from hostlink.config import ApiConfig, Config, TokenConfig
 from hostlink.errors import HostlinkError
-from hostlink.hub.remote_robot import Elsewhere
+from hostlink.hub.gates import RemoteHosts
 from hostlink.protocol.control import Log, encode_log
 from hostlink.protocol.frame import Id, encode
 from hostlink.robot.admission import LEASE_S
@@ -36,7 +36,7 @@ TRIGGER = [
 ]
 
 
-class Unanswered(Elsewhere):
+class Unanswered(RemoteHosts):
     """Another daemon, which answers nothing."""
 
     async def settled(self) -> None:
@@ -53,7 +53,7 @@ async def refused(host: Host, *, name: str = "robot_0", linear_m_s: float = 0.2)
 def drive_as_a_person(host: Daemon) -> None:
     """As a person at the keys."""
     robot = host.hub.robots.find("robot_0")
-    drive_gate(host.hub.gates, robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
+    drive_gate(robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
 
 
 @contextlib.asynccontextmanager
@@ -126,12 +126,12 @@ async def test_a_stop_that_is_not_answered_delays_none_of_another_robot() -> Non
         for name in ("robot_0", "robot_1"):
             await me.robot(name).drive(0.2, 0.0)
         gates = [host.hub.robots.find(name).gate for name in ("robot_0", "robot_1")]
-        host.hub.gates.elsewhere = Unanswered()
+        host.hub.gates.hosts = Unanswered()
         async with meanwhile(me.stop_driven()):
             await expect(lambda: all(gate.owner_name is None for gate in gates), timeout_s=CLOSE_TIMEOUT_S / 2)
             assert not me.robot("robot_0").is_driven
             assert not me.robot("robot_1").is_driven
-        host.hub.gates.elsewhere = None
+        host.hub.gates.hosts = None
 
 
 async def test_a_drive_that_cannot_be_is_refused_at_once_and_not_repeated() -> None:

@@ -126,7 +126,7 @@ def test_a_locked_robot_is_a_warning() -> None:
         reader = Reader(hub.join("a monitor"))
         robot = ScriptedDevice(hub, robot_topics(), address="192.168.4.2")
         await asyncio.sleep(0.1)
-        hub.emergency_stop.stop(hub.robots.find("robot_0"), "a person is near")
+        hub.robots.find("robot_0").lock("a person is near")
         await asyncio.sleep(1.5)
         status = reader.statuses["hostlink: robot_0 link"]
         assert (status["level"], status["message"]) == (WARN, "locked: a person is near")

@@ -27,7 +27,7 @@ CURVE = (0.2, 0.5)
 def drive(host: Daemon, owner: str = "test", *, priority: int = 50, velocity: tuple[float, float] = CURVE) -> None:
     robot = host.hub.robots.find("robot_0")
     wanted = PlanarVelocity(x_m_s=velocity[0], yaw_rad_s=velocity[1])
-    drive_gate(host.hub.gates, robot, wanted, owner=owner, priority=priority)
+    drive_gate(robot, wanted, owner=owner, priority=priority)
 
 
 async def greeted(device: FakeDevice) -> None:
@@ -297,7 +297,7 @@ async def test_everything_stops_at_one_request() -> None:
     ):
         for name, device in (("robot_0", first), ("robot_1", second)):
             await greeted(device)
-            drive_gate(host.hub.gates, host.hub.robots.find(name), PlanarVelocity(0.2, yaw_rad_s=0.5), owner="test")
+            drive_gate(host.hub.robots.find(name), PlanarVelocity(0.2, yaw_rad_s=0.5), owner="test")
         status, body = await host.rest("POST", "/api/stop")
         assert (status, [robot["holder"] for robot in body["robots"]]) == (200, [None, None])
         assert await first.velocity_other_than(CURVE) == ZERO

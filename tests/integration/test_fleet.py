@@ -94,7 +94,7 @@ async def test_each_receives_its_own_commands(config: Config, second: str, names
             for by in ("velocity_commands", "cmd_vel"):
                 publish(host.hub, f"/{name}/{by}", velocity.encode(), source=by)
                 assert await device.velocity_other_than((0.0, 0.0)) == (velocity.x_m_s, 0.0)
-                host.hub.gates.stop(host.hub.robots.find(name))
+                host.hub.robots.find(name).stop()
                 assert await device.velocity_other_than((velocity.x_m_s, 0.0)) == (0.0, 0.0)
 
 
@@ -168,7 +168,7 @@ async def test_limits_apply_to_every_robot_that_announces_the_name() -> None:
     async with daemon(config) as host, two_alike(host):
         for name in ("robot_0", "robot_0_2"):
             robot = host.hub.robots.find(name)
-            assert drive_gate(host.hub.gates, robot, FAST, owner="test").x_m_s == 0.2
+            assert drive_gate(robot, FAST, owner="test").x_m_s == 0.2
         assert host.hub.topics.find_or_none("/robot_0_2/odom") is not None
 
 
@@ -180,13 +180,13 @@ async def test_one_that_comes_back_while_its_old_link_seems_alive_has_its_name_a
         repeating(other, pose(2.0)),
     ):
         await expect(lambda: host.hub.robots.find("robot_0_2").link)
-        host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
+        host.hub.robots.find("robot_0").lock("a person is near")
         async with fake_device(host.tcp, robot_topics(), local_host=ONE), asyncio.timeout(2.0):
             await old.closed()
             await expect(lambda: host.hub.robots.find("robot_0").link)
             with pytest.raises(CommandRefused, match="a person is near"):
-                drive_gate(host.hub.gates, host.hub.robots.find("robot_0"), SLOW, owner="test")
-            drive_gate(host.hub.gates, host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+                drive_gate(host.hub.robots.find("robot_0"), SLOW, owner="test")
+            drive_gate(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -198,7 +198,7 @@ async def test_what_the_old_link_was_driven_by_drives_the_new_one_no_more() -> N
             async def drive() -> None:
                 robot, first = host.hub.robots.find("robot_0"), host.hub.links.all()[0]
                 while robot.link is first:
-                    drive_gate(host.hub.gates, robot, SLOW, owner="test")
+                    drive_gate(robot, SLOW, owner="test")
                     await asyncio.sleep(0.02)
 
             tasks.create_task(drive())
@@ -219,7 +219,7 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
     async with daemon() as host:
         async with fake_device(host.tcp, robot_topics(), local_host=ONE):
             await expect(lambda: host.hub.robots.find("robot_0").link)
-            host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
+            host.hub.robots.find("robot_0").lock("a person is near")
         async with (
             fake_device(host.tcp, robot_topics(), local_host=OTHER) as driver,
             repeating(driver, pose(1.0)),
@@ -228,7 +228,7 @@ async def test_one_that_may_be_a_locked_one_is_locked() -> None:
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
             for name in ("robot_0", "robot_0_2"):
                 with pytest.raises(CommandRefused, match="a person is near"):
-                    drive_gate(host.hub.gates, host.hub.robots.find(name), SLOW, owner="test")
+                    drive_gate(host.hub.robots.find(name), SLOW, owner="test")
 
 
 async def test_one_that_is_surely_another_is_not_locked() -> None:
@@ -238,10 +238,10 @@ async def test_one_that_is_surely_another_is_not_locked() -> None:
         repeating(one, pose(1.0)),
     ):
         await expect(lambda: host.hub.robots.find("robot_0").link)
-        host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "a person is near")
+        host.hub.robots.find("robot_0").lock("a person is near")
         async with fake_device(host.tcp, robot_topics(), local_host=OTHER) as other:
             await expect(lambda: host.hub.robots.find("robot_0_2").link)
-            drive_gate(host.hub.gates, host.hub.robots.find("robot_0_2"), SLOW, owner="test")
+            drive_gate(host.hub.robots.find("robot_0_2"), SLOW, owner="test")
             assert await other.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
 
 
@@ -263,7 +263,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry
     async def drive() -> None:
         robot = host.hub.robots.find("robot_0")
         while robot.link is not None:
-            drive_gate(host.hub.gates, robot, SLOW, owner="test")
+            drive_gate(robot, SLOW, owner="test")
             await asyncio.sleep(0.02)
 
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, asyncio.TaskGroup() as tasks:
@@ -283,7 +283,7 @@ async def test_a_robot_that_drives_and_announces_its_topics_without_its_odometry
                     last = await device.velocity()
         assert last == (0.0, 0.0)
         with pytest.raises(CommandRefused, match="its device is not connected"):
-            drive_gate(host.hub.gates, host.hub.robots.find("robot_0"), SLOW, owner="test")
+            drive_gate(host.hub.robots.find("robot_0"), SLOW, owner="test")
 
 
 async def test_a_host_is_ready_again_when_a_robot_that_left_is_forgotten() -> None:
@@ -306,7 +306,7 @@ async def test_a_simulated_fleet_of_one_name_is_a_fleet() -> None:
         assert names == ["robot_0", "robot_0_2", "robot_0_3"]
         links = [robot.link for robot in host.hub.robots.all()]
         for name, velocity in zip(names, (SLOW, FAST), strict=False):
-            drive_gate(host.hub.gates, host.hub.robots.find(name), velocity, owner="test")
+            drive_gate(host.hub.robots.find(name), velocity, owner="test")
         await expect(lambda: all(robot.odometry.count > 10 for robot in host.hub.robots.all()))
         assert [robot.link for robot in host.hub.robots.all()] == links
         findings = {each.code for link in host.hub.links.all() for each in host.hub.diagnoses.of(link)}

@@ -25,7 +25,7 @@ OTHER = "127.0.0.3"
 
 
 def drive(host: Daemon, name: str) -> None:
-    drive_gate(host.hub.gates, host.hub.robots.find(name), PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
+    drive_gate(host.hub.robots.find(name), PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
 
 
 async def is_driven(host: Daemon, name: str, device: FakeDevice) -> None:

@@ -80,10 +80,10 @@ async def test_a_lock_that_somebody_else_ends_is_not_followed_by_a_key_that_is_s
     async with daemon() as host, fake_device(host.tcp, robot_topics()) as device, at_the_keys(host) as keys:
         await keys.press("w", 0.2)
         robot = host.hub.robots.find("robot_0")
-        host.hub.emergency_stop.stop(robot, "a hand in the wheel")
+        robot.lock("a hand in the wheel")
         await keys.press("w", 2 * SEND_INTERVAL_S)
         assert "locked: a hand in the wheel" in keys.driver.refusal
-        host.hub.emergency_stop.release(robot)
+        robot.unlock()
         await keys.press("w", 4 * SEND_INTERVAL_S)
         assert robot.gate.current.is_zero
         await asyncio.sleep(2 * HOLD_S)

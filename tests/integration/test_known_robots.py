@@ -121,7 +121,7 @@ def test_a_robot_is_forgotten_after_a_while_and_a_configured_one_never() -> None
 def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None:
     async def check(hub: Hub) -> None:
         await visit(hub, robot_topics("robot_0"))
-        hub.emergency_stop.stop(hub.robots.find("robot_0"), "a person is near")
+        hub.robots.find("robot_0").lock("a person is near")
         for number in range(2 * MAX_AWAY):
             await visit(hub, robot_topics(f"crowd_{number}"))
         await asyncio.sleep(10 * FORGET_S)
@@ -129,10 +129,10 @@ def test_a_locked_robot_is_not_forgotten_and_is_locked_when_it_is_back() -> None
         device = ScriptedDevice(hub, robot_topics("robot_0"), address="10.0.0.2")
         await asyncio.sleep(0.1)
         with pytest.raises(CommandRefused, match="a person is near"):
-            drive_gate(hub.gates, hub.robots.find("robot_0"), PlanarVelocity(x_m_s=0.1), owner="test")
+            drive_gate(hub.robots.find("robot_0"), PlanarVelocity(x_m_s=0.1), owner="test")
         await device.aclose()
         await asyncio.sleep(FORGET_S)
-        hub.emergency_stop.release(hub.robots.find("robot_0"))
+        hub.robots.find("robot_0").unlock()
         await asyncio.sleep(FORGET_S - 1.0)
         assert known(hub) == ["robot_0"]
         await asyncio.sleep(1.1)
@@ -147,7 +147,7 @@ def test_a_robot_that_is_driven_while_others_are_forgotten_drives_on() -> None:
         await asyncio.sleep(0.1)
         robot = hub.robots.find("robot_0")
         for number in range(MAX_AWAY + 10):
-            drive_gate(hub.gates, robot, PlanarVelocity(x_m_s=0.1), owner="test")
+            drive_gate(robot, PlanarVelocity(x_m_s=0.1), owner="test")
             await visit(hub, robot_topics(f"crowd_{number}"))
         assert robot.gate.owner_name == "test"
         await device.aclose()

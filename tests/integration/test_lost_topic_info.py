@@ -47,7 +47,7 @@ async def velocity(device: FakeDevice, topic_id: int, *, other_than: bytes) -> b
 async def moving(host: Daemon, device: FakeDevice, topic_id: int) -> bytes:
     await expect(lambda: host.hub.robots.find("robot_0").link)
     robot = host.hub.robots.find("robot_0")
-    drive_gate(host.hub.gates, robot, PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
+    drive_gate(robot, PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
     return await velocity(device, topic_id, other_than=bytes(48))
 
 
@@ -76,7 +76,6 @@ async def test_one_that_never_announces_it_again_receives_zero_before_it_is_no_r
         driven = await moving(host, device, topic_id)
         for count in (2, 3, 4):
             drive_gate(
-                host.hub.gates,
                 host.hub.robots.find("robot_0"),
                 PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5),
                 owner="test",
@@ -121,7 +120,7 @@ async def test_one_that_has_no_odometry_or_velocity_any_more_stands_after_the_th
                 elif frame.topic_id == Id.PUBLISHER:
                     await device.send(without(type_name, VELOCITY_FIRST))
                 if robot.link is not None:
-                    drive_gate(host.hub.gates, robot, PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
+                    drive_gate(robot, PlanarVelocity(x_m_s=0.2, yaw_rad_s=0.5), owner="test")
         await asyncio.sleep(0.3)
         assert not robot.gate.may_move
-        assert all(not each.gate.may_move for each in host.hub.gates.all())
+        assert all(not each.gate.may_move for each in host.hub.robots.drivables())

@@ -21,10 +21,10 @@ from hostlink.api.owners import MAX_OWNERS
 from hostlink.config import BlackBoxConfig, Config, RecordingConfig
 from hostlink.hub.deliveries import MAX_WAITING
 from hostlink.hub.message import Message
-from hostlink.messages.catalog import Catalog
 from hostlink.protocol.frame import Id, encode
 from hostlink.recording.folder import DiskUsage, Folder
 from tests.support.daemon import Daemon, daemon
+from tests.support.device_reports import BATTERY, battery
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.rosbridge import client
 from tests.support.waiting import expect
@@ -125,7 +125,6 @@ async def test_messages_that_were_delivered_before_their_turn() -> None:
 
 DASHBOARD = json.loads(Path("docs/grafana.json").read_text(encoding="utf-8"))
 RULES = yaml.safe_load(Path("docs/prometheus-alerts.yml").read_text(encoding="utf-8"))["groups"][0]["rules"]
-BATTERY = topic(Id.PUBLISHER, 130, "/robot_0/battery", "sensor_msgs/BatteryState")
 
 
 def named(expression: str) -> set[str]:
@@ -163,13 +162,6 @@ def test_the_panels_do_not_overlap() -> None:
             for y in range(grid["y"], grid["y"] + grid["h"]):
                 assert (x, y) not in places, panel["title"]
                 places.add((x, y))
-
-
-def battery(volts: float) -> bytes:
-    """A sensor_msgs/BatteryState that says nothing else."""
-    type_ = Catalog().message("sensor_msgs/BatteryState")
-    assert type_ is not None
-    return encode(130, type_.encode({"voltage": volts}))
 
 
 async def test_how_a_robot_is_driven() -> None:

@@ -21,7 +21,7 @@ BOTH_WAYS = [topic(Id.SUBSCRIBER, 100, "/x", TWIST), topic(Id.PUBLISHER, 125, "/
 async def goes_on(host: Daemon, device: FakeDevice, *, name: str = "robot_0") -> None:
     """The robot can be driven, and tells where it is."""
     await expect(lambda: host.hub.robots.find(name).link)
-    drive_gate(host.hub.gates, host.hub.robots.find(name), PlanarVelocity(x_m_s=0.1), owner="test")
+    drive_gate(host.hub.robots.find(name), PlanarVelocity(x_m_s=0.1), owner="test")
     assert await device.velocity_other_than((0.0, 0.0)) == (0.1, 0.0)
     observed = host.hub.robots.find(name).odometry.count
     await device.send(pose(3.0))

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from hostlink.config import ApiConfig, Config, LinkConfig
 from hostlink.errors import DeviceGone
-from hostlink.hub.remote_robot import Elsewhere
+from hostlink.hub.gates import RemoteHosts
 from tests.support.daemon import daemon
 from tests.support.fake_device import fake_device, pose, robot_topics
 
@@ -64,7 +64,7 @@ async def test_the_document_is_true() -> None:
         assert (await host.get("/api/links"))["crashes"] == 0
 
 
-class Silent(Elsewhere):
+class Silent(RemoteHosts):
     """Another daemon of the fleet, which has not answered in time."""
 
     def stop(self, name: str | None) -> None:

@@ -131,7 +131,7 @@ def test_another_robots_odometry_of_that_name_is_read_on() -> None:
         assert observed is not None
         assert observed.pose.x_m == 7.0
         assert struct.unpack("<6d", other.payloads(VELOCITY_ID)[-1])[0] == 0.3
-        assert len(made.hub.gates.of_link(other.link)) == 1
+        assert len(made.hub.robots.devices[other.link.number].drivables) == 1
         await robot_works(made, device)
 
     play_crowd(test)
@@ -202,7 +202,7 @@ def test_the_gate_of_another_devices_velocity_publishes_nothing_on_a_robots_odom
         device = await made.connect(own, "10.0.0.3")
         heard.clear()
         before = len(other.payloads(VELOCITY_ID))
-        made.hub.gates.stop_all()
+        made.hub.robots.stop_all()
         await device.send(ODOMETRY_ID, POSE.pack(4.0, 0.0, 0.0))
         await asyncio.sleep(0.5)
         assert heard == [POSE.pack(4.0, 0.0, 0.0)]

@@ -504,7 +504,7 @@ def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
         driving = made.tasks.create_task(DemoDriver(made.hub, participant).run())
         await asyncio.sleep(0.5)
         assert robot.gate.owner is participant
-        made.hub.gates.stop(robot)
+        robot.stop()
         await asyncio.sleep(10.0)
         assert robot.gate.owner is None
         assert (await program.call(DRIVE, {}))["message"] == f"the demo drives again: {ROBOT}"
@@ -512,7 +512,7 @@ def test_the_demo_drives_no_robot_again_after_a_stop_until_it_is_told() -> None:
         assert robot.gate.owner is participant
         program.drive(robot, PlanarVelocity(0.1))  # another driver, whose own stop interrupts the demo, too
         await asyncio.sleep(0.3)
-        made.hub.gates.stop(robot)
+        robot.stop()
         await asyncio.sleep(10.0)
         assert robot.gate.owner is None
         driving.cancel()

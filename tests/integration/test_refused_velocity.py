@@ -122,7 +122,7 @@ def test_a_client_that_asked_for_nothing_is_told_of_a_refused_velocity_once_a_se
         peer, robot = Peer(made, kind), made.hub.robots.find("robot_0")
         topics = ["/robot_0/velocity_commands", "/robot_0/cmd_vel"]
         for number in range(48):  # in 6 s; each reason is another
-            made.hub.emergency_stop.stop(robot, f"reason {number}")
+            robot.lock(f"reason {number}")
             for name in topics:
                 peer.publish(name, PlanarVelocity(0.2).encode())
             await asyncio.sleep(0.125)
@@ -151,7 +151,7 @@ def test_a_client_of_rosbridge_that_said_what_it_wants_is_told_just_that(level: 
     async def test(made: Scene) -> None:
         peer, robot = Peer(made, "rosbridge"), made.hub.robots.find("robot_0")
         peer.client.receive(json.dumps({"op": "set_level", "level": level}))
-        made.hub.emergency_stop.stop(robot, "smoke")
+        robot.lock("smoke")
         for _ in range(20):
             peer.publish("/robot_0/cmd_vel", PlanarVelocity(0.2).encode())
         assert [status["kind"] for status in peer.statuses] == ["locked"] * count
@@ -216,7 +216,7 @@ async def test_a_robot_that_accepts_its_velocity_again_is_reachable() -> None:
     async with small_robot() as host:
         robot = host.hub.robots.find("robot_0")
         with pytest.raises(FrameTooLarge):
-            host.hub.gates.stop(robot)
+            robot.stop()
         async with fake_device(host.tcp, robot_topics()) as better:  # the same address replaces it
             await expect(lambda: robot.refusals.cause is None)
             assert (await host.rest("PUT", "/api/robots/robot_0/velocity", b'{"linear": 0.2, "angular": 0}'))[0] == 200

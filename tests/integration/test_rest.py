@@ -6,10 +6,12 @@ import json
 import pytest
 from yarl import URL
 
+from hostlink.api.views import robot_view
 from hostlink.config import Config, RobotConfig
 from hostlink.protocol.frame import Id
 from hostlink.robot.velocity import Twist
 from tests.support.daemon import daemon
+from tests.support.device_reports import BATTERY, report
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.waiting import expect
 
@@ -28,6 +30,20 @@ async def test_a_robot_and_its_odometry() -> None:
     assert odometry["twist"] == {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0}
     assert 0 <= odometry["age_s"] < 5
     assert odometry["stamp_ns"] > 1_700_000_000_000_000_000
+
+
+async def test_what_a_device_tells_of_itself_is_shown_while_it_is_connected() -> None:
+    keys = ("battery_v", "battery_percent", "signal_dbm", "firmware", "device_errors")
+    async with daemon() as host:
+        async with fake_device(host.tcp, [*robot_topics(), BATTERY]) as device:
+            await device.send(report(9.5))
+            await expect(lambda: "battery_low" in robot_view(host.hub.robots.find("robot_0"))["device_errors"])
+            robot = await host.get("/api/robots/robot_0")
+            assert [robot[key] for key in keys[:4]] == [9.5, 25.0, -67, "rover 1.4"]
+            assert "battery_low" in robot["device_errors"]
+        await expect(lambda: host.hub.robots.find("robot_0").link is None)
+        robot = await host.get("/api/robots/robot_0")
+    assert [robot[key] for key in keys] == [None, None, None, None, []]
 
 
 async def test_sideways_velocity_is_limited_and_shown_as_the_device_receives_it() -> None:

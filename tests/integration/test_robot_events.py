@@ -65,9 +65,9 @@ def test_each_end_of_a_drive_is_told() -> None:
 def test_a_lock_and_its_release_are_told_once() -> None:
     async def test(made: Scene) -> None:
         events, robot = observed(made), made.hub.robots.find(ROBOT)
-        made.hub.emergency_stop.stop(robot, "a hand in the wheel")
-        made.hub.emergency_stop.release(robot)
-        made.hub.emergency_stop.release(robot)
+        robot.lock("a hand in the wheel")
+        robot.unlock()
+        robot.unlock()
         assert [(event.kind, event.facts["reason"]) for event in events] == [
             (EventKind.LOCKED, "a hand in the wheel"),
             (EventKind.UNLOCKED, "a hand in the wheel"),

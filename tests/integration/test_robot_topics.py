@@ -7,6 +7,7 @@ import pytest
 
 from hostlink.config import Config, RobotConfig
 from hostlink.protocol.frame import Id, encode
+from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import CATALOG, fake_device, pose, robot_topics, topic
 from tests.support.participants import publish

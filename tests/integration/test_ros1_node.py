@@ -158,7 +158,7 @@ async def test_refused_velocity_is_in_both_logs_at_a_limited_rate(made: Scene) -
     async with fake_publisher(TWIST_TYPE) as publisher:
         await made.update(VELOCITY, publisher.uri)
         peer = await publisher.connected()
-        made.daemon.hub.emergency_stop.stop(made.daemon.hub.robots.find("robot_0"), "smoke")
+        made.daemon.hub.robots.find("robot_0").lock("smoke")
         with capture_logs() as logs:
             for count in range(1, 6):
                 await peer.send_message(twist(0.2))

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hostlink.client import StandstillState, connect
-from hostlink.hub.standstills import MAX_WATCHED, WAIT_S
+from hostlink.hub.stops import MAX_WATCHED, WAIT_S
 from tests.support.background import meanwhile
 from tests.support.daemon import Daemon, daemon
 from tests.support.fake_device import FakeDevice, fake_device, pose, robot_topics

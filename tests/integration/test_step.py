@@ -151,7 +151,7 @@ async def test_a_person_who_takes_over_ends_the_step_and_keeps_the_robot() -> No
         await stepping(host)
         robot = host.hub.robots.find("robot_0")
         stops = robot.gate.counts.stops
-        drive_gate(host.hub.gates, robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
+        drive_gate(robot, PlanarVelocity(x_m_s=0.1), owner="a person", priority=60)
         assert "a person drives it" in await drive
         assert robot.gate.counts.stops == stops
         assert robot.gate.owner_name == "a person"

@@ -19,19 +19,18 @@ from hostlink.errors import CommandRefused, RefusalKind
 from hostlink.hub.gates import MAX_STEPS, TICK_S
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import PROGRAM_PRIORITY
-from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import RemoteRobot, Robot
 from hostlink.protocol.control import encode_topic_info
 from hostlink.protocol.frame import Frame, Id, encode
 from hostlink.protocol.stream import FrameStream
 from hostlink.robot.admission import LEASE_S
-from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.velocity import TWIST_TYPE, ZERO, PlanarVelocity
 from hostlink.sim.robot import LOOP_S, SimulatedRobot
 from tests.support.fake_device import robot_topics
 from tests.support.gates import drive_gate
 from tests.support.memory_transport import MemoryTransport, memory_pair
 from tests.support.participants import publish
+from tests.support.remote_robots import remote_robot
 from tests.support.ros_lib_device import running_hub
 from tests.support.virtual_device import NumberedRobot
 from tests.support.virtual_loop import VirtualLoop, run_virtual
@@ -58,7 +57,7 @@ async def ready(made: World) -> Robot:
 
 
 def drive(made: World, velocity: PlanarVelocity = FAST) -> None:
-    drive_gate(made.hub.gates, made.hub.robots.find("robot_0"), velocity, owner="test")
+    drive_gate(made.hub.robots.find("robot_0"), velocity, owner="test")
 
 
 async def driven(made: World, seconds: float = 1.0) -> None:
@@ -90,7 +89,7 @@ def numbered(test: Callable[[World, NumberedRobot], Awaitable[None]]) -> None:
 def test_a_stop_reaches_an_idle_robot_within_a_turn_and_a_line() -> None:
     async def check(made: World, robot: NumberedRobot) -> None:
         since_s = loop().time()
-        made.hub.gates.stop(await ready(made))
+        (await ready(made)).stop()
         await asyncio.sleep(1.0)
         assert received_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
 
@@ -108,7 +107,7 @@ def test_a_loop_that_is_busy_for_95_of_100_delays_a_stop_by_its_own_turns_only()
             load = tasks.create_task(burn())
             await driven(made)
             since_s = loop().time()
-            made.hub.gates.stop(await ready(made))
+            (await ready(made)).stop()
             await asyncio.sleep(1.0)
             load.cancel()
         # the writer's turn, the relay's two and the device's are each up to 20 ms late here
@@ -122,7 +121,7 @@ def test_a_thousand_commands_at_once_are_one_and_the_stop_comes_after_it() -> No
         since_s = loop().time()
         for number in range(1000):
             drive(made, PlanarVelocity(x_m_s=0.1 + number / 10_000))
-        made.hub.gates.stop(await ready(made))
+        (await ready(made)).stop()
         await asyncio.sleep(1.0)
         assert received_at_s(robot, since_s) - since_s <= LINE_S + LOOP_S
         assert len([at_s for at_s, payload in robot.commands if at_s >= since_s and payload != STOP]) <= 1
@@ -142,7 +141,7 @@ def test_a_thousand_messages_of_other_topics_do_not_delay_a_stop() -> None:
                     for wheel in "lr":
                         publish(made.hub, f"/robot_0/pid_tune_{wheel}", {"x": 20.0 + number / 1000}, source="test")
                 since_s = loop().time()
-                made.hub.gates.stop(await ready(made))
+                (await ready(made)).stop()
                 await expect(lambda: robot.controllers[0].set_point.target == 0)
                 # a turn for what was on the line already, and the 5 ms between two looks of `expect`
                 assert loop().time() - since_s <= LINE_S + LOOP_S + LOOP_S + 0.005
@@ -219,9 +218,6 @@ class OtherDaemon:
 
     def __init__(self) -> None:
         self.driven: list[PlanarVelocity] = []
-        here: Any = self
-        names = RobotTopicNames("far", "/far/cmd_vel", "/far/odom", "geometry_msgs/Pose2D", None)
-        self.robot = RemoteRobot(name="far", host="other", place=0, shown=names, elsewhere=here)
 
     def drive(self, _: RemoteRobot, velocity: PlanarVelocity, **facts: object) -> None:
         assert facts["priority"] == PROGRAM_PRIORITY
@@ -237,11 +233,12 @@ async def with_other_daemon() -> AsyncIterator[tuple[Hub, OtherDaemon]]:
             running = tasks.create_task(hub.run(), name="hub")
             await hub.is_running.wait()
             await asyncio.sleep(60.0)
-            elsewhere: Any = other
-            hub.gates.reach(elsewhere)
-            hub.remote_robots.add(other.robot)
-            hub.remote_robots.connect(other.robot, 1, None)
-            hub.remote_robots.offer(other.robot, [("/far/cmd_vel", TWIST_TYPE)])
+            hosts: Any = other
+            hub.gates.reach(hosts)
+            robot = remote_robot(hub, "far", hosts)
+            hub.robots.put_remote(robot)
+            robot.connect(1, None, hub.robots.new_number)
+            robot.offer([("/far/cmd_vel", TWIST_TYPE)])
             await asyncio.sleep(60.0)
             yield hub, other
             running.cancel()
@@ -257,7 +254,7 @@ def test_commands_that_waited_while_the_daemon_stood_still_drive_no_robot_of_ano
 
             def drive(velocity: PlanarVelocity) -> None:
                 if way == "by name":
-                    program.drive(other.robot, velocity)
+                    program.drive(hub.robots.find("far"), velocity)
                 else:
                     program.publish("/far/cmd_vel", velocity.encode())
 
@@ -302,7 +299,7 @@ def test_a_device_with_hundreds_of_velocities_leaves_each_turn_of_the_loop_to_ot
             stepped = [0]
             while stepped[-1] < len(topics):
                 await asyncio.sleep(0)
-                stepped.append(sum(not each.gate.is_new_device for each in hub.gates.all()))
+                stepped.append(sum(not each.gate.is_new_device for each in hub.robots.drivables()))
             await device_end.aclose()
             return [later - earlier for earlier, later in itertools.pairwise(stepped)]
 
@@ -359,11 +356,11 @@ def test_a_socket_that_was_full_delivers_the_stop_and_nothing_that_was_commanded
             robot = device.hub.robots.find("robot_0")
             for number in range(20):
                 velocity = PlanarVelocity(x_m_s=0.1 + number / 100)
-                drive_gate(device.hub.gates, robot, velocity, owner="test")
+                drive_gate(robot, velocity, owner="test")
                 await asyncio.sleep(0.1)
             assert robot.link is not None
             assert robot.link.session.oldest_waiting_s(loop().time()) < 0.2  # the newest; those before it are gone
-            device.hub.gates.stop(robot)
+            robot.stop()
             heard = await device.velocities(5)
         speeds = [struct.unpack_from("<d", payload)[0] for payload in heard]
         assert speeds[:3] == pytest.approx([0.1, 0.11, 0.12])  # two in the room, one that was being written
@@ -377,8 +374,8 @@ def test_a_socket_that_stays_full_ends_its_link() -> None:
     async def run() -> None:
         async with deaf(room_bytes=56, write_timeout_s=2.0) as device:
             robot = device.hub.robots.find("robot_0")
-            drive_gate(device.hub.gates, robot, FAST, owner="test")
-            device.hub.gates.stop(robot)
+            drive_gate(robot, FAST, owner="test")
+            robot.stop()
             await asyncio.sleep(2.5)
             assert robot.link is None
 

@@ -282,7 +282,7 @@ class TestStrangers:
             program.drive(robot, PlanarVelocity(x_m_s=0.5))
             await asyncio.sleep(0.05)
             assert device.read_waiting() == []
-            host.hub.gates.stop(robot)
+            robot.stop()
             for _ in range(10):
                 await device.send(pose(0.0))
                 await asyncio.sleep(0.01)

@@ -64,7 +64,7 @@ async def stop_again_and_again(hub: Hub, device: UdpDevice) -> list[float]:
         participant.drive(robot, MOVING, epoch=robot.gate.admission.epoch)
         assert await device.velocity_other_than((0.0, 0.0)) == (0.2, 0.0)
         began_s = time.monotonic()
-        hub.gates.stop(robot)
+        robot.stop()
         assert await device.velocity_other_than((0.2, 0.0)) == (0.0, 0.0)
         lasted_s.append(time.monotonic() - began_s)
         await asyncio.sleep(0.02)

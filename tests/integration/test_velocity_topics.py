@@ -270,12 +270,12 @@ def test_no_gate_of_a_locked_robots_second_topic_outlives_its_link() -> None:
             await asyncio.sleep(0.5)
             robot = made.hub.robots.find("robot_2")
             if visit == 0:
-                made.hub.emergency_stop.stop(robot)
+                robot.lock()
             assert device.link in {each.link for each in made.hub.gates._active}  # it hears its zero again and again
             await device.aclose()
             await asyncio.sleep(0.5)
         assert robot not in made.hub.gates._active
-        made.hub.emergency_stop.release(robot)
+        robot.unlock()
         assert [each.name for each in made.hub.gates._active if each.link is None] == []
 
     play(test)

@@ -19,10 +19,9 @@ from structlog.testing import capture_logs
 from hostlink.config import Config
 from hostlink.errors import HostlinkError
 from hostlink.hub.hub import Hub
-from hostlink.hub.message import MAX_PRIORITY
 from hostlink.protocol.control import TopicInfo
 from hostlink.protocol.frame import Id
-from hostlink.robot.admission import LEASE_S
+from hostlink.robot.state import MAX_PRIORITY
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.fake_device import CATALOG, robot_topics, topic
 from tests.support.gates import drive_gate
@@ -182,9 +181,9 @@ class Clashes(RuleBasedStateMachine):
         def act() -> None:
             robot = self.hub.robots.find(robot_name)
             if lock:
-                self.hub.emergency_stop.stop(robot, "smoke")
+                robot.lock("smoke")
             else:
-                self.hub.emergency_stop.release(robot)
+                robot.unlock()
 
         self.try_now(act)
 
@@ -196,10 +195,10 @@ class Clashes(RuleBasedStateMachine):
 
         async def act() -> None:
             robot, velocity = self.hub.robots.find(self.names[number]), PlanarVelocity(x_m_s=speed)
-            self.hub.emergency_stop.release(robot)
-            await asyncio.sleep(LEASE_S + 0.1)  # the driver lets go of what was interrupted
+            robot.unlock()
+            epoch = robot.admission.epoch  # the driver knows that it was interrupted
             if by == "name":
-                drive_gate(self.hub.gates, robot, velocity, owner="driver", priority=MAX_PRIORITY)
+                drive_gate(robot, velocity, owner="driver", priority=MAX_PRIORITY, epoch=epoch)
             else:
                 try:
                     publish(
@@ -209,6 +208,7 @@ class Clashes(RuleBasedStateMachine):
                         source="driver",
                         priority=MAX_PRIORITY,
                         type_name=TWIST,
+                        epoch=epoch,
                     )
                 except HostlinkError:  # another device means something else by that name
                     assert by == "cmd_vel"

@@ -16,16 +16,16 @@ from structlog.testing import capture_logs
 
 from hostlink.config import LinkConfig, RobotConfig
 from hostlink.errors import CommandRefused, RefusalKind
-from hostlink.hub.device import check_type
-from hostlink.hub.emergency_stop import EmergencyStop
+from hostlink.hub.device import Device, check_type
+from hostlink.hub.diagnoses import Diagnoses
 from hostlink.hub.gates import TICK_S, Gates
 from hostlink.hub.graph_changes import GraphChanges
 from hostlink.hub.graph_view import GraphViews
 from hostlink.hub.isolation import Isolation
-from hostlink.hub.participant import Participant, Parts
+from hostlink.hub.node import Node
+from hostlink.hub.participant import Parts
 from hostlink.hub.robots import Robots
 from hostlink.hub.services import Services
-from hostlink.hub.standstills import Standstills
 from hostlink.hub.topic_graph import TopicGraph
 from hostlink.link.link import Link, LinkEnd
 from hostlink.messages.catalog import Catalog
@@ -89,10 +89,8 @@ class Drivers(RuleBasedStateMachine):
         self.robots = Robots({NAME: config}, self.gates)
         topics, services, changes = TopicGraph(CATALOG), Services(CATALOG), GraphChanges()
         views = GraphViews(topics, services, changes)
-        parts = Parts(CATALOG, topics, services, self.gates, isolation, changes, views)
-        self.emergency_stop = EmergencyStop(
-            self.robots, self.gates, Standstills(self.gates), Participant(parts, "hostlink", is_daemon=True)
-        )
+        self.parts = Parts(CATALOG, topics, services, self.gates, isolation, changes, views)
+        self.diagnoses = Diagnoses(isolation)
         self.tasks = [asyncio.get_running_loop().create_task(self.gates.run())]
         await self.connect()
 
@@ -101,6 +99,8 @@ class Drivers(RuleBasedStateMachine):
         host_end, device_end = memory_pair()
         session = Session(check=lambda info: check_type(CATALOG, info), uart_bytes_s=self.uart_bytes_s)
         self.link = Link(host_end, session, LinkConfig(), number=self.sessions, on_event=self.react)
+        device = Device(self.link, self.diagnoses.begin(self.link), self.parts, Node("hostlink", is_daemon=True))
+        self.robots.devices[self.link.number] = device
         loop = asyncio.get_running_loop()
         self.tasks.append(loop.create_task(self.serve(self.link)))
         self.tasks.append(loop.create_task(self.listen(device_end, self.sessions)))
@@ -111,15 +111,15 @@ class Drivers(RuleBasedStateMachine):
         if isinstance(event, TopicsNegotiated) and event.is_changed:
             robot = find_robot([(info.name, info.type, info.is_to_device) for info in event.topics])
             assert robot is not None
-            self.robots.appear(NAME, robot, robot, link)
+            self.robots.appear(NAME, robot, robot, self.robots.devices[link.number])
             if self.is_eager and self.locked_since is None:
                 fast = PlanarVelocity(x_m_s=FASTEST[0])
-                drive_gate(self.gates, self.robots.find(NAME), fast, owner="eager")
+                drive_gate(self.robots.find(NAME), fast, owner="eager")
                 self.driven_until_s = asyncio.get_running_loop().time() + LEASE_S
 
     async def serve(self, link: Link) -> None:
         await link.run()
-        self.robots.vanish(link)
+        self.robots.vanish(self.robots.devices.pop(link.number))
 
     async def listen(self, end: MemoryTransport, session: int) -> None:
         stream = FrameStream()
@@ -152,7 +152,7 @@ class Drivers(RuleBasedStateMachine):
             velocity = PlanarVelocity(x_m_s=linear_m_s, yaw_rad_s=angular_rad_s)
             kind = holder = None
             try:
-                drive_gate(self.gates, robot, velocity, owner=owner, priority=priority)
+                drive_gate(robot, velocity, owner=owner, priority=priority)
             except CommandRefused as refused:
                 kind, holder = refused.kind, refused.holder
             assert (kind is RefusalKind.LOCKED) == (self.locked_since is not None and not velocity.is_zero)
@@ -178,7 +178,7 @@ class Drivers(RuleBasedStateMachine):
     @rule()
     def stop(self) -> None:
         async def now() -> None:
-            self.gates.stop(self.robots.find(NAME))
+            self.robots.find(NAME).stop()
             self.driven_until_s = asyncio.get_running_loop().time()
 
         self.runner.run(now())
@@ -187,7 +187,7 @@ class Drivers(RuleBasedStateMachine):
     def lock(self) -> None:
         async def now() -> None:
             await asyncio.sleep(0)  # what has left the host has been heard
-            self.emergency_stop.stop(self.robots.find(NAME), "smoke")
+            self.robots.find(NAME).lock("smoke")
             self.driven_until_s = asyncio.get_running_loop().time()
 
         self.run_for(0.02)  # a velocity that was put before is on its way
@@ -197,7 +197,7 @@ class Drivers(RuleBasedStateMachine):
     @rule()
     def unlock(self) -> None:
         async def now() -> None:
-            self.emergency_stop.release(self.robots.find(NAME))
+            self.robots.find(NAME).unlock()
 
         self.runner.run(now())
         self.locked_since = None

@@ -541,10 +541,10 @@ class FleetSender(EntryPoint):
 
     @property
     def epoch(self) -> int:
-        return self._sender.robot.gate.admission.epoch
+        return self._sender.robot.admission.epoch
 
     def refused(self) -> Counter[RefusalKind]:
-        return super().refused() + Counter(self._sender.robot.gate.admission.refused)
+        return super().refused() + Counter(self._sender.robot.admission.refused)
 
     async def give(self, speed_m_s: float, *, left_m_s: float = 0.0, epoch: int | None = None) -> None:
         await self._sender.drive(PlanarVelocity(speed_m_s, left_m_s), late_s=self.late_s, epoch=epoch)

@@ -36,7 +36,6 @@ from hostlink.graphs.zenoh.session import Sample, Session
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
 from hostlink.hub.participant import Participant
-from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
 from tests.support.fake_device import CATALOG
@@ -190,7 +189,7 @@ class FleetSender:
         self.participant = self.hub.join("client 3")
 
     @property
-    def robot(self) -> Robot | RemoteRobot:
+    def robot(self) -> Robot:
         return self.hub.robots.find(ROBOT)
 
     async def drive(self, velocity: PlanarVelocity, *, late_s: float = 0.0, epoch: int | None = None) -> None:

@@ -4,9 +4,7 @@ import asyncio
 import dataclasses
 from collections.abc import Hashable
 
-from hostlink.hub.drivable import Drivable
-from hostlink.hub.gates import Gates
-from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import Robot
 from hostlink.robot.admission import LEASE_S, Admission, Command
 from hostlink.robot.velocity import ZERO, PlanarVelocity
 from hostlink.robot.velocity_gate import Limits, V, VelocityGate
@@ -19,8 +17,7 @@ TURN = PlanarVelocity(0.2, yaw_rad_s=1.0)
 
 
 def drive_gate(
-    gates: Gates,
-    robot: Drivable | RemoteRobot,
+    robot: Robot,
     velocity: PlanarVelocity,
     *,
     owner: Hashable = "test",
@@ -29,7 +26,7 @@ def drive_gate(
 ) -> PlanarVelocity:
     """A command of an owner that has just come."""
     now_s = asyncio.get_running_loop().time()
-    return gates.command(robot, Command(velocity, owner, priority, now_s, epoch=epoch))
+    return robot.command(Command(velocity, owner, priority, now_s, epoch=epoch))
 
 
 class GateOfRobot(VelocityGate[PlanarVelocity]):

@@ -83,7 +83,7 @@ class _Rest:
     async def request(self, method: str, path: str, *, timeout_s: float = 5.0) -> dict[str, Any]:  # noqa: ARG002 - as HttpClient has it
         name, what = path.removeprefix("/api/robots/").split("/")
         assert (method, what) == ("POST", "stop")
-        self._hub.gates.stop(self._hub.robots.find(name))
+        self._hub.robots.find(name).stop()
         return {}
 
 

@@ -250,8 +250,15 @@ def robot(name: str, **changes: Any) -> dict[str, Any]:
         "epoch": 1,
         "unreachable": None,
         "wheel_separation_m": 0.21,
+        "kinematics": "differential",
+        "lease_s": 0.5,
         "velocity": {"linear_m_s": 0.0, "linear_y_m_s": 0.0, "angular_rad_s": 0.0},
         "odometry": odometry(number % 8 * 0.35, number // 8 * 0.35, number * 0.7),
+        "battery_v": None,
+        "battery_percent": None,
+        "signal_dbm": -57 - number % 20,
+        "device_errors": [],
+        "firmware": None,
     }
     return {**view, **changes}
 

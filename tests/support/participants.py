@@ -59,12 +59,13 @@ def publish(
     source: str = "test",
     type_name: str = "",
     priority: int = PROGRAM_PRIORITY,
+    epoch: int | None = None,
 ) -> None:
     """Publish once, as one participant for all that is sent by this name."""
     participant = source_of(hub, source)
     type_ = participant.message_type(topic, type_name)
     payload = message if isinstance(message, bytes) else type_.encode(message)
-    participant.publish(topic, payload, priority=priority)
+    participant.publish(topic, payload, priority=priority, epoch=epoch)
 
 
 def subscribe(hub: Hub, topic: str, receive: Callable[[Message], None], *, name: str = "test") -> Subscription:

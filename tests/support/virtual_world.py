@@ -84,7 +84,7 @@ def command(hub: Hub, number: int) -> bool:
     velocity = PlanarVelocity(x_m_s=(number + 1) * LEAST_STEP_M_S)
     try:
         robot = hub.robots.find("robot_0")
-        drive_gate(hub.gates, robot, velocity, owner="test", epoch=robot.gate.admission.epoch)
+        drive_gate(robot, velocity, owner="test", epoch=robot.gate.admission.epoch)
     except HostlinkError:
         return False
     return True

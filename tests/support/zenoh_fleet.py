@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from hostlink.config import Config, ZenohConfig
-from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import RemoteRobot
 from tests.support.daemon import Daemon, daemon
 from tests.support.process import free_port
 from tests.support.waiting import expect

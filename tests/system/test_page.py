@@ -85,7 +85,7 @@ async def everything(browser: Browser) -> AsyncIterator[Scene]:
 @pytest_asyncio.fixture(loop_scope="session")
 async def scene(everything: Scene) -> Scene:
     """As if nobody had been there."""
-    everything.host.hub.emergency_stop.release(everything.host.hub.robots.find("robot_0"))
+    everything.host.hub.robots.find("robot_0").unlock()
     await everything.stands()
     return everything
 
@@ -314,10 +314,10 @@ async def test_every_tab_of_a_browser_can_stop(scene: Scene) -> None:
             for tab in (first.page, *tabs[: MOST_STREAMS - 1]):
                 await expect_text(tab.locator("#robots")).to_contain_text("drives")
             for tab in (tabs[0], tabs[-2]):
-                scene.host.hub.emergency_stop.release(robot)
+                robot.unlock()
                 await tab.get_by_role("button", name="Stop").click()
                 await expect(lambda: robot.gate.lock_reason == "the stop on the page", timeout_s=1.0)
-        scene.host.hub.emergency_stop.release(robot)
+        robot.unlock()
         async with driven_by_a_program(scene, priority=90):  # the one before has not let go since
             late = tabs[-1]  # its stream waits for one of the others to end: it knows no robot
             await expect_text(late.locator("#notice")).to_contain_text("close other tabs")
@@ -337,7 +337,7 @@ async def test_a_network_that_dies_is_noticed_within_a_second_without_the_websoc
         network.set_line(Line.WORKS)
         await tab.shows("#notice", "The stop works", timeout_s=NOTICED_S)
         network.break_off()
-        scene.host.hub.emergency_stop.stop(scene.host.hub.robots.find("robot_0"), "somebody stands there")
+        scene.host.hub.robots.find("robot_0").lock("somebody stands there")
         await tab.shows("#lock-reason", "somebody stands there", timeout_s=2 * NOTICED_S)
 
 

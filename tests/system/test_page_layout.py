@@ -120,7 +120,17 @@ def sick() -> State:
         "detail": "3 requests in 7.5 s",
     }
     ill = link("robot_0", robot=LONG, diagnosis=[finding], skipped_bytes=123456, negotiations=17, signal_dbm=-91)
-    return State([robot(LONG, link=1, host="laboratory-of-the-second-floor"), robot("robot_1")], [ill, link("robot_1")])
+    long = robot(
+        LONG,
+        link=1,
+        host="laboratory-of-the-second-floor",
+        battery_v=48.25,
+        battery_percent=99.9,
+        signal_dbm=-91,
+        device_errors=["no_topics"],
+        firmware="the_firmware_of_the_second_floor 12.34.56",
+    )
+    return State([long, robot("robot_1")], [ill, link("robot_1")])
 
 
 @dataclass(frozen=True)
@@ -329,8 +339,10 @@ async def test_fifty_robots_are_in_natural_order_filtered_and_locked_at_once(bro
             "rows => rows.map((row) => getComputedStyle(row.querySelector('.dot')).backgroundColor)"
         )
         assert len(set(colours)) == 50
-        await server.publish("/robot_7/battery", {"voltage": 11.4})
-        await tab.shows("#robots .robot:nth-child(8)", "11.4 V")
+        seventh = next(number for number, view in enumerate(state.robots) if view["name"] == "robot_7")
+        state.robots[seventh] = {**state.robots[seventh], "battery_v": 11.4, "battery_percent": 62.0}
+        server.show(state)
+        await tab.shows("#robots .robot:nth-child(8)", "11.4 V 62 %")
         await tab.page.set_viewport_size({"width": 390, "height": 844})
         for part in (".battery", ".signal"):  # on a phone, too
             await expect(tab.page.locator("#robots .robot:nth-child(8)").locator(part)).to_be_visible()

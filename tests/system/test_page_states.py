@@ -114,7 +114,7 @@ async def test_a_token_is_requested_and_kept_out_of_the_address(browser: Browser
             await tab.shows("#robots", "locked")  # whoever may read may stop
             await tab.page.reload()
             await tab.is_connected()  # kept for the session
-            host.hub.emergency_stop.release(host.hub.robots.find("robot_0"))
+            host.hub.robots.find("robot_0").unlock()
             await tab.page.get_by_role("button", name="Another token").click()
             await tab.page.get_by_role("textbox", name="Token").fill(DRIVE)
             await tab.page.get_by_role("button", name="Use it").click()

@@ -77,7 +77,7 @@ async def publish_a_velocity(host: Daemon, tab: Visit) -> None:
     await send.click()
     await tab.shows("#topics form", "Sent at")
     await expect(lambda: robot.gate.counts.commands > 0)
-    host.hub.emergency_stop.stop(robot, "somebody stands there")
+    robot.lock("somebody stands there")
     await send.click()
     await tab.shows("#topics form", "locked")
 

@@ -43,7 +43,7 @@ async def answers(host: Daemon) -> Any:
 async def test_a_velocity_for_a_locked_robot_is_no_success() -> None:
     async with daemon() as host, simulated_robot(host.tcp):
         await expect(host.hub.robots.all)
-        host.hub.emergency_stop.stop(host.hub.robots.find("robot_0"), "smoke")
+        host.hub.robots.find("robot_0").lock("smoke")
         told = await answers(host)
     assert told["publish_once"].get("success", False) is False
     assert "Publish failed: robot_0: locked: smoke" in told["publish_once"]["error"]

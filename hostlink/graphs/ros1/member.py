@@ -16,10 +16,10 @@ from hostlink.graphs.ros1.registrar import Registrar
 from hostlink.graphs.ros1.sim_time import SimTime
 from hostlink.graphs.ros1.tcpros import ANY
 from hostlink.graphs.ros1.wire import Wire
-from hostlink.hub.emergency_stop import own_services
 from hostlink.hub.graph import Graph
 from hostlink.hub.hub import Hub
 from hostlink.hub.robot_topic_publisher import own_topics
+from hostlink.hub.stops import own_services
 
 HEADER_TIMEOUT_S = 5.0  # for whoever connects
 CRASHED = "a fault of hostlink"

@@ -26,7 +26,7 @@ from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Sample
 from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot
 from hostlink.logs import of_peer, printable
 
 MAX_DRIVERS = 64  # of one daemon; over it the one goes that commanded the longest ago
@@ -139,7 +139,7 @@ class FleetDrivers:
                 case Unlock():
                     self._check_role(neighbour, request.robot)
                     robot = self._hub.robots.find_here(request.robot)
-                    self._hub.emergency_stop.release(robot)
+                    robot.unlock()
                     return Answer(number=request.number, robots=(state_of(robot),))
                 case _:
                     assert_never(request)
@@ -147,7 +147,7 @@ class FleetDrivers:
             self._post.counts["refused"] += 1
             return _refusal(request.number, error, robot)
 
-    def _drive(self, neighbour: Neighbour, robot: Robot, request: Drive) -> Answer:
+    def _drive(self, neighbour: Neighbour, robot: LocalRobot, request: Drive) -> Answer:
         velocity = request.wanted
         if not velocity.is_zero:
             self._check_role(neighbour, robot.name)
@@ -160,19 +160,19 @@ class FleetDrivers:
         limited = participant.drive(
             robot, velocity, priority=request.priority, received_s=received_s, epoch=request.epoch
         )
-        return Answer(number=request.number, velocity=limited.twist, epoch=robot.gate.admission.epoch)
+        return Answer(number=request.number, velocity=limited.twist, epoch=robot.admission.epoch)
 
     def _stop(self, neighbour: Neighbour, request: StopRequest) -> Answer:
         name = request.robot
         robots = [robot for robot in self._hub.robots.here() if name in (None, robot.name)]
         try:
             if name is None:
-                self._hub.gates.stop_all_here()
+                self._hub.robots.stop_all_here()
             for robot in robots if name is not None else ():
                 if isinstance(request, Lock):
-                    self._hub.emergency_stop.stop_here(robot, f"{request.reason} ({neighbour.sender.name})")
+                    robot.lock_here(f"{request.reason} ({neighbour.sender.name})")
                 else:
-                    self._hub.gates.stop_here(robot)
+                    robot.stop_here()
         except HostlinkError as error:
             return _refusal(request.number, error)
         return Answer(number=request.number, robots=tuple(map(state_of, robots)))
@@ -200,10 +200,10 @@ class FleetDrivers:
         self._post.session.put(key, encode(answer), is_urgent=True)
 
 
-def _refusal(number: int, error: HostlinkError, robot: Robot | None = None) -> Answer:
+def _refusal(number: int, error: HostlinkError, robot: LocalRobot | None = None) -> Answer:
     holder = error.holder if isinstance(error, CommandRefused) else None
     owner = None if holder is None else str(holder)
-    epoch = None if robot is None else robot.gate.admission.epoch
+    epoch = None if robot is None else robot.admission.epoch
     return Answer(number=number, error=error.kind, reason=str(error)[:512], owner=owner, epoch=epoch)
 
 

@@ -1,5 +1,6 @@
 """FleetImports: the topics of robots of other daemons, in the graph here. One is subscribed there while it is here."""
 
+import asyncio
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -14,7 +15,7 @@ from hostlink.hub.graph import GraphTopic
 from hostlink.hub.hub import Hub
 from hostlink.hub.message import Message
 from hostlink.hub.participant import MAX_ADVERTISED, Participant
-from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import RemoteRobot
 from hostlink.hub.subscription import Subscription
 
 log = structlog.get_logger()
@@ -57,7 +58,7 @@ class FleetImports:
         own = {topic.name: topic for topic in topics if topic.name.startswith(f"/{robot.name}/")}
         self._post.counts["foreign_topics"] += len(topics) - len(own)
         wanted = dict(list(own.items())[:MAX_ADVERTISED])
-        self._hub.remote_robots.offer(robot, [(each.name, each.type) for each in wanted.values() if each.is_velocity])
+        robot.offer((each.name, each.type) for each in wanted.values() if each.is_velocity)
         for name, topic in list(shown.topics.items()):
             if wanted.get(name) != topic:
                 self._hide_topic(shown, name)
@@ -84,7 +85,7 @@ class FleetImports:
         subscribed = {topic.name for topic in topics if topic.is_subscribed and not topic.is_velocity}
         for shown in self._imports.values():
             for name, topic in shown.topics.items():
-                is_wanted = self._hub.remote_robots.is_read(name) if topic.is_velocity else name in subscribed
+                is_wanted = self._is_read(name) if topic.is_velocity else name in subscribed
                 if is_wanted and (topic.is_published or topic.is_velocity):
                     self._subscribe(shown, topic)
                 elif name in shown.subscriptions:
@@ -125,13 +126,24 @@ class FleetImports:
         if topic.name in shown.subscriptions:
             return
         key = self._post.keys.key("out", shown.neighbour.sender, *topic.name.strip("/").split("/"))
-        deliver = self._hub.remote_robots.deliver if topic.is_velocity else partial(self._deliver, shown)
+        deliver = self._deliver_velocity if topic.is_velocity else partial(self._deliver, shown)
         shown.subscriptions[topic.name] = self._post.session.subscribe(
             key,
             lambda sample: deliver(topic.name, sample.payload),
             max_bytes=MAX_MESSAGE_BYTES,
             max_waiting=MAX_WAITING,
         )
+
+    def _is_read(self, topic: str) -> bool:
+        """Whether anybody here subscribes to a velocity topic of a robot elsewhere, apart from the robot itself."""
+        known = self._hub.topics.find_or_none(topic)
+        return known is not None and bool(known.subscribers)
+
+    def _deliver_velocity(self, topic: str, payload: bytes) -> None:
+        """What the other daemon's gate sent to the device, for whoever subscribes here."""
+        known = self._hub.topics.find_or_none(topic)
+        if known is not None:
+            known.deliver(payload, source=self, at_s=asyncio.get_running_loop().time())
 
     def _deliver(self, shown: _Import, topic: str, payload: bytes) -> None:
         try:

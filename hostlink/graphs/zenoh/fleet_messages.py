@@ -8,21 +8,16 @@ from typing import Annotated, NamedTuple, TypeVar
 import msgspec
 
 from hostlink.errors import BadPayload
-from hostlink.hub.message import MAX_PRIORITY
+from hostlink.robot.kinematics import Pose
+from hostlink.robot.odometry_estimator import OdometrySnapshot
+from hostlink.robot.state import Priority, RobotName, RobotState, Text, TopicName, TypeName
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
 MAX_ROBOTS = 256  # of one daemon
 MAX_TOPICS = 4096  # of one daemon
 MAX_STATE_BYTES = 256 * 1024
 MAX_REQUEST_BYTES = 4096
-
-_LONGEST_TOPIC = 256
-
-RobotName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_]+$", max_length=64)]
-TopicName = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z0-9_]+)+$", max_length=_LONGEST_TOPIC)]
-TypeName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z]\w*/[A-Za-z]\w*$", max_length=128)]
-Text = Annotated[str, msgspec.Meta(max_length=256)]
-Priority = Annotated[int, msgspec.Meta(ge=0, le=MAX_PRIORITY)]
+_DIGITS = 6  # micrometres
 
 
 class Sender(NamedTuple):
@@ -75,26 +70,64 @@ class PoseState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     ignored: int = 0
     linear_y_m_s: float = 0.0
 
+    @classmethod
+    def of(cls, known: OdometrySnapshot) -> "PoseState":
+        """The message that says this."""
+        return cls(
+            x_m=round(known.pose.x_m, _DIGITS),
+            y_m=round(known.pose.y_m, _DIGITS),
+            theta_rad=round(known.pose.theta_rad, _DIGITS),
+            linear_m_s=round(known.twist.x_m_s, _DIGITS),
+            angular_rad_s=round(known.twist.yaw_rad_s, _DIGITS),
+            linear_y_m_s=round(known.twist.y_m_s, _DIGITS),
+            stamp_ns=known.stamp_ns,
+            age_s=round(known.age_s, _DIGITS),
+            rate_hz=round(known.rate_hz, 2),
+            count=known.count,
+            restarts=known.restarts,
+            ignored=known.ignored,
+        )
 
-class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One robot as the daemon that has its link shows it."""
+    @property
+    def odometry(self) -> OdometrySnapshot:
+        """What it says."""
+        return OdometrySnapshot(
+            pose=Pose(self.x_m, self.y_m, self.theta_rad),
+            twist=PlanarVelocity(self.linear_m_s, self.linear_y_m_s, self.angular_rad_s),
+            stamp_ns=self.stamp_ns,
+            age_s=self.age_s,
+            rate_hz=self.rate_hz,
+            count=self.count,
+            restarts=self.restarts,
+            ignored=self.ignored,
+        )
 
-    name: RobotName
-    link: int | None = None
-    velocity_topic: TopicName
-    odometry_topic: TopicName
-    odometry_type: TypeName
-    reset_topic: TopicName | None = None
-    holder: Text | None = None
-    priority: Priority | None = None
-    lock_reason: Text | None = None
-    unreachable: Text | None = None
-    is_played: bool = False  # its device is a recording
-    velocity: tuple[float, float] = (0.0, 0.0)  # forward, and the turn; older daemons send no more
+
+class RobotMessage(RobotState, frozen=True, kw_only=True, omit_defaults=True):
+    """A RobotState as daemons send it: every field of it, velocity and odometry as older daemons know them."""
+
+    velocity: tuple[float, float] = (0.0, 0.0)  # type: ignore[assignment]  # forward, and the turn
     linear_y_m_s: float = 0.0
-    lease_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 0.5
-    epoch: int | None = None
     pose: PoseState | None = None
+    epoch: int | None = None  # type: ignore[assignment]  # one from before epochs sends none
+
+    @classmethod
+    def of(cls, state: RobotState) -> "RobotMessage":
+        """The message that says this."""
+        facts = {name: getattr(state, name) for name in _FIELDS}
+        velocity, odometry = state.velocity, state.odometry
+        facts["velocity"], facts["linear_y_m_s"] = (velocity.x_m_s, velocity.yaw_rad_s), velocity.y_m_s
+        facts["pose"] = None if odometry is None else PoseState.of(odometry)
+        return cls(**facts)
+
+    @property
+    def state(self) -> RobotState:
+        """What it says."""
+        facts = {name: getattr(self, name) for name in _FIELDS}
+        facts["velocity"] = PlanarVelocity(self.velocity[0], self.linear_y_m_s, self.velocity[1])
+        facts["odometry"] = None if self.pose is None else self.pose.odometry
+        facts["epoch"] = self.epoch or 0
+        return RobotState(**facts)
 
     @property
     def is_below_its_name(self) -> bool:
@@ -103,12 +136,15 @@ class RobotState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         return all(topic is None or topic.startswith(f"/{self.name}/") for topic in topics)
 
 
+_FIELDS = tuple(name for name in RobotState.__struct_fields__ if name != "odometry")
+
+
 class State(msgspec.Struct, frozen=True, kw_only=True):
     """Every robot of a daemon. `sent_s`: by its own clock; `topics`: a number that changes with its topics."""
 
     sent_s: float
     topics: int
-    robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+    robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 
 
 class Motion(msgspec.Struct, frozen=True, array_like=True):
@@ -203,7 +239,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     owner: Text | None = None  # who drives it
     velocity: tuple[float, ...] | None = None
     epoch: int | None = None
-    robots: Annotated[tuple[RobotState, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
+    robots: Annotated[tuple[RobotMessage, ...], msgspec.Meta(max_length=MAX_ROBOTS)] = ()
 
 
 Request = Drive | Release | Unlock

@@ -31,7 +31,7 @@ from hostlink.graphs.zenoh.fleet_messages import (
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.graphs.zenoh.session import Sample
-from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import RemoteRobot
 from hostlink.logs import printable
 from hostlink.robot.velocity import PlanarVelocity, Twist
 
@@ -81,7 +81,7 @@ class _Unsettled:
 
 
 class FleetRequests:
-    """Implements Elsewhere. A command goes to the one daemon that has the robot, a stop or a lock to all."""
+    """Implements RobotHosts. A command goes to the one daemon that has the robot, a stop or a lock to all."""
 
     def __init__(self, post: Post, roster: Roster) -> None:
         self._post, self._roster = post, roster
@@ -92,7 +92,7 @@ class FleetRequests:
         self._waiting: dict[int, _Command] = {}
         self._unsettled: dict[int, _Unsettled] = {}
 
-    # -- Elsewhere ----------------------------------------------------------------------------------------------------
+    # -- RobotHosts ---------------------------------------------------------------------------------------------------
 
     def drive(
         self, robot: RemoteRobot, velocity: PlanarVelocity, *, owner: Hashable, priority: int, epoch: int | None
@@ -208,7 +208,7 @@ class FleetRequests:
         if command is not None and sender == command.neighbour.sender:
             del self._waiting[answer.number]
             command.answer = answer
-            command.robot.gate.report(epoch=answer.epoch, lock_reason=command.robot.gate.lock_reason, now_s=_now_s())
+            command.robot.note_epoch(answer.epoch, lock_reason=command.robot.admission.lock_reason)
             command.is_answered.set()
             return None
         unsettled = self._unsettled.get(answer.number)

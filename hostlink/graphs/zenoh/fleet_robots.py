@@ -5,24 +5,20 @@ import contextlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 
+import msgspec
 import structlog
 
 from hostlink.errors import HostlinkError
-from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES, RobotState
+from hostlink.graphs.zenoh.fleet_messages import MAX_STATE_BYTES
 from hostlink.graphs.zenoh.fleet_post import Post
 from hostlink.graphs.zenoh.fleet_requests import FleetRequests
 from hostlink.graphs.zenoh.fleet_topics import FleetTopics
 from hostlink.graphs.zenoh.inbox import SLICE_S
-from hostlink.graphs.zenoh.roster import Neighbour, Place, Roster
+from hostlink.graphs.zenoh.roster import Place, Roster
 from hostlink.graphs.zenoh.session import Declaration, Sample
 from hostlink.hub.hub import Hub
-from hostlink.hub.remote_robot import RemoteRobot
-from hostlink.hub.robot import Robot
+from hostlink.hub.robot import LocalRobot, RemoteRobot
 from hostlink.logs import of_peer, printable
-from hostlink.robot.directory import RobotTopicNames
-from hostlink.robot.kinematics import Pose
-from hostlink.robot.odometry_estimator import OdometrySnapshot
-from hostlink.robot.velocity import PlanarVelocity
 
 log = structlog.get_logger()
 
@@ -59,15 +55,15 @@ class FleetRobots:
             robot = self._hub.robots.remote.get(name)
             if place is None:
                 self._topics.hide(name)
-                self._hub.remote_robots.remove(name)
+                self._hub.robots.pop_remote(name)
                 continue
             sender = place.neighbour.sender
             if robot is None or robot.place != sender.zid:
                 self._topics.hide(name)
-                before, robot = robot, _remote_robot(place.neighbour, place.state, self._requests)
+                before, robot = robot, self._remote_robot(place)
                 if before is not None:  # who commanded it there goes on here
-                    robot.gate.admission = before.gate.admission
-                self._hub.remote_robots.add(robot)
+                    robot.admission = before.admission
+                self._hub.robots.put_remote(robot)
             if place.also_at and not robot.also_at:
                 _log_twice(name, (sender.name, *place.also_at))
             robot.also_at = place.also_at
@@ -90,26 +86,29 @@ class FleetRobots:
                 return
         self._is_due = False
 
+    def _remote_robot(self, place: Place) -> RemoteRobot:
+        return RemoteRobot(
+            name=place.state.name,
+            host=printable(place.neighbour.sender.name),
+            place=place.neighbour.sender.zid,
+            known=place.state.state,
+            hosts=self._requests,
+            gates=self._hub.gates,
+            graph=self._hub.topics,
+        )
+
     def _update(self, robot: RemoteRobot, place: Place) -> None:
-        state = place.state
-        self._hub.remote_robots.connect(robot, state.link if place.is_connected else None, state.epoch)
-        robot.shown = _topics_of(state)
-        gate = robot.gate
+        state, epoch = place.state.state, place.state.epoch
+        robot.connect(state.link if place.is_connected else None, epoch, self._hub.robots.new_number)
         holder = state.holder and state.holder.removesuffix(f" at {self._post.me.name}")  # one who is here
-        gate.owner_name, gate.priority = holder, state.priority
-        gate.report(epoch=state.epoch, lock_reason=state.lock_reason, now_s=_now_s())
-        gate.current = PlanarVelocity(state.velocity[0], state.linear_y_m_s, state.velocity[1])
-        gate.admission.lease_s, robot.refusals.cause = state.lease_s, state.unreachable
-        robot.is_played = state.is_played
-        if state.pose is not None and robot.odometry.update(_snapshot(state), _now_s()):
-            robot.follow()
+        robot.update(msgspec.structs.replace(state, holder=holder), epoch=epoch)
         is_driven_here = not robot.also_at and self._is_free(robot.name)
         if place.is_connected and is_driven_here:
             self._topics.show(robot, place.neighbour)
         else:
             self._topics.hide(robot.name)
         if not is_driven_here:  # else its gates stay while its device is away, as those of a robot that is here
-            self._hub.remote_robots.offer(robot, ())
+            robot.offer(())
 
     def _is_free(self, name: str) -> bool:
         """Whether no robot that is connected here has this name."""
@@ -129,13 +128,13 @@ class FleetRobots:
             self._known_links[name] = robot.link.number
             self._lock_likewise(robot)
 
-    def _lock_likewise(self, robot: Robot) -> None:
+    def _lock_likewise(self, robot: LocalRobot) -> None:
         """A robot that was locked at another daemon may have come here: its lock comes with it."""
         for neighbour in self._roster.all():
             state = neighbour.robots.get(robot.name)
             if state is not None and state.lock_reason is not None and robot.gate.lock_reason is None:
                 with contextlib.suppress(HostlinkError):  # it is locked; a device that refuses a zero obeys nobody
-                    self._hub.emergency_stop.stop_here(robot, f"locked at {neighbour.sender.name}: {state.lock_reason}")
+                    robot.lock_here(f"locked at {neighbour.sender.name}: {state.lock_reason}")
 
     def follow(self, now_s: float) -> None:
         """Subscribe the poses of those daemons of which somebody reads one."""
@@ -168,40 +167,9 @@ class FleetRobots:
         for zid in list(self._live):
             self.lose(zid)
         for name in list(self._hub.robots.remote):
-            self._hub.remote_robots.remove(name)
+            self._hub.robots.pop_remote(name)
         for robot in self._hub.robots.here():
             robot.also_at = ()
-
-
-def _remote_robot(neighbour: Neighbour, state: RobotState, requests: FleetRequests) -> RemoteRobot:
-    return RemoteRobot(
-        name=state.name,
-        host=printable(neighbour.sender.name),
-        place=neighbour.sender.zid,
-        shown=_topics_of(state),
-        elsewhere=requests,
-    )
-
-
-def _topics_of(state: RobotState) -> RobotTopicNames:
-    return RobotTopicNames(
-        state.name, state.velocity_topic, state.odometry_topic, state.odometry_type, state.reset_topic
-    )
-
-
-def _snapshot(state: RobotState) -> OdometrySnapshot:
-    pose = state.pose
-    assert pose is not None  # noqa: S101 - the caller has looked
-    return OdometrySnapshot(
-        pose=Pose(pose.x_m, pose.y_m, pose.theta_rad),
-        twist=PlanarVelocity(pose.linear_m_s, pose.linear_y_m_s, pose.angular_rad_s),
-        stamp_ns=pose.stamp_ns,
-        age_s=pose.age_s,
-        rate_hz=pose.rate_hz,
-        count=pose.count,
-        restarts=pose.restarts,
-        ignored=pose.ignored,
-    )
 
 
 def _log_twice(name: str, hosts: Iterable[str]) -> None:

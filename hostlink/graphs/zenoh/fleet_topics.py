@@ -9,7 +9,7 @@ from hostlink.graphs.zenoh.fleet_post import GROUP, Post
 from hostlink.graphs.zenoh.roster import Neighbour, Roster
 from hostlink.hub.hub import Hub
 from hostlink.hub.node import Role
-from hostlink.hub.remote_robot import RemoteRobot
+from hostlink.hub.robot import RemoteRobot
 
 TOPICS_TIMEOUT_S = 2.0
 

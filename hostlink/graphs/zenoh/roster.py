@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import Live, RobotState, Sender, State
+from hostlink.graphs.zenoh.fleet_messages import Live, RobotMessage, Sender, State
 from hostlink.robot.freshness import Freshness
 
 MAX_DAEMONS = 256
@@ -24,7 +24,7 @@ class Neighbour:
     sender: Sender
     heard_at_s: float
     gone_at_s: float = math.inf
-    robots: dict[str, RobotState] = field(default_factory=dict)
+    robots: dict[str, RobotMessage] = field(default_factory=dict)
     topics: int = -1  # the number of its list of topics
     freshness: Freshness = field(default_factory=Freshness)
     is_silent: bool = False
@@ -43,7 +43,7 @@ class Place(NamedTuple):
     """Where a robot is, as far as it is known. `also_at`: other daemons at which it is connected."""
 
     neighbour: Neighbour
-    state: RobotState
+    state: RobotMessage
     is_connected: bool
     also_at: tuple[str, ...]
 
@@ -171,7 +171,7 @@ class Roster:
         known = self._by_name.get(name, {}).values()
         return tuple(sorted(each.sender.name for each in known if each.is_connected(name)))
 
-    def _put(self, neighbour: Neighbour, name: str, robot: RobotState) -> None:
+    def _put(self, neighbour: Neighbour, name: str, robot: RobotMessage) -> None:
         known = self._by_name.get(name, {})
         if neighbour.sender.zid not in known:
             is_new = name not in self._by_name

@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from hostlink.client import connect
+from hostlink.config import Config, RobotConfig
 from hostlink.errors import CommandRefused, HostlinkError, RefusalKind
 from hostlink.protocol.frame import Id
 from hostlink.robot.admission import LEASE_S
 from hostlink.robot.velocity import TWIST_TYPE, PlanarVelocity
+from tests.support.device_reports import battery_topic, report
 from tests.support.fake_device import fake_device, pose, robot_topics, topic
 from tests.support.participants import subscribe
 from tests.support.rosbridge import client
@@ -33,6 +35,23 @@ async def test_a_robot_of_another_daemon_is_shown() -> None:
         assert (await robot(b, "robot_7"))["host"] is None
 
 
+async def test_what_a_device_elsewhere_tells_of_itself_is_shown_while_it_is_connected() -> None:
+    keys = ("battery_v", "battery_percent", "signal_dbm", "firmware", "wheel_separation_m", "kinematics")
+    settings = {"robot_7": RobotConfig(wheel_separation_m=0.2, kinematics="differential")}
+    async with fleet("a", "b", config=Config(robots=settings)) as (a, b):
+        async with fake_device(b.tcp, [*robot_topics("robot_7"), battery_topic("robot_7")]) as device:
+            await device.send(report(9.5))
+            await shown(a, "robot_7")
+            await expect(lambda: "battery_low" in a.hub.robots.remote["robot_7"].known.device_errors)
+            view = await robot(a, "robot_7")
+            assert [view[key] for key in keys] == [9.5, 25.0, -67, "rover 1.4", 0.2, "differential"]
+            assert "battery_low" in view["device_errors"]
+        await expect(lambda: a.hub.robots.remote["robot_7"].link is None)
+        view = await robot(a, "robot_7")
+        assert [view[key] for key in keys[:4]] == [None] * 4
+        assert view["device_errors"] == []
+
+
 async def test_a_robot_of_another_daemon_is_driven_over_rest() -> None:
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, robot_topics("robot_7")) as device:
         await shown(a, "robot_7")
@@ -41,7 +60,7 @@ async def test_a_robot_of_another_daemon_is_driven_over_rest() -> None:
         assert await device.velocity_other_than(STILL) == (0.3, 0.0)
         holder = (await robot(b, "robot_7"))["holder"]
         assert holder == "rest 127.0.0.1 at a"
-        await expect(lambda: a.hub.robots.remote["robot_7"].gate.owner_name == "rest 127.0.0.1")
+        await expect(lambda: a.hub.robots.remote["robot_7"].known.holder == "rest 127.0.0.1")
 
 
 async def test_the_other_daemons_limits_apply() -> None:
@@ -101,9 +120,9 @@ async def test_interruption_here_is_known_elsewhere_by_the_epoch() -> None:
         driver = a.hub.join("driver")
         driver.drive(found, PlanarVelocity(0.2))
         await driver.driven(found, PlanarVelocity(0.2))
-        seen = found.gate.admission.epoch
-        b.hub.gates.stop_here(b.hub.robots.find_here("robot_7"))
-        await expect(lambda: found.gate.admission.epoch == seen + 1)
+        seen = found.admission.epoch
+        b.hub.robots.find_here("robot_7").stop_here()
+        await expect(lambda: found.admission.epoch == seen + 1)
         for epoch in (None, seen):
             with pytest.raises(CommandRefused) as refused:
                 driver.drive(found, PlanarVelocity(0.2), epoch=epoch)
@@ -161,7 +180,7 @@ async def test_a_robot_that_is_played_elsewhere_is_shown_as_that() -> None:
     mark = topic(Id.PUBLISHER, 130, "/robot_7/played", "std_msgs/String")
     async with fleet("a", "b") as (a, b), fake_device(b.tcp, [*robot_topics("robot_7"), mark]):
         await shown(a, "robot_7")
-        await expect(lambda: a.hub.robots.remote["robot_7"].is_played)
+        await expect(lambda: a.hub.robots.remote["robot_7"].known.is_played)
 
 
 async def test_a_robot_that_leaves_its_daemon_is_shown_as_not_connected() -> None:
@@ -215,12 +234,12 @@ async def test_a_stream_from_elsewhere_that_went_on_through_a_lock_does_not_driv
         await expect(lambda: a.hub.topics.find_or_none("/robot_7/cmd_vel"))
         stream = a.hub.join("navigation")
         await b.rest("POST", "/api/robots/robot_7/lock")
-        await expect(lambda: robot.gate.lock_reason)
+        await expect(lambda: robot.admission.lock_reason)
         for is_locked in (True, False):
             with pytest.raises(HostlinkError, match="locked: " if is_locked else "send a zero"):
                 stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
             await b.rest("POST", "/api/robots/robot_7/unlock")
-            await expect(lambda: robot.gate.lock_reason is None)
+            await expect(lambda: robot.admission.lock_reason is None)
         stream.publish("/robot_7/cmd_vel", PlanarVelocity().encode())
         stream.publish("/robot_7/cmd_vel", PlanarVelocity(0.2).encode())
         await expect(lambda: b.hub.robots.find_here("robot_7").gate.owner_name == "navigation at a")

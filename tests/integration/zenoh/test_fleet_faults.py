@@ -10,7 +10,7 @@ import pytest
 import zenoh
 
 from hostlink.config import Config, ZenohConfig
-from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, Drive, RobotState, State, Topics, TopicState, encode
+from hostlink.graphs.zenoh.fleet_messages import MAX_ROBOTS, Drive, RobotMessage, State, Topics, TopicState, encode
 from hostlink.robot.velocity import PlanarVelocity
 from tests.support.daemon import Daemon, daemon, driven
 from tests.support.fake_device import fake_device, pose, robot_topics
@@ -111,8 +111,8 @@ class Liar:
         self.put("state", encode(State(sent_s=0.0, topics=topics, robots=tuple(map(_claimed, names)))))
 
 
-def _claimed(name: str) -> RobotState:
-    return RobotState(
+def _claimed(name: str) -> RobotMessage:
+    return RobotMessage(
         name=name,
         link=1,
         velocity_topic=f"/{name}/cmd_vel",

@@ -251,7 +251,7 @@ async def test_cmd_vel_takes_stamped_velocities_where_ros_2_sends_them(environme
 
 async def test_a_locked_robot_is_not_driven_and_the_reason_is_reported_once(environment: dict[str, str]) -> None:
     async with driven(environment) as world:
-        world.server.hub.emergency_stop.stop(world.server.hub.robots.find("robot_0"), "a person is near")
+        world.server.hub.robots.find("robot_0").lock("a person is near")
         await expect(lambda: world.bridge.has_reported("a person is near"))
         await asyncio.sleep(0.5)
         assert len([line for line in world.bridge.reports if "a person is near" in line]) == 1
@@ -262,8 +262,8 @@ async def test_a_stream_that_went_on_through_a_lock_drives_after_a_zero_and_not_
 ) -> None:
     async with driven(environment) as world:
         robot = world.server.hub.robots.find("robot_0")
-        world.server.hub.emergency_stop.stop(robot, "a person is near")
+        robot.lock("a person is near")
         await expect(lambda: world.bridge.has_reported("a person is near"))
-        world.server.hub.emergency_stop.release(robot)
+        robot.unlock()
         await expect(lambda: world.bridge.has_reported("velocity refused: disarmed"))
         await world.drives_after_a_zero_and_not_for(1.0)

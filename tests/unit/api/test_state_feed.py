@@ -107,6 +107,8 @@ def test_robots_come_ten_times_a_second_while_one_moves_and_once_a_second_else()
         with feed.reading(reader):
             await asyncio.sleep(0.05)
             reader.pop()
+            await asyncio.sleep(15.0)
+            reader.pop()  # what `hostlink doctor` finds wrong with this device came at once
             assert await counted(reader, 10.0) == {"robots": 10, "links": 10, "clients": 10}
             async with asyncio.TaskGroup() as tasks:
                 moving = tasks.create_task(_move(device))
@@ -145,7 +147,7 @@ def test_a_change_of_a_robot_that_stands_still_comes_at_once() -> None:
         with feed.reading(reader):
             await asyncio.sleep(0.05)
             reader.pop()
-            hub.emergency_stop.stop(hub.robots.find("robot_0"), "somebody stands there")
+            hub.robots.find("robot_0").lock("somebody stands there")
             await asyncio.sleep(0.15)
             name, data = parsed(reader.pop())[0]
             assert (name, data["robots"][0]["lock_reason"]) == ("robots", "somebody stands there")

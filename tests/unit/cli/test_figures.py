@@ -4,7 +4,16 @@ from typing import Any
 
 import pytest
 
-from hostlink.cli.figures import LINK_COLUMNS, ROBOT_COLUMNS, Sample, advice, figures, link_rows, robot_rows, speed_text
+from hostlink.cli.figures import (
+    LINK_COLUMNS,
+    ROBOT_COLUMNS,
+    Sample,
+    advice,
+    figures,
+    link_rows,
+    robot_table,
+    speed_text,
+)
 
 FINDING = {"code": "damaged", "cause": "why", "next_step": "do", "detail": "3 of 4"}
 
@@ -52,10 +61,23 @@ def test_a_robot_is_shown_with_and_without_odometry() -> None:
     pose = {"x_m": 1.0, "y_m": -0.5, "theta_rad": 3.14159}
     odometry = {"pose": pose, "twist": {"linear_m_s": 0.2, "angular_rad_s": 0.0}, "rate_hz": 10.0, "age_s": 0.05}
     robots = [robot(odometry=odometry, holder="client 1"), robot(link=None, locked=True)]
-    rows = robot_rows(figures(sample(0.0), sample(1.0, robots=robots)))
+    columns, rows = robot_table(figures(sample(0.0), sample(1.0, robots=robots)))
     assert rows[0] == ("robot_0", "1", "client 1", "+0.20", "+0.00", "+1.00", "-0.50", "+180", "10.0", "0.1")
     assert rows[1] == ("robot_0", "gone", "locked", *("-",) * 7)
-    assert len(ROBOT_COLUMNS) == len(rows[0])
+    assert columns == ROBOT_COLUMNS
+    assert len(columns) == len(rows[0])
+
+
+def test_what_a_device_tells_of_itself_is_shown_where_any_robot_has_it() -> None:
+    told = {"battery_v": 11.42, "battery_percent": 62.4, "device_errors": ["battery_low", "weak_signal"]}
+    robots = [robot(), robot(name="robot_1", **told), robot(name="robot_2", firmware="rover 1.4")]
+    columns, rows = robot_table({"robots": robots})
+    assert columns[len(ROBOT_COLUMNS) :] == ("battery", "errors", "firmware")
+    assert [row[len(ROBOT_COLUMNS) :] for row in rows] == [
+        ("-", "-", "-"),
+        ("11.4 V 62 %", "battery_low, weak_signal", "-"),
+        ("-", "-", "rover 1.4"),
+    ]
 
 
 @pytest.mark.parametrize(("left_m_s", "text"), [(0.0, "+0.20"), (-0.004, "+0.20"), (-0.1, "+0.20 y -0.10")])

@@ -129,6 +129,24 @@ def test_a_low_battery_a_restart_and_the_signal_are_read_from_the_log() -> None:
     assert monitor.evidence(151.0, silent_s=0.0).signal_dbm is None
 
 
+@pytest.mark.parametrize(
+    ("text", "firmware"),
+    [
+        ("firmware rover 1.4.2", "rover 1.4.2"),
+        ("firmware hostlink-due v2", "hostlink-due v2"),
+        ("firmware update failed", None),
+        ("firmware rover", None),
+        ("firmware rover 1.4 is old", None),
+        ("the firmware rover 1.4", None),
+        (f"firmware {'r' * 41} 1.4", None),
+    ],
+)
+def test_the_firmware_is_read_from_the_log(text: str, firmware: str | None) -> None:
+    monitor = LinkMonitor(session(), now_s=0.0)
+    monitor.observe(DeviceLogged(1, text), 1.0)
+    assert monitor.firmware == firmware
+
+
 def test_refused_topics_have_their_reason() -> None:
     def refuse(info: TopicInfo) -> int | None:
         raise FrameTooLarge(info.name, 2, 1)

@@ -47,12 +47,12 @@ async def one_too_many() -> Hub:
         running = tasks.create_task(hub.run())
         await hub.is_running.wait()
         owner = await come(acceptor, OWNER, "robot_0")
-        hub.emergency_stop.stop(hub.robots.find("robot_0"), "a person is near")
+        hub.robots.find("robot_0").lock("a person is near")
         await owner.aclose()
         for _ in range(10):
             await come(acceptor, OTHER, "robot_1")
         assert connected(hub) == []
-        hub.emergency_stop.release(hub.robots.find("robot_0"))
+        hub.robots.find("robot_0").unlock()
         await asyncio.sleep(PAUSE_S)
         await come(acceptor, OTHER, "robot_1")
         assert connected(hub) == [OTHER]

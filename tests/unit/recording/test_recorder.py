@@ -2,20 +2,18 @@
 
 import asyncio
 from dataclasses import dataclass, field
-from typing import Any
 
 import msgspec
 
 from hostlink.config import Config
 from hostlink.hub.graph_changes import LATEST_S
 from hostlink.hub.hub import Hub
-from hostlink.hub.remote_robot import RemoteRobot
 from hostlink.hub.robot_events import EventKind
 from hostlink.recording.channel import EVENTS, Channel, json_of
 from hostlink.recording.recorder import Recorder, Selection
-from hostlink.robot.directory import RobotTopicNames
 from hostlink.robot.velocity import PlanarVelocity, Twist
 from tests.support.fake_device import CATALOG
+from tests.support.remote_robots import remote_robot
 from tests.support.virtual_loop import run_virtual
 
 TYPE = "std_msgs/Bool"
@@ -98,9 +96,7 @@ def test_the_topics_of_a_robots_name_are_recorded_once_it_is_that_robots() -> No
         recorder.start()
         await asyncio.sleep(2 * LATEST_S)
         before = recorder.topics
-        shown = RobotTopicNames("robot_7", "/robot_7/velocity", "/robot_7/odometry", TYPE, None)
-        nowhere: Any = None  # nobody drives it
-        hub.robots.put_remote(RemoteRobot(name="robot_7", host="b", place="b", shown=shown, elsewhere=nowhere))
+        hub.robots.put_remote(remote_robot(hub, "robot_7"))
         await asyncio.sleep(2 * LATEST_S)
         return before, recorder.topics
 

@@ -2,13 +2,8 @@
 
 import { ageText, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
-import type { LinkView } from "./views";
+import type { LinkView, RobotView } from "./views";
 import { bytes } from "./widgets";
-
-/** sensor_msgs/BatteryState; a voltage that nothing measures is null. */
-export interface BatteryState {
-  voltage: number | null;
-}
 
 type Tile = "rate" | "age" | "lost" | "resyncs" | "page" | "device" | "signal" | "battery" | "errors";
 
@@ -20,7 +15,7 @@ const TILES: Record<Tile, [label: string, hint: string]> = {
   page: ["Page", "round trip from this page to hostlink"],
   device: ["Device", "round trip from hostlink to the device"],
   signal: ["WiFi", "how strong the device's WiFi is"],
-  battery: ["Battery", "the robot's, in volts"],
+  battery: ["Battery", "the robot's: volts, and charge where it is measured"],
   errors: ["Errors", "their numbers: docs/robot.md, what the robot knows of itself"],
 };
 const OLD_S = 1;
@@ -78,15 +73,14 @@ export class Health {
       roundTripMs === null ? "–" : `${digits(roundTripMs, roundTripMs < 10 ? 1 : 0)} ms`,
       (roundTripMs ?? 0) > SLOW_MS,
     );
-    const dbm = (isKnown && link?.signal_dbm) || null;
+    const dbm = (isKnown && robot?.signal_dbm) || null;
     this.set("signal", dbm === null ? "–" : `${digits(dbm, 0)} dBm`, dbm !== null && dbm < WEAK_DBM);
+    this.set("battery", (isKnown && robot && batteryText(robot)) || "–", this.isBatteryLow);
+    const firmware = find("#link .firmware");
+    firmware.hidden = !robot?.firmware;
+    setText(firmware, robot?.firmware ? `Firmware ${robot.firmware}` : "");
     this.set("device", device_s === undefined ? "–" : `${digits(device_s * 1000, 0)} ms`);
     this.diagnose(robot === undefined ? links : link ? [link] : []);
-  }
-
-  /** null: the robot does not publish it. */
-  setBattery(volts: number | null): void {
-    this.set("battery", volts === null ? "–" : `${digits(volts, 1)} V`, this.isBatteryLow);
   }
 
   /** null: the robot does not publish them. */
@@ -114,4 +108,11 @@ export class Health {
     list.dataset.shown = lines.join("\n");
     list.replaceChildren(...lines.map((line) => make("li", {}, line)));
   }
+}
+
+/** Empty: its device measures neither voltage nor charge. */
+export function batteryText(robot: RobotView): string {
+  const { battery_v: volts, battery_percent: percent } = robot;
+  const texts = [volts == null ? "" : `${digits(volts, 1)} V`, percent == null ? "" : `${digits(percent, 0)} %`];
+  return texts.filter(Boolean).join(" ");
 }

@@ -5,7 +5,6 @@ import "./style/frame.css";
 import "./style/driving.css";
 import "./style/showing.css";
 import { Access } from "./access";
-import { Batteries } from "./batteries";
 import { showClients } from "./clients";
 import { Connection, type State } from "./connection";
 import { ageText, digits, find, setText } from "./dom";
@@ -14,7 +13,7 @@ import { Events } from "./events";
 import { Fleet } from "./fleet";
 import { Followed } from "./followed";
 import { Frame } from "./frame";
-import { type BatteryState, Health } from "./health";
+import { Health } from "./health";
 import { History } from "./history";
 import { DeviceLog } from "./log";
 import { RobotMap } from "./map";
@@ -93,8 +92,7 @@ const rights = new Rights(show);
 const drive = new Drive(fleet, connection, () => rights.canDrive);
 const stop = new Stop(fleet, drive.driving);
 const step = new Step(drive.driving);
-const batteries = new Batteries(fleet, connection);
-const robots = new RobotList(fleet, batteries, (robot) => drive.driver(robot));
+const robots = new RobotList(fleet, (robot) => drive.driver(robot));
 const timeline = new Timeline(SPAN_S);
 const map = new RobotMap(fleet, timeline);
 const plots = new Plots(fleet, timeline);
@@ -111,13 +109,6 @@ const plotData = new Followed<PlotData>(
     step.add(data);
   },
   () => step.forget(),
-);
-const battery = new Followed<BatteryState>(
-  connection,
-  "battery",
-  "sensor_msgs/BatteryState",
-  (state) => health.setBattery(state.voltage),
-  () => health.setBattery(null),
 );
 const errors = new Followed<{ data: number[] }>(
   connection,
@@ -151,7 +142,7 @@ page.onRefusal((topic, reason) => tuning.refused(topic, reason));
 
 let isCut = false; // the WebSocket was lost, and is not there again
 
-const frame = new Frame(page, () => drive.driving.releaseAll());
+new Frame(page, () => drive.driving.releaseAll());
 connectTheme(() => {
   map.redraw();
   plots.recolour();
@@ -184,12 +175,7 @@ function address(): string {
 function changed(state: State): void {
   if (state === "late") drive.driving.releaseAll();
   else if (state !== "open") drive.forget();
-  if (state === "closed") {
-    // what came by it is not known any more
-    health.setBattery(null);
-    health.setErrors(null);
-    batteries.forget();
-  }
+  if (state === "closed") health.setErrors(null); // what came by it is not known any more
   isCut = state === "open" ? false : state !== "connecting" || isCut;
   showConnection();
   drive.show();
@@ -222,8 +208,7 @@ function refuse(refused: Refused): void {
 /** Everything that comes from the daemon's events. */
 function show(): void {
   const { robot, link } = fleet;
-  for (const followed of [plotData, battery, errors]) followed.show(robot, link);
-  batteries.show(frame.layout === "Fleet");
+  for (const followed of [plotData, errors]) followed.show(robot, link);
   map.show(robot?.name ?? null);
   drive.show();
   robots.show(events.isHeard);

@@ -1,8 +1,8 @@
 /** The robots and what each of them does; one of them is chosen. */
 
-import type { Batteries } from "./batteries";
 import { ageText, arrange, digits, find, make, setText } from "./dom";
 import type { Fleet } from "./fleet";
+import { batteryText } from "./health";
 import { robotColour } from "./robot_colours";
 import { type RobotView, speedText } from "./views";
 
@@ -26,7 +26,6 @@ export class RobotList {
 
   constructor(
     private readonly fleet: Fleet,
-    private readonly batteries: Batteries,
     private readonly driver: (robot: RobotView) => string | null,
   ) {
     this.filter.addEventListener("input", () => this.show(true));
@@ -65,16 +64,14 @@ export class RobotList {
 
   private fill(card: Card, robot: RobotView, what: string): void {
     const { fleet } = this;
-    const link = fleet.linkOf(robot);
     const state = fleet.state(robot);
     card.label.dataset.state = state === "connected" && this.driver(robot) !== null ? "driving" : state;
     card.label.title = robot.host ? `${robot.name}: ${what}` : what;
     setText(card.state, what);
     const isKnown = state !== "unknown"; // what was true when the daemon was heard last is nothing to drive by
     setText(card.speed, isKnown && robot.connected ? speedText(robot.odometry?.twist) : "");
-    const volts = isKnown ? this.batteries.volts(robot.name) : null;
-    setText(card.battery, volts === null ? "" : `${digits(volts, 1)} V`);
-    const dbm = (isKnown && link?.signal_dbm) || null;
+    setText(card.battery, (isKnown && batteryText(robot)) || "");
+    const dbm = (isKnown && robot.signal_dbm) || null;
     const rate = isKnown && robot.connected && robot.odometry ? `${digits(robot.odometry.rate_hz, 0)} Hz` : "";
     setText(card.signal, [rate, dbm === null ? "" : `${digits(dbm, 0)} dBm`].filter(Boolean).join(" "));
   }

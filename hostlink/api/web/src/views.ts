@@ -39,6 +39,10 @@ export interface RobotView {
   locked?: boolean;
   lock_reason?: string | null;
   unreachable?: string | null; // why its device could not receive the last velocity
+  battery_v?: number | null;
+  battery_percent?: number | null;
+  signal_dbm?: number | null; // of its device's WiFi
+  firmware?: string | null; // name and version, as its device logs them
 }
 
 /** A robot after a stop, and what its odometry has said since. */

@@ -4,7 +4,7 @@ from collections import Counter
 
 import msgspec
 
-from hostlink.graphs.zenoh.fleet_messages import Live, Motion, PoseState, RobotState, Sender, State
+from hostlink.graphs.zenoh.fleet_messages import Live, Motion, PoseState, RobotMessage, Sender, State
 from hostlink.graphs.zenoh.roster import MAX_DAEMONS, MAX_GONE, MAX_NAMESAKES, MAX_REMOTE_ROBOTS, SILENT_S, Roster
 
 A, B = Sender("a", "1"), Sender("b", "2")
@@ -12,7 +12,7 @@ A, B = Sender("a", "1"), Sender("b", "2")
 
 def state(*names: str, link: int | None = 1) -> State:
     robots = tuple(
-        RobotState(
+        RobotMessage(
             name=name,
             link=link,
             velocity_topic=f"/{name}/cmd_vel",
