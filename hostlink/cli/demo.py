@@ -20,7 +20,7 @@ from hostlink.hub.hub import Hub
 from hostlink.hub.participant import Participant
 from hostlink.hub.robot import Robot
 from hostlink.robot.velocity import Velocity
-from hostlink.sim.controller import RobotKind
+from hostlink.sim.firmware_world import RobotKind
 from hostlink.sim.run import run_fleet
 
 OWNER = "demo"

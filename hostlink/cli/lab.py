@@ -15,7 +15,6 @@ from hostlink.errors import ConfigError, LibraryMissing
 from hostlink.lab import reports
 from hostlink.lab.experiment import Laboratory
 from hostlink.lab.tables import CASTER_WORLD
-from hostlink.sim.world_library import WorldLibraryMissing
 from hostlink.sim.world_parameters import WorldParameters, read
 
 
@@ -58,8 +57,6 @@ def command(
         with Laboratory() as laboratory:
             report = _report(laboratory, what, runs, chosen, output)
             report = report + _fit(laboratory, runs) if fit else report
-    except WorldLibraryMissing as error:
-        raise ConfigError("hostlink lab", str(error)) from None
     finally:
         with contextlib.suppress(OSError):
             show_progress("")

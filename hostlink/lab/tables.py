@@ -62,7 +62,7 @@ def tables(
     """Drive all of them.
 
     Raises:
-        WorldLibraryMissing: the firmware is not built.
+        LibraryMissing: wasmtime is not installed.
     """
     report("calibrating")
     firmware = Setup(software=Software.FIRMWARE, world=world)

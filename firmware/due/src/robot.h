@@ -18,7 +18,7 @@ typedef ros::BufferedNode<25, 25, 512, 512, 2048> RobotNode;
 class Robot {
  public:
   explicit Robot(Hal& hal, const char* name = "/robot_0/", ros::Retry retry = ros::Retry::kKeepState,
-                 Feedback feedback = Feedback::kWashedOut);
+                 Feedback feedback = Feedback::kWashedOut, const ControlProfile& profile = paper_profile());
 
   void setup();
   // Call it as often as possible: it drains the UART on each call, and controls thirty times a second. 0, or with the
