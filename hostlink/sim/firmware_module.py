@@ -106,7 +106,7 @@ def _compiled() -> "tuple[wasmtime.Engine, wasmtime.Module]":
     try:
         import wasmtime  # noqa: PLC0415 - 30 MB, for simulated robots alone
     except (ImportError, OSError, RuntimeError):  # without a library for this machine it raises the others
-        raise LibraryMissing("a simulated robot", "wasmtime, which x86_64 and arm64 have", "sim") from None
+        raise LibraryMissing("a simulated robot", "wasmtime (for x86_64 and arm64)", "sim") from None
     config = wasmtime.Config()
     # A tenth slower than with signal handlers and four GiB of addresses for each robot; and without threads a process
     # may fork.
@@ -120,6 +120,18 @@ def _compiled() -> "tuple[wasmtime.Engine, wasmtime.Module]":
     atexit.register(engine.close)
     atexit.register(module.close)
     return engine, module
+
+
+def require_wasmtime(command: str) -> None:
+    """Refuse before anything is started.
+
+    Raises:
+        LibraryMissing: wasmtime is not installed, or has no library for this machine.
+    """
+    try:
+        _compiled()
+    except LibraryMissing as error:
+        raise LibraryMissing(command, error.library, error.extra) from None
 
 
 @cache

@@ -1,11 +1,14 @@
-"""`hostlink sim --world`: a file that is read, or refused with its line."""
+"""`hostlink sim`: a world that is read, or refused with its line; and what is said without wasmtime."""
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from hostlink.cli import sim
-from hostlink.errors import ConfigError
+from hostlink.cli import calibrate, demo, lab, sim
+from hostlink.errors import ConfigError, LibraryMissing
+from hostlink.sim import firmware_module
 
 
 @pytest.mark.parametrize(
@@ -25,3 +28,24 @@ def test_a_world_that_is_none_is_refused_with_its_line(tmp_path: Path, content: 
     with pytest.raises(ConfigError) as refused:
         sim.command(world=file)
     assert str(refused.value) == f"--world: {file}: {reason}"
+
+
+@pytest.mark.parametrize(
+    ("where", "start"),
+    [
+        ("hostlink sim", sim.command),
+        ("hostlink demo", demo.command),
+        ("hostlink lab", lambda: lab.command(lab.What.TABLES)),
+        ("--simulate", lambda: calibrate.command("robot_0", simulate=True)),
+    ],
+)
+def test_simulation_without_wasmtime_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, where: str, start: Callable[[], None]
+) -> None:
+    monkeypatch.setitem(sys.modules, "wasmtime", None)
+    firmware_module._compiled.cache_clear()
+    with pytest.raises(
+        LibraryMissing, match=r"needs wasmtime \(for x86_64 and arm64\): run  pip install '.\[sim\]'"
+    ) as error:
+        start()
+    assert str(error.value).startswith(f"{where}: ")

@@ -1,10 +1,9 @@
 """The paper's software, rebuilt: each mistake does what the paper's robot did, and can be mended."""
 
 import pytest
-from hostlink.sim.controller import LEFT_GAINS, LOOP_S
 
 from hostlink.lab.experiment import PAPER_WORLD
-from hostlink.lab.paper_software import Mistakes, PaperWheel, names
+from hostlink.lab.paper_software import LEFT_GAINS, LOOP_S, Mistakes, PaperWheel, names
 from hostlink.lab.robots import PaperRobot
 
 METRES_PER_TICK = 0.0012272
