@@ -53,7 +53,7 @@ def errors_in(world: WorldParameters, squares_each_way: int = SQUARES) -> Errors
     """Calibrate the robot of a world.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     robot = robot_in(world)
     runs = [*lines(robot), *squares(robot, squares_each_way)]

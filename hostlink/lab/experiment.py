@@ -53,7 +53,7 @@ class Setup:
         """A new one; equal seeds repeat.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
         """
         world = self.world.changed({"seed": seed})
         if self.software is Software.PAPER:
@@ -94,7 +94,7 @@ def conduct(experiment: Experiment) -> list[Run]:
     """Drive them.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     setup = experiment.setup
     practice = practise(setup)
@@ -122,7 +122,7 @@ def measure(experiment: Experiment) -> Errors:
     """Drive one, and keep the errors alone.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     return errors_of(conduct(experiment))
 
@@ -146,7 +146,7 @@ class Laboratory:
         """The errors of each, in their order.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
         """
         if self._workers == 1 or sum(experiment.runs for experiment in experiments) < _POOLED_RUNS:
             return map(measure, experiments)

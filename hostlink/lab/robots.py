@@ -41,7 +41,7 @@ class FirmwareRobot:
         """`device_parameters`: what the host answers to the firmware's questions: `wheel_radius` and so on.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
         """
         self._robot = FirmwareWorld(parameters, device_parameters=device_parameters)
         self._robot.connect()

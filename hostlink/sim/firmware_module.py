@@ -6,13 +6,14 @@ it from one thread, and as many of them as you like.
 
 import atexit
 import ctypes
+import platform
 import weakref
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from hostlink.errors import LibraryMissing
+from hostlink.errors import ConfigError, LibraryMissing
 
 if TYPE_CHECKING:
     import wasmtime
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 MODULE = Path(__file__).with_name("firmware.wasm")
 TEXT_BYTES = LINE_BYTES = 1 << 16  # of its buffers
 MOST_ROWS = 1 << 13
+MACHINES = ("x86_64", "AMD64", "aarch64", "arm64")  # for which wasmtime has a library
 
 
 class Bounds(NamedTuple):
@@ -96,17 +98,31 @@ class Instance:
         return wrong, list((ctypes.c_double * count).from_address(self.address("parameter_numbers")))
 
 
+def require_wasmtime(command: str) -> None:
+    """Refuse before anything is started.
+
+    Raises:
+        ConfigError: wasmtime is not installed, or has no library for this machine.
+    """
+    try:
+        import wasmtime  # noqa: F401, PLC0415 - 30 MB, for simulated robots alone
+    except (ImportError, OSError, RuntimeError):  # without a library for the machine it raises the others
+        if platform.machine() in MACHINES:
+            raise LibraryMissing(command, "wasmtime", "sim") from None
+        needs = f"needs wasmtime, which has no library for {platform.machine()}: run it on x86_64 or arm64"
+        raise ConfigError(command, needs) from None
+
+
 @cache
 def _compiled() -> "tuple[wasmtime.Engine, wasmtime.Module]":
     """Compile the module: 0.1 s.
 
     Raises:
-        LibraryMissing: wasmtime is not installed, or has no library for this machine.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
-    try:
-        import wasmtime  # noqa: PLC0415 - 30 MB, for simulated robots alone
-    except (ImportError, OSError, RuntimeError):  # without a library for this machine it raises the others
-        raise LibraryMissing("a simulated robot", "wasmtime (for x86_64 and arm64)", "sim") from None
+    require_wasmtime("a simulated robot")
+    import wasmtime  # noqa: PLC0415 - as there
+
     config = wasmtime.Config()
     # A tenth slower than with signal handlers and four GiB of addresses for each robot; and without threads a process
     # may fork.
@@ -122,24 +138,12 @@ def _compiled() -> "tuple[wasmtime.Engine, wasmtime.Module]":
     return engine, module
 
 
-def require_wasmtime(command: str) -> None:
-    """Refuse before anything is started.
-
-    Raises:
-        LibraryMissing: wasmtime is not installed, or has no library for this machine.
-    """
-    try:
-        _compiled()
-    except LibraryMissing as error:
-        raise LibraryMissing(command, error.library, error.extra) from None
-
-
 @cache
 def columns() -> tuple[str, ...]:
     """The names of a row's numbers.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     module = Instance()
     return tuple(module.read_text("column", index) for index in range(int(module.call("column_count"))))
@@ -150,7 +154,7 @@ def bounds() -> Mapping[str, Bounds]:
     """Of each number of a world: its default and range, in their order.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
     """
     module = Instance()
     _, defaults = module.read_parameters("")
@@ -171,7 +175,7 @@ def read_lines(text: str) -> tuple[int, dict[str, float]]:
     """Of lines name=value: 0 or the number of the line that is wrong, and all numbers by name.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
         ValueError: it is too long.
     """
     wrong, values = _reader().read_parameters(text)

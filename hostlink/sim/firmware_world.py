@@ -235,7 +235,7 @@ class Firmware:
         """`baud` 0: bytes are through at once; 38400 as the paper's.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
             ValueError: a number of the world has no such name, or is out of its range.
         """
         self._instance = Instance()
@@ -351,7 +351,7 @@ class FirmwareWorld:
         """`baud` 0: bytes are through at once; 38400 as the paper's. `device_parameters`: "wheel_radius" and so on.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
             ValueError: a number of the world has no such name, or is out of its range.
         """
         self.name = name

@@ -25,7 +25,7 @@ class SimulatedRobot:
         """`baud` 0: bytes are through at once. `clock_rate`: seconds that its clock counts in one.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
             ValueError: a number of the world has no such name, or is out of its range.
         """
         self.name = name

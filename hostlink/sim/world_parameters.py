@@ -32,7 +32,7 @@ class WorldParameters(Mapping[str, float]):
         """All numbers, in the order of the C++ struct.
 
         Raises:
-            LibraryMissing: wasmtime is not installed.
+            ConfigError: wasmtime is not installed, or has no library for this machine.
             ValueError: a name is no parameter's, then the text names the nearest one; or a number is out of its range.
         """
         for name, value in self._given.items():
@@ -73,7 +73,7 @@ def read(text: str) -> WorldParameters:
     """A world from lines `name=value`, without spaces; empty lines and those that begin with # are ignored.
 
     Raises:
-        LibraryMissing: wasmtime is not installed.
+        ConfigError: wasmtime is not installed, or has no library for this machine.
         ValueError: a line is not of this form, names no parameter, or is out of range; the text has its number.
     """
     text = text.replace("\0", "\ufffd")  # it would end the text in C++

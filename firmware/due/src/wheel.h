@@ -9,9 +9,9 @@
 namespace hostlink {
 
 // A set-point that goes from where it is to a target without a jerk. Its slope is at most 1.875 / seconds_per_tick away
-// from zero and 1.875 / slower_seconds_per_tick towards zero, and it never passes the target. A further or nearer target
-// the same way keeps the slope, so that commands which change ten times a second add up to one motion; one the other
-// way begins at zero slope. Before a target of the other sign it is zero at once, and at a target of zero, too.
+// from zero and 1.875 / slower_seconds_per_tick towards zero, and it never passes the target. A further or nearer
+// target the same way keeps the slope, so that commands which change ten times a second add up to one motion; one the
+// other way begins at zero slope. Before a target of the other sign it is zero at once, and at a target of zero, too.
 class MinimumJerk {
  public:
   explicit MinimumJerk(float seconds_per_tick = kSecondsPerTick, float slower_seconds_per_tick = kSlowerSecondsPerTick)
