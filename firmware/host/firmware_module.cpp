@@ -37,6 +37,7 @@ struct Control {
   uint32_t rows;            // out
   uint32_t is_configured;   // out: the firmware has a host
   uint32_t lost_bytes;      // out: for which its UART had no room
+  uint32_t quiet_ms;        // out: for so long nothing will come for the host, unless the host sends something
 };
 
 Control control_block;
@@ -78,6 +79,7 @@ void report() {
   robot->report(now_row);
   control_block.is_configured = robot->robot().node().is_configured();
   control_block.lost_bytes = robot->board().from_host().lost();
+  control_block.quiet_ms = control_block.from_host_size > 0 ? 0 : robot->quiet_ms();
   double* next = control_values;
   const hostlink::Wheel* const wheels[] = {&robot->robot().left(), &robot->robot().right()};
   for (const hostlink::Wheel* wheel : wheels) {

@@ -77,6 +77,10 @@ void RobotInWorld::pass() {
   if (wait_ms_ == 0) wait_ms_ = robot_.loop();
 }
 
+uint32_t RobotInWorld::quiet_ms() {
+  return board_.is_line_idle() ? robot_.turn_due_in_us() / board_.clock_per_mille() + 1 : 0;
+}
+
 void RobotInWorld::report(double* row) const {
   const World& world = board_.world();
   const Wheel& left = robot_.left();

@@ -26,8 +26,10 @@ class VirtualBoard : public WorldHal {
   void set_clock(uint32_t per_mille) { clock_per_mille_ = per_mille; }  // 1250: a quarter too fast
   void cut();                                                           // drop what is on the line, both ways
   void restart();                                                       // power off and on
-  uint64_t now_us() const { return now_us_; }                           // the world's time
-  uint32_t line_us() const { return static_cast<uint32_t>(now_us_); }   // the same, as the line counts it
+  bool is_line_idle() const { return ring_.is_idle() && out_.is_idle(); }
+  uint32_t clock_per_mille() const { return clock_per_mille_; }
+  uint64_t now_us() const { return now_us_; }                          // the world's time
+  uint32_t line_us() const { return static_cast<uint32_t>(now_us_); }  // the same, as the line counts it
   World& world() { return world_; }
   const World& world() const { return world_; }
   UartRing& from_host() { return ring_; }
@@ -54,6 +56,8 @@ class RobotInWorld {
   void pass();    // a millisecond of the world, then a pass of the firmware's loop
   void reboot();  // power off and on: the firmware begins anew, the world goes on
   void report(double* row) const;
+  // How long nothing will leave the UART, unless something comes from the host; 0: bytes are on the line.
+  uint32_t quiet_ms();
   static const char* column(size_t index);
 
   VirtualBoard& board() { return board_; }

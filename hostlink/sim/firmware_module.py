@@ -47,6 +47,7 @@ class Control(ctypes.Structure):
         ("rows", ctypes.c_uint32),
         ("is_configured", ctypes.c_uint32),
         ("lost_bytes", ctypes.c_uint32),
+        ("quiet_ms", ctypes.c_uint32),
     )
 
 

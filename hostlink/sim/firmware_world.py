@@ -282,6 +282,11 @@ class Firmware:
         return bool(self._control.is_configured)
 
     @property
+    def quiet_ms(self) -> int:
+        """For how long nothing will come for the host, unless something is sent; 0: bytes are on the line."""
+        return 0 if self._pending else int(self._control.quiet_ms)
+
+    @property
     def lost_bytes(self) -> int:
         """Bytes from the host that its UART had no room for."""
         return int(self._control.lost_bytes)

@@ -11,7 +11,10 @@ PASS_MS = 1000  # so many milliseconds at once, where it was not asked for longe
 
 
 class SimulatedRobot:
-    """Call `advance` as often as bytes shall leave its UART; each time the firmware runs until then."""
+    """Call `advance` as often as bytes shall leave its UART; each time the firmware runs until then.
+
+    Between two calls `quiet_s` may pass where nothing is sent to it.
+    """
 
     def __init__(
         self,
@@ -64,8 +67,13 @@ class SimulatedRobot:
         """Whether it has a host."""
         return self.firmware.is_configured
 
+    @property
+    def quiet_s(self) -> float:
+        """For how long nothing will leave its UART, unless it receives something; 0: bytes are on the line."""
+        return self.firmware.quiet_ms / 1000
+
     def receive(self, data: bytes) -> None:
-        """Put bytes on the line to it."""
+        """Put bytes on the line to it, at the time of the last `advance`."""
         self.firmware.send(data)
 
     def advance(self, now_s: float) -> bytes:

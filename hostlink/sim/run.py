@@ -134,27 +134,49 @@ class _Board:
         self.robot = robot
         self.fault = fault
         self._send: Callable[[bytes], None] | None = None
+        self._loop = asyncio.get_running_loop()
+        self._failed: asyncio.Future[None] = self._loop.create_future()
+        self._timer = self._loop.call_soon(self._poll)
 
     async def run(self) -> None:
-        """Until cancelled."""
-        now_s = asyncio.get_running_loop().time
-        while True:
-            data = self.robot.advance(now_s())
-            if self._send is not None:
-                self._send(data)
-            await asyncio.sleep(LINE_POLL_S if self._send is not None else RECONNECT_S / 10)
+        """Until cancelled; raises what ended the firmware."""
+        await self._failed
+
+    def switch_off(self) -> None:
+        """The firmware runs no further."""
+        self._timer.cancel()
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host, now."""
+        self._advance()
+        self.robot.receive(data)
+        self._timer.cancel()
+        self._timer = self._loop.call_later(LINE_POLL_S, self._poll)
 
     @contextlib.contextmanager
     def connected(self, send: Callable[[bytes], None]) -> Iterator[None]:
         """What leaves its UART is sent, changed by its fault; without a connection it is lost."""
         line = FaultyLine(self.fault)
-        self.robot.advance(asyncio.get_running_loop().time())
+        self._advance()
         self._send = lambda data: send(line.pass_on(data))
         try:
             yield
         finally:
             self._send = None
             self.robot.firmware.cut()
+
+    def _poll(self) -> None:
+        try:
+            self._advance()
+        except Exception as error:  # noqa: BLE001 - raised by `run`
+            self._failed.set_exception(error)
+        else:
+            self._timer = self._loop.call_later(self.robot.quiet_s or LINE_POLL_S, self._poll)
+
+    def _advance(self) -> None:
+        data = self.robot.advance(self._loop.time())
+        if self._send is not None:
+            self._send(data)
 
 
 @contextlib.asynccontextmanager
@@ -167,6 +189,7 @@ async def _switched_on(robot: SimulatedRobot, fault: Fault) -> AsyncIterator[_Bo
         try:
             yield board
         finally:
+            board.switch_off()
             running.cancel()
 
 
@@ -180,7 +203,7 @@ async def _talk(board: _Board, reader: asyncio.StreamReader, writer: asyncio.Str
     try:
         with board.connected(send):
             while data := await reader.read(READ_BYTES):
-                board.robot.receive(data)
+                board.receive(data)
     except OSError:
         pass  # the host is gone; the caller decides what next
     finally:
@@ -196,7 +219,7 @@ async def _talk_over_udp(
     robot = board.robot
     local = None if local_host is None else (local_host, 0)
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: _FromHost(robot), remote_addr=(host, port), local_addr=local
+        lambda: _FromHost(board), remote_addr=(host, port), local_addr=local
     )
 
     def send(data: bytes) -> None:
@@ -225,8 +248,8 @@ async def _until(is_so: Callable[[], bool]) -> None:
 class _FromHost(asyncio.DatagramProtocol):
     """What comes goes to the robot's UART; an ICMP error says no more than silence."""
 
-    def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot = robot
+    def __init__(self, board: _Board) -> None:
+        self._board = board
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:  # noqa: ARG002 - asyncio's signature
-        self._robot.receive(data)
+        self._board.receive(data)

@@ -94,6 +94,11 @@ uint32_t Robot::loop() {
   return 0;
 }
 
+uint32_t Robot::turn_due_in_us() {
+  const uint32_t passed_us = hal_.micros() - due_since_us_;
+  return passed_us < kLoopUs ? kLoopUs - passed_us : 0;
+}
+
 // On each pass, whatever the parser and the control do: nobody drives, so nothing moves.
 void Robot::guard() {
   if (!is_commanded_) return;

@@ -25,6 +25,9 @@ class Robot {
   // paper's retry clause how many milliseconds to wait before the next call.
   uint32_t loop();
 
+  // Until the next turn of the control: unless something comes from the host, nothing new is sent before.
+  uint32_t turn_due_in_us();
+
   const Pose& pose() const { return pose_; }
   const Wheel& left() const { return left_; }
   const Wheel& right() const { return right_; }

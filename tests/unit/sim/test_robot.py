@@ -77,6 +77,30 @@ def test_robot_whose_process_was_late_ran_on_and_has_stopped_by_its_watchdog() -
     assert 0.05 < track.robot.world.x_m - before_m < 0.2
 
 
+def test_quiet_robot_sends_nothing_before_its_next_turn() -> None:
+    """And between its turns it is quiet, or bytes are on its line."""
+    track = Track()
+    track.run(3.0)
+    quiet_s = []
+    for _ in range(100):
+        quiet_s.append(track.robot.quiet_s)
+        if track.robot.quiet_s > 0.002:
+            track.now_s += track.robot.quiet_s - 0.0015  # what has passed of a millisecond counts when it is over
+            assert track.robot.advance(track.now_s) == b""
+        track.run(STEP_S)
+    assert max(quiet_s) > 0.02
+    assert 0.0 in quiet_s
+    assert max(quiet_s) < 0.035
+
+
+def test_bytes_that_a_robot_receives_end_its_quiet() -> None:
+    track = Track()
+    while track.robot.quiet_s < 0.01:
+        track.run(STEP_S)
+    track.robot.receive(velocity(0.0))
+    assert track.robot.quiet_s == 0.0
+
+
 def test_same_time_twice_changes_nothing() -> None:
     track = Track()
     row = track.robot.world.row
